@@ -1,8 +1,11 @@
 """Autoregression of order two: the difference equation of a sampled free decay, by least squares.
 
-``x_j = a₁ x_(j-1) + a₂ x_(j-2)`` is solved for a₁ and a₂ over all samples (the least-squares form of Prony's method:
-S. M. Kay, Modern Spectral Estimation, 1988, section 11.4), and its roots are turned into k/m and c/m
-(:mod:`methods.discrete.difference`).
+At even steps h a free decay is a sum of two exponentials ``z₁^j, z₂^j``, ``z = e^(sh)``, so that its samples obey
+``x_j = a₁ x_(j-1) + a₂ x_(j-2)`` with ``z² - a₁ z - a₂ = 0``. A sensor's offset d adds the constant
+``(1 - a₁ - a₂) d``. It is solved for a₁ and a₂ over all samples (the least-squares form of the method of G. R. B. de
+Prony: S. M. Kay, Modern Spectral Estimation, 1988, section 11.4). From the roots, ``k/m = s₁ s₂`` and
+``c/m = -(s₁ + s₂)``, ``s = log(z)/h``: for a complex pair and for two positive roots, that is for a damping ratio below
+and above 1.
 
 This is the plain form that textbooks give and people run, and it has their bias. The columns are measured too: their
 noise (errors in variables; T. Söderström, Automatica 43:939, 2007) draws the coefficients towards zero, the more the
@@ -19,9 +22,13 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card
-from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of
 from methods.modal.free_decay import PoleIdentifier
 from methods.regression.equation import solve
+
+NO_OSCILLATOR = (
+    "the roots of its difference equation are not those of a sampled oscillator (one is negative, or one decays and "
+    "one grows): take more samples a cycle, a longer record or less noise"
+)
 
 
 @dataclass(frozen=True)
@@ -47,3 +54,51 @@ class AR(PoleIdentifier):
 
     def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
         return groups_of(solve(*equations(sets, offset)), step)
+
+
+def equations(sets: np.ndarray, offset: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (sets, n - 2, 2 or 3) of a₁, a₂ and the constant of an offset, and target (sets, n - 2), of samples."""
+    columns = [sets[:, 1:-1], sets[:, :-2]] + ([np.ones_like(sets[:, 2:])] if offset else [])
+    return np.stack(columns, axis=-1), sets[:, 2:]
+
+
+def groups_of(a: np.ndarray, step: float) -> np.ndarray:
+    """k/m and c/m, (..., 2), of coefficients a₁ and a₂ (..., 2 or more) at a step of time.
+
+    NaN where the roots are no oscillator's: not finite, negative, or on both sides of 1.
+    """
+    with np.errstate(all="ignore"):
+        half, product = 0.5 * a[..., 0], -a[..., 1]
+        decay = -np.log(product) / step
+        inside = product - half**2
+        angle = np.arctan2(np.sqrt(np.maximum(inside, 0.0)), half) / step
+        # the larger root, and the smaller by their product: no cancellation
+        large = half + np.sqrt(np.maximum(-inside, 0.0))
+        rates = np.log(large) / step, np.log(product / large) / step
+        pair = (0.5 * decay) ** 2 + angle**2
+        real = np.where((large > 0) & (rates[0] * rates[1] > 0), rates[0] * rates[1], np.nan)
+        stiffness = np.where(inside > 0, pair, real)
+        found = np.stack([stiffness, decay], axis=-1)
+    return np.where(np.all(np.isfinite(found), axis=-1, keepdims=True), found, np.nan)
+
+
+def coefficients_of(groups: np.ndarray, step: float) -> np.ndarray:
+    """a₁ and a₂, (2,), of k/m and c/m (2,) at a step of time: the inverse of :func:`groups_of`."""
+    envelope, cosine, _ = _waves(groups, step)
+    return np.array([2.0 * envelope * cosine, -(envelope**2)])
+
+
+def coefficient_slopes(groups: np.ndarray, step: float) -> np.ndarray:
+    """Derivatives of :func:`coefficients_of` by k/m and c/m, (2, 2), a row a coefficient."""
+    envelope, cosine, sine = _waves(groups, step)
+    by_stiffness = -envelope * step**2 * sine
+    by_damping = -step * envelope * cosine - 0.5 * groups[1] * by_stiffness
+    return np.array([[by_stiffness, by_damping], [0.0, step * envelope**2]])
+
+
+def _waves(groups: np.ndarray, step: float) -> tuple[float, float, float]:
+    """``e^(-dh)``, ``cosh(rh)`` and ``sinh(rh)/(rh)`` of ``d = c/2m``, ``r² = d² - k/m``, without a cut at r = 0."""
+    decay = 0.5 * float(groups[1])
+    angle = np.sqrt(complex(decay**2 - float(groups[0]))) * step
+    ratio = np.sinh(angle) / angle if abs(angle) > 1e-4 else 1.0 + angle**2 / 6.0
+    return float(np.exp(-decay * step)), float(np.cosh(angle).real), float(np.real(ratio))

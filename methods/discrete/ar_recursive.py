@@ -19,7 +19,7 @@ from typing import ClassVar
 import numpy as np
 
 from bench import Card, Estimate, Status
-from methods.discrete.difference import NO_OSCILLATOR, equations, groups_of
+from methods.discrete.ar import NO_OSCILLATOR, equations, groups_of
 from methods.modal.free_decay import PoleIdentifier, groups_order, has_offset
 from methods.modal.realisation import step_of
 from methods.regression.equation import Regression

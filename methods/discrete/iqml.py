@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from bench import Card, InputError
-from methods.discrete.difference import coefficient_slopes, coefficients_of, equations, groups_of
+from methods.discrete.ar import coefficient_slopes, coefficients_of, equations, groups_of
 from methods.modal.free_decay import Decays, PoleIdentifier
 from methods.modal.realisation import step_of
 from methods.regression.equation import solve

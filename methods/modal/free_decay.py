@@ -89,26 +89,18 @@ class FreeDecayIdentifier(RegressionIdentifier):
         covariances = self._covariances(regression, Decays(times, groups, centres, noise, offset), rngs)
         level = np.mean(y, axis=1, keepdims=True) if offset else 0.0
         poor = ~(misfit <= POOR * np.sum((y - level) ** 2, axis=1))
-        return [
-            self._answer(regression, groups[i][order], cov if cov is None else cov[np.ix_(order, order)], poor[i])
-            for i, cov in enumerate(covariances)
-        ]
-
-    def _answer(
-        self, regression: Regression, groups: np.ndarray, covariance: np.ndarray | None, poor: bool
-    ) -> Estimate:
-        """Answer with groups (2,) in the system's order.
-
-        An unstable estimate (c/m negative) is given as it is, with a sentence: dropping it would drop the unlucky half
-        of the noise.
-        """
-        if not np.all(np.isfinite(groups)):
-            return Estimate.failed(regression.system, Status.DIVERGED, self.unreadable)
-        # the resting level is found too, and costs a degree of freedom
-        unknowns = np.append(groups, np.zeros(int(has_offset(regression))))
-        said = [GROWS] * bool(groups[groups_order(regression)][1] <= 0)
-        said += [NO_COVARIANCE] * (covariance is None and self.bootstrap > 0)
-        return answer(regression, unknowns, covariance, "; ".join(said or [POOR_FIT] * bool(poor)))
+        answers = []
+        for of_problem, cov, is_poor in zip(groups, covariances, poor, strict=True):
+            if not np.all(np.isfinite(of_problem)):
+                answers.append(Estimate.failed(regression.system, Status.DIVERGED, self.unreadable))
+                continue
+            # an unstable estimate is given as it is: dropping it would drop the unlucky half of the noise
+            said = [GROWS] * bool(of_problem[1] <= 0) + [NO_COVARIANCE] * (cov is None and self.bootstrap > 0)
+            # the resting level is found too, and costs a degree of freedom
+            unknowns = np.append(of_problem[order], np.zeros(int(offset)))
+            ordered = cov if cov is None else cov[np.ix_(order, order)]
+            answers.append(answer(regression, unknowns, ordered, "; ".join(said or [POOR_FIT] * bool(is_poor))))
+        return answers
 
     def _covariances(
         self, regression: Regression, decays: Decays, rngs: Sequence[np.random.Generator]

@@ -9,9 +9,8 @@ from bench import Channel, Estimate, Identifier, InputError, Normal, Problem, Re
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from methods.discrete.ar import AR
+from methods.discrete.ar import AR, coefficients_of, groups_of
 from methods.discrete.ar_recursive import ARRecursive
-from methods.discrete.difference import coefficients_of, groups_of
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 TIMES = np.linspace(0.0, 10.0, 25)

@@ -8,8 +8,7 @@ import pytest
 from bench import Channel, Problem, Record
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
-from methods.discrete.ar import AR
-from methods.discrete.difference import coefficient_slopes, coefficients_of, equations, groups_of
+from methods.discrete.ar import AR, coefficient_slopes, coefficients_of, equations, groups_of
 
 PLANTS = [
     {"m": 1.3, "c": 0.6, "k": 9.0},
