@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,16 +83,6 @@ def differences(a: np.ndarray, b: np.ndarray, scenario: np.ndarray) -> np.ndarra
     return result
 
 
-def signed_rank(values: np.ndarray) -> float:
-    """Return the two-sided p-value of Wilcoxon's signed-rank test, zeros split, by the normal approximation.
-
-    For zeros see J. W. Pratt, J. Am. Stat. Assoc. 54:655, 1959. Infinite values have the highest ranks.
-    """
-    from scipy.stats import wilcoxon  # half a second to import
-
-    return float(wilcoxon(values, zero_method="zsplit", method="asymptotic").pvalue)
-
-
 def compare(errors: Errors, pairs: Sequence[tuple[str, str]] | None = None) -> list[Comparison]:
     """Compare every pair of methods (or the given ones), with p-values adjusted together."""
     pairs = list(itertools.combinations(errors.values, 2)) if pairs is None else list(pairs)
@@ -109,38 +98,17 @@ def adjusted(comparisons: Sequence[Comparison]) -> list[Comparison]:
 
 def _pair(a: str, b: str, of_a: np.ndarray, of_b: np.ndarray, scenario: np.ndarray, often: np.ndarray) -> Comparison:
     """Compare the errors of two methods; ``often`` (n, RESAMPLES) counts each data set in each resample."""
-    p, ratios = signed_rank(differences(of_a, of_b, scenario)), log_ratios(of_a, of_b)
+    from scipy.stats import wilcoxon  # half a second to import
+
+    # zeros split, by the normal approximation; infinite differences have the highest ranks
+    p = float(wilcoxon(differences(of_a, of_b, scenario), zero_method="zsplit", method="asymptotic").pvalue)
+    ratios = log_ratios(of_a, of_b)
     resampled = medians(ratios, often, lower=True)
     sizes = resampled[np.isfinite(resampled)]
     error = float(np.std(sizes)) if sizes.size > 1 else np.inf
     with np.errstate(over="ignore"):
-        logs = [_median(ratios), *middle_95(resampled), POWER * error]
-        ratio, low, high, resolved = map(float, np.exp(logs))
+        ratio, low, high, resolved = np.exp([_median(ratios), *middle_95(resampled), POWER * error]).tolist()
     return Comparison(a, b, ratio, low, high, p, p, resolved)
-
-
-def against_best(
-    values: Mapping[str, np.ndarray], candidates: AbstractSet[str] | None = None
-) -> tuple[str, list[Comparison]]:
-    """Find the best method on one scenario, and compare every other with it on the data sets that both were given.
-
-    ``values[method]`` (n,) are errors on the first n replicates. The best has the least median among the ``candidates``
-    (by default, and where none of them qualifies, all methods) with most replicates.
-    """
-    full = _most_replicates(values)
-    eligible = [method for method in full if candidates is None or method in candidates] or full
-    best = min(eligible, key=lambda method: _median(values[method]))
-    pairs = []
-    for method, errors in values.items():
-        if method != best:
-            n = errors.size
-            pairs.append(_pair(method, best, errors, values[best][:n], np.zeros(n, int), counts(n, RESAMPLES)))
-    return best, adjusted(pairs)
-
-
-def _most_replicates(values: Mapping[str, np.ndarray]) -> list[str]:
-    most = max(errors.size for errors in values.values())
-    return [method for method, errors in values.items() if errors.size == most]
 
 
 def gross(errors: np.ndarray, bound: float) -> np.ndarray:
@@ -149,54 +117,62 @@ def gross(errors: np.ndarray, bound: float) -> np.ndarray:
     return np.asarray(~(errors <= limit) | np.isinf(errors))
 
 
-@dataclass(frozen=True)
-class Steadiness:
-    """``steady``: the methods that are not outliers. ``p_gross``: by method, the p-value of its gross errors.
+def steady(
+    values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float
+) -> tuple[set[str], dict[str, float]]:
+    """Find the methods without an excess beyond :data:`STEADY` times the least, and without more gross errors (5 %).
 
-    It is that of "no more often than the method whose errors are gross least often", on common data sets.
+    Also returns the p-value of each method's gross errors: that of "no more often than the method whose errors are
+    gross least often", on common data sets.
     """
-
-    steady: frozenset[str]
-    p_gross: Mapping[str, float]
-
-
-def steadiness(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> Steadiness:
-    """Find the methods without an excess beyond :data:`STEADY` times the least, and without more gross errors (5 %)."""
-    runs = {method: gross(errors, bound) for method, errors in values.items()}
+    outliers = {method: gross(errors, bound) for method, errors in values.items()}
     full = _most_replicates(values)
-    rarest = min(full, key=lambda method: float(np.mean(runs[method])))
+    rarest = outliers[min(full, key=lambda method: float(np.mean(outliers[method])))]
     least = min((excess.get(method, np.nan) for method in full if excess.get(method, np.nan) > 0), default=np.nan)
-    p = {method: more_often(outliers, runs[rarest][: outliers.size]) for method, outliers in runs.items()}
-    sure = {method for method in runs if not excess.get(method, np.nan) > STEADY * least and p[method] > LEVEL}
-    return Steadiness(frozenset(sure), p)
+    p_gross = {method: more_often(each, rarest[: each.size]) for method, each in outliers.items()}
+    sure = {m for m in outliers if not excess.get(m, np.nan) > STEADY * least and p_gross[m] > LEVEL}
+    return sure, p_gross
+
+
+def _most_replicates(values: Mapping[str, np.ndarray]) -> list[str]:
+    most = max(errors.size for errors in values.values())
+    return [method for method, errors in values.items() if errors.size == most]
 
 
 @dataclass(frozen=True)
 class ScenarioRanking:
     """The best method in one scenario by one metric, and how the others compare with it.
 
-    ``level``: the best, and all that are tied with it and steady, which ranks do not see.
+    ``level``: the best, and all that are tied with it and :func:`steady`, which ranks do not see. ``p_gross`` as there.
     """
 
     best: str
     comparisons: tuple[Comparison, ...]
     level: frozenset[str]
-    steadiness: Steadiness
+    p_gross: Mapping[str, float]
 
 
 def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], bound: float) -> ScenarioRanking | None:
-    """Rank methods by their errors ``values[method]`` (n,), their excess and the bound; None for fewer than two.
+    """Rank methods by their errors on the first n replicates, ``values[method]`` (n,); None for fewer than two.
 
     It is the one rule of all tables and of the page; they differ in which methods they put in. NaN errors are failures.
-    The best is, of the steady methods, the one of least median error.
+    The best has the least median error of the steady methods with most replicates, or of all of these where none is
+    steady; every other is compared with it on the data sets that both were given.
     """
     if len(values) < 2:
         return None
     known = {method: np.where(np.isnan(errors), np.inf, errors) for method, errors in values.items()}
-    outliers = steadiness(known, excess, bound)
-    best, others = against_best(known, outliers.steady)
-    level = {best, *(c.a for c in others if c.tie and c.a in outliers.steady)}
-    return ScenarioRanking(best, tuple(others), frozenset(level), outliers)
+    sure, p_gross = steady(known, excess, bound)
+    full = _most_replicates(known)
+    best = min([method for method in full if method in sure] or full, key=lambda method: _median(known[method]))
+    pairs = []
+    for method, errors in known.items():
+        if method != best:
+            n = errors.size
+            pairs.append(_pair(method, best, errors, known[best][:n], np.zeros(n, int), counts(n, RESAMPLES)))
+    others = adjusted(pairs)
+    level = {best, *(c.a for c in others if c.tie and c.a in sure)}
+    return ScenarioRanking(best, tuple(others), frozenset(level), p_gross)
 
 
 def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:

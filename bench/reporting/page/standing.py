@@ -20,7 +20,7 @@ class Ranking:
     """Of one scenario and metric: every method's place, and its comparison with the best.
 
     ``weak``: level with the best on fewer replicates than the best has, so that less could have been told. ``p_gross``:
-    how surely each makes gross errors (:class:`bench.scoring.comparison.Steadiness`).
+    how surely each makes gross errors (:func:`bench.scoring.comparison.steady`).
     """
 
     places: Mapping[str, Place]
@@ -53,7 +53,7 @@ def rank(panel: ScenarioPanel, metric: str) -> Ranking | None:
         for label in own
     }  # fmt: skip
     fewer = {label for label in own if places[label] == "level" and own[label].n < own[found.best].n}
-    return Ranking(places, {c.a: c for c in found.comparisons}, frozenset(fewer), found.steadiness.p_gross)
+    return Ranking(places, {c.a: c for c in found.comparisons}, frozenset(fewer), found.p_gross)
 
 
 def fit_seconds(result: Result) -> float:

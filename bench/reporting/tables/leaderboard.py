@@ -21,7 +21,7 @@ from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.common import PRIMARY, bold, csv, markdown_table
 from bench.reporting.tables.open_split import Pooled, bounds_of, pooled
 from bench.reporting.verdict import below, suspicious
-from bench.scoring.comparison import GROSS, STEADY, Errors, compare, gross, profile, steadiness
+from bench.scoring.comparison import GROSS, STEADY, Errors, compare, gross, profile, steady
 
 EXPERIMENTS = ("table4", "table5")
 FACTORS = (1.1, 1.5, 2.0, 5.0)
@@ -95,7 +95,7 @@ def lines(own: Collected) -> list[dict[str, Any]]:
     """One line a method, best first."""
     errors, over = own.errors, own.over_bounds()
     excess = {method: _root_mean_square(ratios) for method, ratios in over.items()}
-    sure = steadiness(over, excess, 1.0).steady
+    sure, _ = steady(over, excess, 1.0)
     best = min(sure, key=lambda method: float(np.median(over[method])))
     within = profile(errors, FACTORS)
     found = {c.a: c for c in compare(errors, [(method, best) for method in errors.values if method != best])}

@@ -13,6 +13,7 @@ from bench import Channel, Draws, Force, InitialState, Normal, Problem, Record, 
 from bench.config.experiment import expand
 from bench.contract.estimate import Estimate, Status
 from bench.dynamics.simulate import simulate
+from bench.entrants.registry import make_method
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.systems import SDOF, Chain
 
@@ -54,12 +55,20 @@ def quadrature(problem: Problem, logs: list[np.ndarray], log_sigma: np.ndarray) 
     return mean, np.sqrt(((values - mean[:, None]) ** 2) @ weights)
 
 
-@pytest.mark.parametrize("snr", [20.0, 8.0])
-def test_mean_and_spread_agree_with_quadrature(snr: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "snr"),
+    [("mcmc", 20.0), ("mcmc", 8.0), *(pytest.param("nuts", snr, marks=pytest.mark.slow) for snr in (20.0, 10.0))],
+)
+def test_mean_and_spread_agree_with_quadrature(name: str, snr: float) -> None:
+    """Of 1500 effective draws a mean is known to 0.026 sd and an sd to 0.018 sd where the posterior is normal: the
+    tolerances are at least five of those.
+    """
     problem, _ = scenario(snr).replicates(1, 1)[0]
-    assert problem.prior is not None
-    estimate = sample(problem, effective=2000.0)
-    assert isinstance(estimate.parameters, Draws)
+    longer = {"mcmc": {"effective": 2000.0}, "nuts": {"effective": 1500.0, "blocks": 12, "kept": 20000}}
+    if name == "nuts":
+        pytest.importorskip("blackjax")
+    estimate = make_method(name, longer[name]).identify(problem, np.random.default_rng(0))
+    assert isinstance(estimate.parameters, Draws), estimate.message
     draws = estimate.parameters.samples
     logs = np.log(draws)
     # a grid along the mass, and for c and k about the ridge that follows it
@@ -67,7 +76,7 @@ def test_mean_and_spread_agree_with_quadrature(snr: float) -> None:
     grid = [np.linspace(m - w, m + w, n) for m, w, n in zip(logs.mean(axis=0), width, (25, 61, 61), strict=True)]
     noise = np.log(0.1 * np.sqrt(np.mean(problem.records[0].channels[0].values ** 2))) + np.linspace(-4, 3, 120)
     mean, sd = quadrature(problem, grid, noise)
-    assert draws.mean(axis=0) == pytest.approx(mean, abs=0.1 * sd.min(), rel=0.005 if snr > 10 else 0.02)
+    assert np.all(np.abs(draws.mean(axis=0) - mean) < 0.15 * sd)
     assert draws.std(axis=0) == pytest.approx(sd, rel=0.1)
 
 
