@@ -59,9 +59,6 @@ def rough_readings(
         state += [np.zeros(sets) for _ in range(rig.n_hidden)]
         counts = np.clip(np.ceil(np.diff(grid) * rate / radians), 1, MOST_STEPS).astype(int)
         path = carry(rig, p, state, Steps.over(grid, counts, record.forces, n), np.arange(grid.size))
-    parts = []
-    for c in record.channels:
-        own = path[:, ..., np.searchsorted(grid, c.times)]
-        motion = SimulatedMotion(own[:n], own[n : 2 * n], own[2 * n :])
-        parts.append(motion.measured(rig, p, c, record))
-    return np.concatenate([np.broadcast_to(part, (*path.shape[1:-1], np.shape(part)[-1])) for part in parts], axis=-1)
+        times = np.unique(np.concatenate([c.times for c in record.channels]))
+        path = np.broadcast_to(path, (len(path), *sets, grid.size))[..., np.searchsorted(grid, times)]
+        return SimulatedMotion(path[:n], path[n : 2 * n], path[2 * n :]).readings(rig, p, record)
