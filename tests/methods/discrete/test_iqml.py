@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from bench import Channel, Estimate, InputError, Normal, Problem, Record, Status
+from bench import Channel, Estimate, Normal, Problem, Record, Status
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
@@ -42,16 +42,6 @@ def maximum_likelihood(y: np.ndarray, times: np.ndarray, offset: bool = False) -
     found = least_squares(misfit, [*TRUE, 0.8, 0.5, *([y.mean()] if offset else [])], xtol=1e-12, ftol=1e-12)
     variance = 2.0 * found.cost / (y.size - found.x.size)
     return found.x[:2], np.sqrt(variance * np.diag(np.linalg.inv(found.jac.T @ found.jac)))[:2]
-
-
-@pytest.mark.parametrize(
-    "p", [PLANT, {"m": 1.0, "c": 9.0, "k": 9.0}, {"m": 2.0, "c": 1e-6, "k": 5.0}, {"m": 1.0, "c": 0.2, "k": 50.0}]
-)
-@pytest.mark.parametrize("offset", [0.0, 2.5])
-def test_exact_samples_give_the_groups_exactly(p: dict[str, float], offset: float) -> None:
-    values = closed_form(p, 0.8, 0.5, TIMES) + offset
-    found = groups(record(values, offset=offset != 0.0)).mean
-    np.testing.assert_allclose(found, [p["k"] / p["m"], p["c"] / p["m"]], rtol=1e-5, atol=1e-7)
 
 
 def test_the_weight_is_that_of_the_difference_equations_noise() -> None:
@@ -98,32 +88,6 @@ def test_it_is_at_the_bound_of_the_unknown_start(snr: float) -> None:
         assert 0.87 <= np.mean((intervals[:, 0] < true) & (true < intervals[:, 1])) <= 1.0
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_noise_alone_is_not_trusted(seed: int) -> None:
-    estimate = fit(record(np.random.default_rng(seed).standard_normal(60), np.linspace(0.0, 10.0, 60)))
-    assert estimate.status is Status.DIVERGED or "do not trust" in estimate.message
-
-
-def test_a_growing_vibration_is_said_to_grow() -> None:
-    y = np.exp(0.1 * TIMES) * np.cos(3.0 * TIMES)
-    estimate = fit(record(y))
-    assert estimate.groups is not None
-    np.testing.assert_allclose(estimate.groups.mean, [9.01, -0.2], rtol=1e-6)
-    assert "negative" in estimate.message
-
-
 def test_one_round_is_not_settled() -> None:
     y = closed_form(PLANT, 0.8, 0.5, TIMES) + 0.05 * np.random.default_rng(1).standard_normal(25)
     assert fit(record(y), rounds=1).status is Status.DIVERGED
-
-
-def test_uneven_times_are_declined() -> None:
-    times = np.sort(np.random.default_rng(3).uniform(0.0, 8.0, 25))
-    assert fit(record(closed_form(PLANT, 0.8, 0.5, times), times)).status is Status.UNSUPPORTED
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="rounds"):
-        IQML(rounds=0)
-    with pytest.raises(InputError, match="bootstrap"):
-        IQML(bootstrap=-1)

@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from bench import Channel, Estimate, Force, InitialState, InputError, Normal, Problem, Record, Status, state_matrix
+from bench import Channel, Estimate, Force, InitialState, Normal, Problem, Record, Status, state_matrix
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form, reference_response
@@ -114,22 +114,6 @@ def test_weights_pay() -> None:
     assert np.prod(weighted / plain) < 0.8
 
 
-def test_a_sign_that_alternates_is_no_vibration() -> None:
-    times = np.linspace(0.0, 10.0, 25)
-    y = (-0.9) ** np.arange(25) + 0.5 ** np.arange(25)
-    estimate = fit(Problem(SDOF(), (Record((Channel(times, y),)),)))
-    assert estimate.status is Status.DIVERGED
-    assert "poles" in estimate.message
-
-
-def test_a_growing_vibration_is_given_as_it_is() -> None:
-    times = np.linspace(0.0, 10.0, 25)
-    estimate = fit(Problem(SDOF(), (Record((Channel(times, np.exp(0.1 * times) * np.cos(3.0 * times)),)),)))
-    assert estimate.groups is not None
-    np.testing.assert_allclose(estimate.groups.mean, [9.01, -0.2], rtol=1e-7)
-    assert "negative" in estimate.message
-
-
 def test_what_it_cannot_take_is_declined_in_a_sentence() -> None:
     push = Force(np.linspace(0, 10, 11), np.ones(11))
     channels = record(Chain(2), TWO).records[0].channels
@@ -143,10 +127,3 @@ def test_what_it_cannot_take_is_declined_in_a_sentence() -> None:
     for word, problem in cases.items():
         assert word in (ERA().objection(problem) or "")
         assert fit(problem).status is Status.UNSUPPORTED
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="rows"):
-        ERA(rows=1.0)
-    with pytest.raises(InputError, match="bootstrap"):
-        ERA(bootstrap=-1)

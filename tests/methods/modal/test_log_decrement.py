@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from bench import Channel, Estimate, Force, InitialState, InputError, Problem, Record, Status
+from bench import Channel, Estimate, Problem, Record, Status
 from bench.scenario.truth import closed_form
-from bench.systems import SDOF, Chain, Duffing
+from bench.systems import SDOF
 from methods.modal.log_decrement import LogDecrement, Swings, extremes, resting_level
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
@@ -28,16 +26,6 @@ def groups(problem: Problem, **settings: float) -> np.ndarray:
     estimate = fit(problem, **settings)
     assert estimate.groups is not None, estimate.message
     return estimate.groups.mean
-
-
-@pytest.mark.parametrize("p", [PLANT, {"m": 2.0, "c": 0.05, "k": 5.0}, {"m": 1.0, "c": 1.2, "k": 30.0}])
-@pytest.mark.parametrize("uneven", [False, True])
-def test_a_dense_exact_record_gives_the_groups(p: dict[str, float], uneven: bool) -> None:
-    """Parabola and straight line over steps h err by parts of (ωh)², which is below 2e-3 here (ω below 5.5 rad/s)."""
-    times = np.linspace(0.0, 10.0, 1500)
-    if uneven:
-        times[1:-1] += np.random.default_rng(2).uniform(-0.3, 0.3, 1498) * times[1]
-    np.testing.assert_allclose(groups(free(times, p)), [p["k"] / p["m"], p["c"] / p["m"]], rtol=2e-3)
 
 
 def test_crossings_of_a_cosine_lie_at_odd_quarters_of_its_period() -> None:
@@ -97,27 +85,6 @@ def test_too_little_to_read_is_a_sentence(problem: Problem) -> None:
     assert "crossings" in estimate.message
 
 
-def test_the_start_is_not_used() -> None:
-    problem = free(np.linspace(0.0, 10.0, 25), noise=0.05)
-    told = InitialState(np.array([7.0]), np.array([-3.0]))
-    record = replace(problem.records[0], initial_state=told)
-    here, there = fit(problem).groups, fit(replace(problem, records=(record,))).groups
-    assert here is not None
-    assert there is not None
-    np.testing.assert_array_equal(here.mean, there.mean)
-    np.testing.assert_array_equal(here.covariance, there.covariance)
-
-
-def test_a_growing_vibration_is_said_to_grow() -> None:
-    """``e^(+σt) cos(ωt)`` read backwards: c/m is negative, and its size as for a decay."""
-    times = np.linspace(0.0, 10.0, 1500)
-    y = np.exp(0.1 * times) * np.cos(3.0 * times)
-    estimate = fit(Problem(SDOF(), (Record((Channel(times, y),)),)))
-    assert estimate.groups is not None
-    np.testing.assert_allclose(estimate.groups.mean, [9.01, -0.2], rtol=2e-3)
-    assert "negative" in estimate.message
-
-
 @pytest.mark.parametrize("level", [0.0, 0.1, -3.0])
 def test_an_offset_is_taken_out(level: float) -> None:
     """About its level a dense exact decay alternates in a geometric sequence, which Aitken's formula sums exactly."""
@@ -131,32 +98,3 @@ def test_an_offset_is_taken_out(level: float) -> None:
 def test_a_clipped_top_is_read_as_it_is() -> None:
     at, heights = extremes(np.arange(5.0), np.array([[-1.0, 2.0, 2.0, 2.0, -1.0]]), np.array([[2]]))
     np.testing.assert_array_equal([at[0, 0], heights[0, 0]], [2.0, 2.0])
-
-
-def test_no_bootstrap_no_uncertainty() -> None:
-    estimate = fit(free(np.linspace(0.0, 10.0, 25), noise=0.05), bootstrap=0)
-    assert estimate.groups is not None
-    assert estimate.groups.covariance is None
-
-
-def test_what_it_declines() -> None:
-    times = np.linspace(0.0, 5.0, 25)
-    channel, method = Channel(times, np.cos(times)), LogDecrement()
-    push = Force(times, np.sin(times))
-    two = (channel, Channel(times, np.cos(times), dof=1))
-    declined = {
-        "force": Problem(SDOF(), (Record((channel,), (push,)),)),
-        "DOF": Problem(Chain(2), (Record((channel,)),)),
-        "channel": Problem(Chain(2), (Record(two),)),
-        "linear": Problem(Duffing(), (Record((channel,)),)),
-        "one record": Problem(SDOF(), (Record((channel,)), Record((channel,)))),
-    }
-    for word, problem in declined.items():
-        assert word in (method.objection(problem) or ""), word
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="smallest"):
-        LogDecrement(smallest=1.5)
-    with pytest.raises(InputError, match="bootstrap"):
-        LogDecrement(bootstrap=-1)

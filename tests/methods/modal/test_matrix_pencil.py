@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from bench import Channel, Estimate, InputError, Normal, Problem, Record, Status
+from bench import Channel, Estimate, Normal, Problem, Record
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
@@ -37,24 +37,6 @@ def groups(problem: Problem, **settings: float) -> Normal:
     estimate = fit(problem, **settings)
     assert estimate.groups is not None, estimate.message
     return estimate.groups
-
-
-@pytest.mark.parametrize(
-    "p", [PLANT, {"m": 2.0, "c": 1e-6, "k": 5.0}, {"m": 1.0, "c": 3.0, "k": 9.0}, {"m": 1.0, "c": 0.2, "k": 50.0}]
-)
-@pytest.mark.parametrize("pencil", [0.2, 1 / 3, 0.5])
-def test_exact_samples_give_the_groups_exactly(p: dict[str, float], pencil: float) -> None:
-    """To rounding, at five samples a cycle and less, where differences have a bias of 11 %."""
-    found = groups(record(p), pencil=pencil).mean
-    np.testing.assert_allclose(found, [p["k"] / p["m"], p["c"] / p["m"]], rtol=1e-7, atol=1e-8)
-
-
-def test_an_offset_is_a_third_exponential() -> None:
-    values = closed_form(PLANT, 0.8, 0.5, TIMES) + 2.5
-    problem = Problem(SDOF(), (Record((Channel(TIMES, values, offset=True),)),))
-    found = groups(problem)
-    np.testing.assert_allclose(found.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-7)
-    assert found.dof == 25 - 5
 
 
 def test_four_samples_are_pronys() -> None:
@@ -100,15 +82,6 @@ def test_it_comes_near_the_bound_of_the_unknown_start() -> None:
     excess = np.sqrt(np.mean((found / truth - 1) ** 2, axis=0)) / [bound["k_over_m"], bound["c_over_m"]]
     assert np.all(excess > 0.8), excess
     assert np.all(excess < 1.5), excess
-
-
-def test_the_bootstrap_covariance_is_the_spread_over_replicates() -> None:
-    scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0)
-    fits = [groups(problem) for problem, _ in scenario.replicates(21, 60)]
-    spread = np.std([found.mean for found in fits], axis=0)
-    told = np.median([np.sqrt(np.diag(found.covariance)) for found in fits if found.covariance is not None], axis=0)
-    np.testing.assert_allclose(told, spread, rtol=0.4)
-    assert fits[0].dof == 25 - 4
 
 
 @pytest.mark.parametrize("index", [0, 6, 16, 24])
@@ -197,35 +170,3 @@ def test_nist_mgh17_is_an_overdamped_mass_seen_with_an_offset() -> None:
     assert np.all(np.abs(estimate.groups.mean - certified) < sds)
     ratio = np.sqrt(np.diag(estimate.groups.covariance)) / sds
     assert np.all((ratio > 0.8) & (ratio < 2.0)), ratio
-
-
-def test_a_negative_real_pole_is_a_sentence() -> None:
-    """The alternating part of ``0.9^j + (-0.5)^j`` belongs to no mass on a spring."""
-    j = np.arange(25)
-    alternating = fit(Problem(SDOF(), (Record((Channel(0.1 * j, 0.9**j + (-0.5) ** j),)),)))
-    assert alternating.status is Status.DIVERGED
-    assert "negative" in alternating.message
-
-
-def test_a_growing_vibration_is_said_to_grow() -> None:
-    y = np.exp(0.1 * TIMES) * np.cos(3.0 * TIMES)
-    estimate = fit(Problem(SDOF(), (Record((Channel(TIMES, y),)),)))
-    assert estimate.groups is not None
-    np.testing.assert_allclose(estimate.groups.mean, [9.01, -0.2], rtol=1e-8)
-    assert "negative" in estimate.message
-
-
-def test_uneven_or_too_many_samples_are_declined_in_a_sentence() -> None:
-    uneven = record(PLANT, np.sort(np.random.default_rng(3).uniform(0.0, 8.0, 25)))
-    for problem, word in ((uneven, "even"), (record(PLANT, np.linspace(0.0, 10.0, 5000)), "thin")):
-        assert word in (MatrixPencil().objection(problem) or "")
-        assert fit(problem).status is Status.UNSUPPORTED
-    # times printed to a ten-thousandth are even enough
-    assert MatrixPencil().objection(record(PLANT, np.round(TIMES, 4))) is None
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="pencil"):
-        MatrixPencil(pencil=0.0)
-    with pytest.raises(InputError, match="bootstrap"):
-        MatrixPencil(bootstrap=-1)

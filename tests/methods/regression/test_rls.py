@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench import InputError, Units
+from bench import Units
 from bench.scenario.scenario import Scenario
 from methods.regression.ls import LS
 from methods.regression.rls import RLS, recursive_least_squares
@@ -73,10 +73,3 @@ def test_the_trajectory_is_kept_in_the_units_of_the_problem() -> None:
     np.testing.assert_allclose(times, SCENARIO.times[1:-1])
     faster = RLS().identify(problem.expressed_in(Units(time=0.1)), rng())
     np.testing.assert_allclose(faster.traces["trajectory"], trajectory * [0.01, 0.1], rtol=1e-6)
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="forgetting"):
-        RLS(forgetting=1.2)
-    with pytest.raises(InputError, match="diffuse"):
-        RLS(diffuse=0.0)
