@@ -2,22 +2,19 @@
 
 White noise e on the samples stands in ``y_j - a₁ y_(j-1) - a₂ y_(j-2)`` as ``A e``, A the banded matrix of the rows
 ``(-a₂, -a₁, 1)``. The likelihood of a, amplitudes eliminated, is that of ``Y a = A y`` with covariance ``σ² A Aᵀ``:
-quadratic in a where that matrix is held. Least squares with it, the matrix made anew from the answer, and so on until
+quadratic in a where that matrix is fixed. Least squares with it, the matrix renewed from the answer, and so on until
 the answer stays (Y. Bresler, A. Macovski, IEEE Trans. Acoustics, Speech and Signal Processing 34:1081, 1986; the
 iteration of K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10:461, 1965, for a free decay). It starts at
 ``A Aᵀ = I``, which is ``ar``; that estimate's bias is what the weight removes. ``A Aᵀ`` has five diagonals: a round
-costs as many operations as there are samples. An offset is a constant among the unknowns.
-
-The iteration holds the weight while it minimises, so that where it stays is not exactly the maximum of the likelihood.
-No step is added that would end there.
+costs as many operations as there are samples. An offset is a constant among the unknowns. Since the weight is fixed
+while it minimises, the end is not exactly the maximum of the likelihood.
 
 The covariance is the bound at the answer, amplitudes and offset eliminated: ``σ² (X̂ᵀ (A Aᵀ)⁻¹ X̂)⁻¹`` for a, with X̂ the
 columns of the response (first order of ``A x = 0``), σ from the residuals. Where that cannot be inverted, it is that of
 a parametric bootstrap.
 
-Even sampling is needed. The start is estimated even where it is told: the amplitudes of the exponentials are eliminated
-as what the coefficients leave open, and a told velocity is no condition on samples that is linear in them. The prior
-and the noise level are not used.
+The initial state is estimated even where it is known: the amplitudes of the exponentials are eliminated as what the
+coefficients leave open, and a known velocity is no condition on samples that is linear in them.
 """
 
 from __future__ import annotations
@@ -85,13 +82,9 @@ class IQML(PoleIdentifier):
 
 
 def reweighted(columns: np.ndarray, target: np.ndarray, start: np.ndarray, rounds: int) -> np.ndarray:
-    """Coefficients (q,) at which the iteration stays, a₁ and a₂ first; NaN where it does not.
+    """Find coefficients (q,) at which the iteration stays, a₁ and a₂ first; NaN where it does not.
 
-    Args:
-        columns: of a₁, a₂ and, with an offset, the constant, (rows, q).
-        target: the newest sample of each row, (rows,).
-        start: coefficients whose covariance weighs the first round, (q,).
-        rounds: at most.
+    ``columns`` (rows, q), ``target`` (rows,); ``start`` (q,), whose covariance weighs the first of at most ``rounds``.
     """
     a, left = start, max(target.size - start.size, 1)
     for _ in range(rounds):
@@ -122,19 +115,17 @@ def whitened(a: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def bound(decays: Decays) -> np.ndarray:
-    """Covariances (sets, 2, 2) of k/m and c/m by the Fisher information at the answers; NaN where it is singular."""
+    """Compute covariances (sets, 2, 2) of k/m and c/m by the Fisher information; NaN where it is singular."""
     step = step_of(decays.times)
-    found = np.full((len(decays.groups), 2, 2), np.nan)
+    covariances = np.full((len(decays.groups), 2, 2), np.nan)
     columns, _ = equations(decays.centres, decays.offset)
-    for i, (groups, own, noise) in enumerate(zip(decays.groups, columns, decays.noise, strict=True)):
-        if not (np.all(np.isfinite(own)) and np.all(np.isfinite(groups))):
-            continue
+    for i, (groups, x, noise) in enumerate(zip(decays.groups, columns, decays.noise, strict=True)):
         try:
-            covariance = np.linalg.inv(own.T @ whitened(coefficients_of(groups, step), own))[:2, :2]
+            inverse = np.linalg.inv(x.T @ whitened(coefficients_of(groups, step), x))[:2, :2]
             back = np.linalg.inv(coefficient_slopes(groups, step))
         except (np.linalg.LinAlgError, ValueError):
-            continue
-        own_cov = noise**2 * back @ covariance @ back.T
-        if np.all(np.diag(own_cov) > 0):
-            found[i] = own_cov
-    return found
+            continue  # numbers that are not finite, or no information
+        covariance = noise**2 * back @ inverse @ back.T
+        if np.all(np.diag(covariance) > 0):
+            covariances[i] = covariance
+    return covariances

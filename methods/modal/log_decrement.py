@@ -10,13 +10,10 @@ Where a hand would stop: swings below ``smallest`` of the largest sample are tak
 samples beyond that level on one side; so a sign that noise turns about zero is no crossing. The reading ends where a
 swing is missing (a gap of more than 1.5 times the median half period).
 
-It is biased without any noise where samples are few: a straight line is not the sine's way through zero, nor a parabola
-its top. At five samples a cycle the top of a parabola is up to 4 % low, depending on where the samples fall.
-A sensor's offset is the level about which successive extremes alternate and decay: for three of them, ``e₁, e₂, e₃``,
-a geometric sequence about ``(e₁e₃ - e₂²)/(e₁ + e₃ - 2e₂)`` (Aitken's formula), averaged over the triples. It starts at
-the mean of the samples and is found in a few rounds, since the swings are counted from it.
-
-Times may be uneven. The start, the prior and the noise level are not used.
+It is biased without any noise where samples are few: at five samples a cycle the top of a parabola is up to 4 % low,
+depending on where the samples fall. A sensor's offset is the level about which successive extremes alternate and decay:
+for three of them, ``e₁, e₂, e₃``, a geometric sequence about ``(e₁e₃ - e₂²)/(e₁ + e₃ - 2e₂)`` (Aitken's formula),
+averaged over the triples, in a few rounds from the mean of the samples. Times may be uneven.
 """
 
 from __future__ import annotations
@@ -121,46 +118,36 @@ class Swings:
         Between the last sample of one swing and the first of the next the sign may turn more than once, in noise: the
         mean of those times is taken.
         """
-        size = np.abs(sets)
-        beyond = size >= smallest * np.max(size, axis=1, keepdims=True)
-        number = _numbers(sets, beyond)
-        count = int(np.max(number, initial=0)) + 1
-        crossings = _crossings(times, sets, beyond, number, count)
-        kept = _kept(crossings)
-        largest = _largest(np.where(beyond, size, -1.0), number, count)
+        size, n = np.abs(sets), sets.shape[1]
+        # samples beyond the level, set by set, and where among them a swing begins
+        owner, i = np.nonzero(size >= smallest * np.max(size, axis=1, keepdims=True))
+        begins = np.ones(owner.size, bool)
+        begins[1:] = (np.diff(owner) > 0) | (np.diff(np.sign(sets[owner, i])) != 0)
+        swing, first = np.cumsum(begins) - 1, np.flatnonzero(begins)
+        beyond = size[owner, i]
+        tops = np.flatnonzero(beyond == np.maximum.reduceat(beyond, first)[swing])
+        tops = tops[np.searchsorted(swing[tops], np.arange(first.size))]
+        row = owner[first]
+        place = np.arange(first.size) - np.searchsorted(row, row)
+        shape = (len(sets), int(np.max(place, initial=0)) + 1)
+        largest, crossings = np.full(shape, -1), np.full(shape, np.nan)
+        largest[row, place] = i[tops]
+        # straight lines between samples of opposite sign, each after the sample number ``before`` beyond the level
+        turning, j = np.nonzero((sets[:, :-1] >= 0) != (sets[:, 1:] >= 0))
+        before = np.searchsorted(owner * n + i, turning * n + j, side="right") - 1
+        ends = np.append(begins[1:] & (np.diff(owner) == 0), [False, False])  # the last of a swing that has a next one
+        between = ends[before] & (owner[before] == turning)
+        turning, j, before = turning[between], j[between], before[between]
+        zero = times[j] - sets[turning, j] * (times[j + 1] - times[j]) / (sets[turning, j + 1] - sets[turning, j])
+        with np.errstate(all="ignore"):
+            counts = np.bincount(swing[before], minlength=first.size)
+            crossings[row, place] = np.bincount(swing[before], zero, first.size) / counts
+        crossings = crossings[:, :-1]
+        kept = _kept(crossings)[:, None]
         return Swings(
-            np.where(np.arange(count) <= kept[:, None], largest, -1),
-            np.where(np.arange(count - 1) < kept[:, None], crossings, np.nan),
+            np.where(np.arange(shape[1]) <= kept, largest, -1),
+            np.where(np.arange(shape[1] - 1) < kept, crossings, np.nan),
         )
-
-
-def _numbers(sets: np.ndarray, beyond: np.ndarray) -> np.ndarray:
-    """The number of the swing, from 0, that each sample (sets, n) ends or follows; -1 before the first."""
-    at = np.arange(sets.shape[1])
-    last = np.maximum.accumulate(np.where(beyond, at, -1), axis=1)
-    side = np.where(last >= 0, np.take_along_axis(np.sign(sets), np.maximum(last, 0), axis=1), np.nan)
-    # NaN before the first swing is unlike any side, so that the first begins by itself
-    begins = np.concatenate([last[:, :1] >= 0, (side[:, 1:] != side[:, :-1]) & (last[:, 1:] >= 0)], axis=1)
-    return np.asarray(np.cumsum(begins, axis=1) - 1)
-
-
-def _crossings(times: np.ndarray, sets: np.ndarray, beyond: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
-    """Where straight lines between samples of opposite sign pass through zero, on average over each gap of swings.
-
-    Of shape (sets, count - 1), NaN where there is no such gap.
-    """
-    # the number of the swing that each sample begins or comes before; the last one's after the last
-    after = np.where(beyond, number, count)
-    after = np.minimum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
-    positive = sets >= 0
-    turns = (positive[:, :-1] != positive[:, 1:]) & (number[:, :-1] >= 0) & (after[:, 1:] == number[:, :-1] + 1)
-    turns &= after[:, 1:] < count
-    own, i = np.nonzero(turns)
-    zero = times[i] - sets[own, i] * (times[i + 1] - times[i]) / (sets[own, i + 1] - sets[own, i])
-    gap, gaps = own * (count - 1) + number[own, i], len(sets) * (count - 1)
-    with np.errstate(all="ignore"):
-        mean = np.bincount(gap, zero, gaps) / np.bincount(gap, minlength=gaps)
-    return np.asarray(mean.reshape(len(sets), count - 1))
 
 
 def _kept(crossings: np.ndarray) -> np.ndarray:
@@ -172,18 +159,6 @@ def _kept(crossings: np.ndarray) -> np.ndarray:
     low, high = (np.take_along_axis(ordered, i[:, None], axis=1) for i in ((middle - 1) // 2, middle // 2))
     lost = gaps > MISSING * 0.5 * (low + high)
     return np.where(np.any(lost, axis=1), np.argmax(lost, axis=1) + 1, count)
-
-
-def _largest(size: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
-    """The first largest sample of each swing, (sets, count), of sizes (sets, n), -1 for samples of none; -1 if none."""
-    own, i = np.nonzero(size >= 0)
-    swing = number[own, i]
-    top = np.full((len(size), count), -1.0)
-    np.maximum.at(top, (own, swing), size[own, i])
-    tops = size[own, i] == top[own, swing]
-    largest = np.full((len(size), count), size.shape[1])
-    np.minimum.at(largest, (own[tops], swing[tops]), i[tops])
-    return np.where(largest < size.shape[1], largest, -1)
 
 
 def extremes(times: np.ndarray, sets: np.ndarray, largest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

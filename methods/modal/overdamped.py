@@ -30,13 +30,13 @@ def real_decays(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray
     rates = np.geomspace(SLOWEST / (n * step), FASTEST / step, RATES)
     slow, fast = np.triu_indices(RATES, 1)
     pairs = np.stack([rates[slow], rates[fast]], axis=1)
-    left = _left(np.exp(-pairs * step), sets, offset)
-    least, dof = np.min(left, axis=1), max(n - 4 - int(offset), 1)
+    squares = _remainders(np.exp(-pairs * step), sets, offset)
+    least, dof = np.min(squares, axis=1), max(n - 4 - int(offset), 1)
     energy = np.sum((sets - offset * sets.mean(axis=1, keepdims=True)) ** 2, axis=1)
     negative = _with_negative_pole(rates, sets, step, offset)
     accepted = (least < DESCRIBES * energy) & (least < negative * (1.0 + WORSE / dof))
     # amplitudes and noise are integrated out, with flat priors of the logarithms of noise and rates
-    weights = (left / least[:, None]) ** (-0.5 * (dof + 2))
+    weights = (squares / least[:, None]) ** (-0.5 * (dof + 2))
     logs = np.stack([np.log(pairs[:, 0] * pairs[:, 1]), np.log(pairs.sum(axis=1))], axis=1)
     groups = np.exp(weights @ logs / np.sum(weights, axis=1, keepdims=True))
     return np.where(accepted[:, None], groups, np.nan)
@@ -46,12 +46,12 @@ def _with_negative_pole(rates: np.ndarray, sets: np.ndarray, step: float, offset
     """Least sum of squares (sets,) that a positive and a negative pole, or two negative ones, leave."""
     poles = np.concatenate([np.exp(-rates * step), NEGATIVE])
     first, second = np.triu_indices(poles.size, 1)
-    some = poles[second] < 0
-    pairs = np.stack([poles[first[some]], poles[second[some]]], axis=1)
-    return np.asarray(np.min(_left(pairs, sets, offset), axis=1))
+    below = poles[second] < 0
+    pairs = np.stack([poles[first[below]], poles[second[below]]], axis=1)
+    return np.asarray(np.min(_remainders(pairs, sets, offset), axis=1))
 
 
-def _left(poles: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
+def _remainders(poles: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
     """Sum of squares (sets, pairs) that powers of ``poles`` (pairs, 2), and a constant, leave of ``sets`` (sets, n)."""
     waves = poles[:, None] ** np.arange(sets.shape[1])[:, None]
     # the first and their difference: two like decays are nearly one
