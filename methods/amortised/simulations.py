@@ -17,19 +17,15 @@ from functools import cached_property
 
 import numpy as np
 
-CYCLES = 0.25
-"""Least number of cycles in a record."""
-MOST_CYCLES = 40.0
+CYCLES, MOST_CYCLES = 0.25, 40.0
+"""Cycles in a record, at most up to the part ``NYQUIST`` of half the sampling rate."""
 NYQUIST = 0.95
-"""Largest frequency, over half the sampling rate."""
 RATIOS = (1e-3, 2.0)
 """Damping ratios."""
 DECIBELS = (0.0, 50.0)
 """Signal-to-noise ratios."""
-FREQUENCIES = 64
-"""Of the bank."""
-DECAYS = (0.2, 1.0, 3.0, 8.0)
-"""Of the bank, decay rates times the record."""
+FREQUENCIES, DECAYS = 64, (0.2, 1.0, 3.0, 8.0)
+"""Of the bank: their number, and decay rates times the record."""
 NEIGHBOURS = 3
 """Frequencies on either side of the anchor that are shown by their place relative to it."""
 LEAST_LEFT = 1e-6
@@ -48,7 +44,6 @@ class SampleLayout:
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Shape (samples,)."""
         return np.linspace(self.first, 1.0, self.samples)
 
     @cached_property
@@ -76,7 +71,7 @@ class SampleLayout:
 
     @cached_property
     def products(self) -> np.ndarray:
-        """Inner products of each pair, of the first with itself, of both, of the second with itself: (3, pairs)."""
+        """Inner products of each pair: of the first with itself, of both, of the second with itself, (3, pairs)."""
         even, odd = np.moveaxis(self.waves.reshape(-1, 2, self.samples), 1, 0)
         return np.stack([np.sum(a * b, axis=1) for a, b in ((even, even), (even, odd), (odd, odd))])
 
