@@ -1,9 +1,9 @@
 """Profile likelihoods of one replicate: how far a quantity can move while everything else makes up for it.
 
 A quantity is held at values around its estimate and the rest is fitted again (Raue et al., Bioinformatics 25:1923,
-2009; Bates and Watts, Nonlinear Regression Analysis, Wiley 1988, chapter 6). No prior enters: a flat profile is a
-quantity that the data do not tell, one that never reaches the threshold on a side a quantity that they tell badly.
-The noise level of each channel is profiled out: ``-log L = sum over channels of n log(rss) / 2``.
+2009; Bates and Watts, Nonlinear Regression Analysis, Wiley 1988, chapter 6). No prior enters: the profile of a quantity
+that the data do not determine is flat, or does not reach the threshold on one side. The noise level of each channel is
+profiled out: ``-log L = sum over channels of n log(rss) / 2``.
 """
 
 from __future__ import annotations
@@ -133,15 +133,15 @@ class _Likelihood:
 def profiles(
     scenario: Scenario,
     structure: Structure,
-    told: Information,
+    information: Information,
     quantities: Sequence[Quantity],
     seed: int = 0,
     measured: Sequence[int] = (),
 ) -> list[Profile]:
-    """The profiles of quantities on the first replicate of a seed, over the ``measured`` DOFs (all by default).
+    """Compute the profiles of quantities on the first replicate of a seed, over the ``measured`` DOFs (default: all).
 
-    ``told`` sets how far to look. The first fit starts at the truth, as the oracle's does: this is no method. Along the
-    scalings of ``structure``, on which the response does not depend, it stays where it starts.
+    ``information`` sets how far to look. The first fit starts at the truth, as the oracle's does: this is no method.
+    Along the scalings of ``structure``, on which the response does not depend, it stays where it starts.
     """
     system = scenario.make_system()
     problem, _ = scenario.replicates(seed, 1)[0]
@@ -156,57 +156,55 @@ def profiles(
     scalings = np.zeros((len(structure.scalings), len(first)))
     scalings[:, : len(system.names)] = np.reshape(structure.scalings, (-1, len(system.names)))
     best, highest = likelihood.maximise(first, _complement(scalings))
-    data = replace(told, precision=np.zeros_like(told.precision))
+    data = replace(information, precision=np.zeros_like(information.precision))
     return [_profile(likelihood, q, best, highest, scalings, math.sqrt(data.variance(q))) for q in quantities]
 
 
 def _complement(rows: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span everything orthogonal to independent rows."""
+    """Return orthonormal columns that span everything orthogonal to independent rows."""
     return np.asarray(np.linalg.svd(rows)[2][len(rows) :].T)
 
 
 def _profile(
     likelihood: _Likelihood, quantity: Quantity, best: np.ndarray, highest: float, scalings: np.ndarray, sd: float
 ) -> Profile:
+    """Walk from the best point to both sides, by steps of the quantity's logarithm, and close in on the interval."""
     names = likelihood.system.names
     w = np.zeros((1, len(best)))
     w[0, : len(names)] = quantity.vector(names)
     step = min(REACH * sd, FARTHEST) / POINTS
-    way = w[0] @ scalings.T @ scalings
-    if np.any(way):
-        # a scaling changes the quantity: along it the response, hence the maximum, should stay as it is; no fit is
-        # needed, only the likelihood there
-        directions = np.zeros((len(best), 0))
+    direction = w[0] @ scalings.T @ scalings
+    if np.any(direction):
+        # along a scaling that changes the quantity the response, hence the maximum, stays: no fit is needed
+        free = np.zeros((len(best), 0))
     else:
-        # scalings leave the quantity as it is: the fit need not walk along them
-        way, directions = w[0], _complement(np.concatenate([w, scalings]))
-    move = step * way / (w @ way).item()
+        direction, free = w[0], _complement(np.concatenate([w, scalings]))
+    move = step * direction / (w @ direction).item()
     drops, fitted = {0.0: 0.0}, {0.0: best}
 
-    def visit(at: float, start: np.ndarray, fallback: np.ndarray) -> None:
-        phi, height = likelihood.maximise(start, directions)
-        if height == -math.inf:
-            phi, height = likelihood.maximise(fallback, directions)
-        drops[at], fitted[at] = highest - height, phi
+    def visit(place: float, *starts: np.ndarray) -> None:
+        for start in starts:
+            fitted[place], height = likelihood.maximise(start, free)
+            drops[place] = highest - height
+            if math.isfinite(height):
+                break
 
     for side in (-1.0, 1.0):
-        phi, before = best, best - side * move
-        for i in range(1, POINTS + 1):
-            # start where the last two points point to, at the wanted value of the quantity
-            ahead = 2 * phi - before
-            ahead += move * (side - (w @ (ahead - phi)).item() / step)
-            visit(side * i, ahead, phi + side * move)
-            phi, before = fitted[side * i], phi
+        before = best - side * move
+        for i in range(POINTS):
+            point = fitted[side * i]
+            visit(side * (i + 1), 2 * point - before, point + side * move)
+            before = point
         low = next((i for i in range(POINTS) if drops[side * (i + 1)] >= THRESHOLD), None)
-        if low is not None:
-            inner, outer = side * low, side * (low + 1)
-            for _ in range(HALVINGS):  # a fit that comes to an end, at a parameter of zero, has a kink there
-                if math.sqrt(max(drops[outer], 0)) - math.sqrt(max(drops[inner], 0)) < 1.0:
-                    break
-                middle = (inner + outer) / 2
-                start = fitted[inner] + (middle - inner) * move
-                visit(middle, start, start)
-                inner, outer = (middle, outer) if drops[middle] < THRESHOLD else (inner, middle)
+        if low is None:
+            continue
+        inner, outer = side * low, side * (low + 1)
+        for _ in range(HALVINGS):  # a fit that comes to an end, at a parameter of zero, has a kink there
+            if math.sqrt(max(drops[outer], 0)) - math.sqrt(max(drops[inner], 0)) < 1.0:
+                break
+            middle = (inner + outer) / 2
+            visit(middle, fitted[inner] + (middle - inner) * move)
+            inner, outer = (middle, outer) if drops[middle] < THRESHOLD else (inner, middle)
     estimate = float(quantity.value({n: math.exp(v) for n, v in zip(names, best, strict=False)}))
     order = sorted(drops)
     drop = np.array([drops[i] for i in order])
