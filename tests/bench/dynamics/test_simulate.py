@@ -260,6 +260,17 @@ def test_a_response_that_diverges_is_not_an_error() -> None:
     assert motion.displacement.shape == (1, TIMES.size)
 
 
+def test_a_motion_that_takes_too_long_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was reached before stays; nothing after it is a number."""
+    whole = simulate(Duffing(), HARD, START, TIMES).displacement[0]
+    monkeypatch.setattr("bench.dynamics.simulate.MAX_RATES", 300)
+    part = simulate(Duffing(), HARD, START, TIMES).displacement[0]
+    reached = int(np.argmin(np.isfinite(part)))
+    assert 0 < reached < TIMES.size
+    assert not np.any(np.isfinite(part[reached:]))
+    np.testing.assert_allclose(part[:reached], whole[:reached], rtol=1e-6)
+
+
 def test_what_ideal_sensors_give() -> None:
     """Displacement, velocity and acceleration of the second mass; the acceleration from Newton's law with the force."""
     force = Force([0.0, 9.0], [0.5, 2.0], dof=1)

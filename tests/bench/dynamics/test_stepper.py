@@ -1,13 +1,17 @@
-"""Intervals, the steps within them and what Runge-Kutta's fourth order makes of them, against closed forms."""
+"""Intervals, the steps within them and what Runge-Kutta's fourth order makes of them, against closed forms.
+
+Compiled steps are those of numpy, whatever the numbers of sets and of steps are rounded up to.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bench import Force, Steps, interval_polynomials, rk4_path, rk4_scan, step_counts
+from bench import Force, Steps, interval_polynomials, rk4, rk4_path, rk4_scan, step_counts
 from bench.dynamics.intervals import merged_grid
-from bench.systems import SDOF
+from bench.dynamics.stepper import compiled_path, padded
+from bench.systems import SDOF, BoucWen, Duffing, System
 
 FREE = {"m": 2.0, "c": 0.8, "k": 18.0}
 RAMP = Force(np.array([0.0, 4.0]), np.array([0.0, 8.0]), "linear")
@@ -97,3 +101,61 @@ def test_jax_differentiates_the_path() -> None:
 
     np.testing.assert_allclose(displacement(18.0), np.cos(3.0 * grid), atol=2e-7)
     np.testing.assert_allclose(jax.jacfwd(displacement)(18.0), -grid * np.sin(3.0 * grid) / 12.0, atol=2e-7)
+
+
+def test_a_step_of_any_components_is_the_taylor_polynomial_of_degree_four() -> None:
+    """``s' = A s + b`` with constant b: the classical step is ``s + sum_(i<=4) (h A)^(i-1) h (A s + b) / i!``."""
+    a, b, state, h = np.array([[0.0, 1.0], [-9.0, -0.4]]), np.array([0.0, 2.0]), np.array([1.0, -0.5]), 0.1
+    whole = rk4(lambda s, push: [a @ s[0] + push], [state], h, (b, b, b))[0]
+    first, second = rk4(lambda s, push: [s[1], -9.0 * s[0] - 0.4 * s[1] + push], [1.0, -0.5], h, (2.0, 2.0, 2.0))
+    term, expected = h * (a @ state + b), state.copy()
+    for i in range(1, 5):
+        expected += term / i
+        term = h * a @ term / i
+    np.testing.assert_allclose(whole, expected, rtol=1e-14)
+    np.testing.assert_allclose([first, second], expected, rtol=1e-14)
+
+
+GRID, KNOTS = np.linspace(0.0, 2.0, 23), np.linspace(0.0, 2.0, 12)
+STEPS = Steps.over(GRID, np.full(22, 5), [Force(KNOTS, 2.0 * np.cos(3.0 * KNOTS))], 1)
+BOUC_WEN = {"m": 1.1, "c": 0.35, "k": 4.5, "kz": 7.0, "beta": 1.1, "gamma": 0.8}
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+@pytest.mark.parametrize("shape", [(1,), (5,), (2, 3)])
+@pytest.mark.parametrize(
+    ("system", "p"), [(BoucWen(), BOUC_WEN), (Duffing(), {"m": 1.3, "c": 0.5, "k": 9.0, "k3": 7.0})], ids=["bw", "duff"]
+)
+def test_compiled_steps_are_numpys(system: System, p: dict[str, float], shape: tuple[int, ...], coarse: bool) -> None:
+    pytest.importorskip("jax")
+    rng = np.random.default_rng(2)
+    sets = {name: value * np.exp(0.2 * rng.standard_normal(shape)) for name, value in p.items()}
+    state = [np.full(shape, 0.9), np.full(shape, -0.2), *[np.zeros(shape)] * system.n_hidden]
+    for wanted in (np.arange(23), np.array([0, 7, 22])):
+        ours = compiled_path(system, sets, state, STEPS, wanted, coarse)
+        theirs = rk4_path(system, sets, state, STEPS, wanted)
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-12)
+
+
+def test_a_set_that_diverges_is_not_finite_and_disturbs_no_other() -> None:
+    pytest.importorskip("jax")
+    p = {name: np.array([value, value]) for name, value in {"m": 1.0, "c": 0.4, "k": 8.0, "k3": 5.0}.items()}
+    state = [np.array([0.9, 1e9]), np.zeros(2)]
+    with np.errstate(all="ignore"):
+        path, theirs = (carry(Duffing(), p, state, STEPS, np.arange(23)) for carry in (compiled_path, rk4_path))
+    np.testing.assert_allclose(path[:, 0], theirs[:, 0], rtol=1e-11, atol=1e-12)
+    assert not np.all(np.isfinite(path[:, 1]))
+
+
+@pytest.mark.parametrize("number", [1, 2, 5, 7, 1000, 1024, 1025, 9999])
+def test_at_most_a_fourth_more_steps_are_taken_or_the_next_power_of_four(number: int) -> None:
+    steps = Steps(np.ones(number), np.ones((number, 3, 1)), np.arange(number + 1))
+    for coarse in (False, True):
+        lengths, forces = padded(steps, coarse)
+        assert lengths.sum() == number
+        assert len(forces) == lengths.size
+        if coarse:
+            assert np.emath.logn(4, lengths.size) == pytest.approx(np.ceil(np.emath.logn(4, number) - 1e-9))
+        else:
+            assert number <= lengths.size <= 1.25 * number
