@@ -7,14 +7,14 @@ that replaces each map by an affine one about a belief N(m, P); for these the Ka
 - :func:`regression` makes the unscented one. The belief is replaced by points at ``m ± sqrt(d + kappa)`` times each
   column of a square root of P, and at m (S. J. Julier, J. K. Uhlmann, Proc. SPIE 3068:182, 1997), where d is the size
   of the state. The straight line through what the map makes of them is the affine map of least mean square error, and
-  what it leaves is that map's error covariance (statistical linear regression; T. Lefebvre et al., IEEE Trans.
-  Automatic Control 47:1406, 2002): mean and covariance are then those of the unscented transform.
-- The ``square_root`` functions carry a root of the covariance (P. Kaminski, A. Bryson, S. Schmidt, IEEE Trans.
-  Automatic Control 16:727, 1971).
+  what it leaves is that map's error (statistical linear regression; T. Lefebvre et al., IEEE Trans. Automatic Control
+  47:1406, 2002): mean and covariance are then those of the unscented transform.
 
-Channels have independent noise, so their values are taken one by one, and nothing is inverted. The update is Joseph's,
-which keeps a covariance positive. The smoother is the modified Bryson-Frazier one (G. J. Bierman, Int. J. Control
-18:65, 1973): it needs no inverse either, so a state that is known exactly, a singular covariance, does no harm.
+A belief is carried by its covariance (:data:`COVARIANCE`) or by a root of it (:data:`ROOT`; P. Kaminski, A. Bryson, S.
+Schmidt, IEEE Trans. Automatic Control 16:727, 1971). Channels have independent noise, so their values are taken one by
+one, and nothing is inverted. The update of a covariance is Joseph's, which keeps it positive. The smoother is the
+modified Bryson-Frazier one (G. J. Bierman, Int. J. Control 18:65, 1973): it needs no inverse either, so a state that is
+known exactly, a singular covariance, does no harm.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ SMALL = 1e-5
 
 
 class Affine(NamedTuple):
-    """Slopes (..., m, d), constants (..., m) and error covariance (..., m, m)."""
+    """Slopes (..., m, d), constants (..., m) and scatter (..., r, m): ``scatter' scatter`` is the error covariance."""
 
     slopes: Array
     constants: Array
-    error: Array
+    scatter: Array
 
 
 Rule = Callable[[Map, Array, Array], Affine]
@@ -47,15 +47,16 @@ Rule = Callable[[Map, Array, Array], Affine]
 class Update(NamedTuple):
     """A belief after its samples, and what the smoother needs of them.
 
-    ``gains`` (..., C, d); ``innovations`` (..., C), each over its variance; ``precisions`` (..., C): 1 over these
-    variances, 0 where a channel gave nothing; ``likelihood`` (...): log-likelihood up to a constant.
+    ``spread`` is the covariance. By channel: ``gains`` (..., d); ``innovations`` (...), each over its variance;
+    ``precisions`` (...): 1 over these variances, 0 where a channel gave nothing. ``likelihood`` (...): log-likelihood
+    up to a constant.
     """
 
     mean: Array
-    covariance: Array
-    gains: Array
-    innovations: Array
-    precisions: Array
+    spread: Array
+    gains: list[Array]
+    innovations: list[Array]
+    precisions: list[Array]
     likelihood: Array
 
 
@@ -67,14 +68,13 @@ def tangent(function: Map, means: Array, covariances: Array) -> Affine:
     d = means.shape[1]
     values = function(means[:, None] + SMALL * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)]))
     slopes = transposed(values[:, 1 : d + 1] - values[:, d + 1 :]) / (2 * SMALL)
-    constants = values[:, 0] - apply(slopes, means)
-    return Affine(slopes, constants, np.zeros((*constants.shape, constants.shape[1])))
+    return Affine(slopes, values[:, 0] - apply(slopes, means), np.zeros_like(values[:, :1]))
 
 
 def regression(
     function: Map, means: Array, covariances: Array, kappa: float = 0.0, least: float = SMALL, relative: float = 0.0
 ) -> Affine:
-    """Return the line through the map's values at the sigma points, and the covariance of what it leaves.
+    """Return the line through the map's values at the sigma points, and the scatter of the values about it.
 
     The root is that of the eigenvectors. The points lie symmetrically, so the odd part of the values is the line's
     exactly; the even part is its error.
@@ -93,24 +93,26 @@ def regression(
     floor = xp.maximum(least**2, relative**2 * values[:, -1:])
     sizes = xp.sqrt(xp.maximum(values, floor) * (d + kappa))
     moves = transposed(axes * sizes[:, None])
-    seen = function(xp.concatenate([means[:, None], means[:, None] + moves, means[:, None] - moves], axis=1))
-    centre, plus, minus = seen[:, 0], seen[:, 1 : d + 1], seen[:, d + 1 :]
-    weight = 0.5 / (d + kappa)
-    mean = kappa / (d + kappa) * centre + weight * xp.sum(plus + minus, axis=1)
+    images = function(xp.concatenate([means[:, None], means[:, None] + moves, means[:, None] - moves], axis=1))
+    centre, plus, minus = images[:, :1], images[:, 1 : d + 1], images[:, d + 1 :]
+    even, weight = 0.5 * (plus + minus), 1.0 / (d + kappa)
+    mean = kappa * weight * centre + weight * xp.sum(even, axis=1, keepdims=True)
     slopes = transposed(0.5 * (plus - minus) / sizes[..., None]) @ transposed(axes)
-    bent = 0.5 * (plus + minus) - mean[:, None]
-    middle = centre - mean
-    error = 2 * weight * transposed(bent) @ bent + kappa / (d + kappa) * middle[..., None] * middle[:, None]
-    return Affine(slopes, mean - apply(slopes, means), error)
+    scatter = xp.concatenate([weight**0.5 * (even - mean), (kappa * weight) ** 0.5 * (centre - mean)], axis=1)
+    return Affine(slopes, mean[:, 0] - apply(slopes, means), scatter)
 
 
 # ------------------------------------------------------------------------------------- prediction, update, smoothing
 
 
-def predict(affine: Affine, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Carry a belief through an affine map."""
-    slopes, constants, error = affine
-    return apply(slopes, mean) + constants, slopes @ covariance @ transposed(slopes) + error
+def error(affine: Affine, walk: Array) -> Array:
+    """Return the covariance that a belief gains by an affine map and by random walks of variances (..., d)."""
+    return transposed(affine.scatter) @ affine.scatter + walk[..., None] * np.eye(walk.shape[-1])
+
+
+def predict(slopes: Array, constants: Array, gained: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Carry a belief through an affine map, by which it gains a covariance (..., d, d)."""
+    return apply(slopes, mean) + constants, slopes @ covariance @ transposed(slopes) + gained
 
 
 def update(
@@ -124,7 +126,7 @@ def update(
         slopes: Of the measurement, (..., C, d).
         constants: Of the measurement, (..., C).
         variances: Of the noise, (..., C).
-        values: What the channels gave, (C,) or (..., C).
+        values: What the channels gave, finite, (C,) or (..., C).
         used: Which of them count, (C,) or (..., C).
     """
     xp = mean.__array_namespace__()
@@ -132,69 +134,87 @@ def update(
     for i in range(slopes.shape[-2]):
         h, r, use = slopes[..., i, :], variances[..., i], used[..., i]
         cross = apply(covariance, h)
-        total = xp.sum(h * cross, axis=-1) + r
-        innovation = xp.where(use, values[..., i] - constants[..., i] - xp.sum(h * mean, axis=-1), 0.0)
-        gain = xp.where(use[..., None], cross / total[..., None], 0.0)
-        mean = mean + gain * innovation[..., None]
+        total = (h * cross).sum(-1) + r
+        precision, off = use / total, values[..., i] - constants[..., i] - (h * mean).sum(-1)
+        gain, innovation = precision[..., None] * cross, precision * off
+        mean = mean + innovation[..., None] * cross
         # Joseph's (I - g h') P (I - g h')' + r g g', by two updates of rank one
         left = covariance - outer(gain, cross)
-        covariance = left - outer(apply(left, h), gain) + r[..., None, None] * outer(gain, gain)
-        likelihood = likelihood - xp.where(use, 0.5 * (innovation**2 / total + xp.log(total)), 0.0)
+        covariance = left + outer(r[..., None] * gain - apply(left, h), gain)
+        likelihood = likelihood - 0.5 * (innovation * off + use * xp.log(total))
         gains.append(gain)
-        innovations.append(innovation / total)
-        precisions.append(xp.where(use, 1.0 / total, 0.0))
-    stacked = (xp.stack(gains, axis=-2), xp.stack(innovations, axis=-1), xp.stack(precisions, axis=-1))
-    return Update(mean, 0.5 * (covariance + transposed(covariance)), *stacked, likelihood)
+        innovations.append(innovation)
+        precisions.append(precision)
+    return Update(mean, 0.5 * (covariance + transposed(covariance)), gains, innovations, precisions, likelihood)
 
 
 def backward(adjoint: Array, weight: Array, slopes: Array, updated: Update) -> tuple[Array, Array]:
     """Carry Bierman's adjoint vector (..., d) and matrix (..., d, d) from behind an update to before it."""
     for i in reversed(range(slopes.shape[-2])):
-        h, gain, precision = slopes[..., i, :], updated.gains[..., i, :], updated.precisions[..., i]
-        adjoint = adjoint - h * ((gain * adjoint).sum(-1) + updated.innovations[..., i])[..., None]
+        h, gain = slopes[..., i, :], updated.gains[i]
+        adjoint = adjoint - h * ((gain * adjoint).sum(-1) + updated.innovations[i])[..., None]
         right = weight - outer(apply(weight, gain), h)
-        weight = right - outer(h, apply(transposed(right), gain)) + precision[..., None, None] * outer(h, h)
+        weight = right + outer(h, updated.precisions[i][..., None] * h - apply(transposed(right), gain))
     return adjoint, weight
 
 
-# -------------------------------------------------------------------------------------------------- roots, mixtures
+# ------------------------------------------------------------------------------------- covariances, or roots of them
 
 
-def predict_root(affine: Affine, mean: Array, root: Array, walk: Array) -> tuple[Array, Array]:
+def _predict_covariance(affine: Affine, walk: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    return predict(affine.slopes, affine.constants, error(affine, walk), mean, covariance)
+
+
+def predict_root(affine: Affine, walk: Array, mean: Array, root: Array) -> tuple[Array, Array]:
     """Carry a belief by a root of its covariance through an affine map; ``walk`` (..., d): variances that it gains."""
     xp = mean.__array_namespace__()
-    noise = xp.sqrt(walk)[..., None] * xp.eye(mean.shape[-1])
-    wide = xp.concatenate([affine.slopes @ root, noise], axis=-1)
+    noise = xp.sqrt(walk)[..., None] * np.eye(walk.shape[-1])
+    wide = xp.concatenate([affine.slopes @ root, transposed(affine.scatter), noise], axis=-1)
     return apply(affine.slopes, mean) + affine.constants, transposed(xp.linalg.qr(transposed(wide), mode="r"))
 
 
 def update_root(
     mean: Array, root: Array, slopes: Array, constants: Array, variances: Array, values: Array, used: Array
 ) -> tuple[Array, Array, Array]:
-    """Update a belief by a root of its covariance, in Potter's form, as :func:`update` does.
-
-    Returns:
-        Mean, root and log-likelihood.
-    """
+    """Do as :func:`update` with a root of the covariance, in Potter's form; return mean, root and log-likelihood."""
     xp, likelihood = mean.__array_namespace__(), 0.0
     for i in range(slopes.shape[-2]):
         h, r, use = slopes[..., i, :], variances[..., i], used[..., i]
-        seen = apply(transposed(root), h)
-        total = xp.sum(seen**2, axis=-1) + r
-        innovation = xp.where(use, values[..., i] - constants[..., i] - xp.sum(h * mean, axis=-1), 0.0)
-        gain = xp.where(use[..., None], apply(root, seen) / total[..., None], 0.0)
-        mean = mean + gain * innovation[..., None]
-        root = root - outer(gain / (1.0 + xp.sqrt(r / total))[..., None], seen)
-        likelihood = likelihood - xp.where(use, 0.5 * (innovation**2 / total + xp.log(total)), 0.0)
+        cross = apply(transposed(root), h)
+        total = (cross**2).sum(-1) + r
+        off, gain = values[..., i] - constants[..., i] - (h * mean).sum(-1), apply(root, cross)
+        mean = mean + gain * (use * off / total)[..., None]
+        root = root - outer(gain * (use / (total + xp.sqrt(r * total)))[..., None], cross)
+        likelihood = likelihood - 0.5 * use * (off**2 / total + xp.log(total))
     return mean, root, likelihood
 
 
+class Form(NamedTuple):
+    """How the spread of a belief is carried: prediction, update, the spread of a covariance, the covariance of it."""
+
+    predict: Callable[..., tuple[Array, Array]]
+    update: Callable[..., Any]
+    spread: Callable[[Array], Array]
+    covariance: Callable[[Array], Array]
+
+
+def _root(covariance: Array) -> Array:
+    xp = covariance.__array_namespace__()
+    values, axes = xp.linalg.eigh(covariance)
+    return axes * xp.sqrt(xp.maximum(values, 0.0))[..., None, :]
+
+
+COVARIANCE = Form(_predict_covariance, update, lambda covariance: covariance, lambda spread: spread)
+ROOT = Form(predict_root, update_root, _root, lambda root: root @ transposed(root))
+
+# ---------------------------------------------------------------------------------------------------------- algebra
+
+
 def mixture(share: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of mixtures of M beliefs, with shares (..., M)."""
+    """Return mean and covariance of mixtures of the same M beliefs, with shares (..., M)."""
     mean = share @ means
     off = means - mean[..., None, :]
-    spread = covariances + off[..., :, None] * off[..., None, :]
-    return mean, (share[..., None, None] * spread).sum(-3)
+    return mean, (share[..., None, None] * (covariances + outer(off, off))).sum(-3)
 
 
 def apply(matrix: Array, vector: Array) -> Array:

@@ -1,7 +1,7 @@
 """Extended Kalman filter for state and parameters together, iterated: each map is replaced by its tangent.
 
 ``f(s) ~ f(m) + F (s - m)`` about the mean m of the belief, F by central differences. What is common to it and the
-unscented filter (joint state, starts, iteration, noise) is in :mod:`methods.kalman.iteration`.
+unscented filter (joint state, starting points, iteration, noise) is in :mod:`methods.kalman.iteration`.
 
 The extended filter is the oldest way to identify a structure on line (C. B. Yun, M. Shinozuka, J. Structural Mechanics
 8:187, 1980), iterated over the record since M. Hoshiya, E. Saito (J. Engineering Mechanics 110:1757, 1984). A tangent
@@ -14,26 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from bench import EVERY_PROBLEM, Card, Estimate, Problem, Serves
-from methods.kalman.core import tangent
-from methods.kalman.iteration import Settings, estimate
-from methods.starts.ambiguity import SearchingIdentifier
+from bench import Card
+from methods.kalman.core import Rule, tangent
+from methods.kalman.iteration import IteratedSmoother
 
 
 @dataclass(frozen=True)
-class EKF(SearchingIdentifier):
-    """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
-
-    ``drift``: standard deviation of the random walk of a log-parameter over the record (its process noise).
-    ``open_sd``: that of a log-parameter at first, where no prior is given.
-    """
-
-    passes: int = 30
-    tolerance: float = 1e-3
-    drift: float = 0.0
-    open_sd: float = 1.0
+class EKF(IteratedSmoother):
+    """The iterated smoother of tangents."""
 
     version: ClassVar[int] = 3
     """3: of several ends the most probable is kept, as at 0 dB, where innovations prefer a motion that dies at once."""
@@ -52,15 +40,8 @@ class EKF(SearchingIdentifier):
         colour="#117733",
         marker=(4, 1, 0.0),
     )
-    serves: ClassVar[Serves] = EVERY_PROBLEM
-    works_in = "natural units"
 
-    def __post_init__(self) -> None:
-        self._settings()
-
-    def _settings(self) -> Settings:
-        return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        return estimate(problem, tangent, self._settings())
+    @property
+    def rule(self) -> Rule:
+        """Tangents at the means."""
+        return tangent

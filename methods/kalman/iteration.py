@@ -2,9 +2,8 @@
 
 **Joint state.** Displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors:
 constants that the measurements of the motion tell of, once the equation of motion carries the state from sample to
-sample (R. E. Kopp, R. J. Orford, AIAA J. 1:2300, 1963). The equation is the system's residual and nothing else
-(:func:`bench.rk4_step`), so any system, known force and irregular times are served alike. Several records are one
-chain: between two of them the motion starts anew and the constants carry over.
+sample (R. E. Kopp, R. J. Orford, AIAA J. 1:2300, 1963). Several records are one chain: between two of them the motion
+starts anew and the constants carry over.
 
 **Iteration.** The record is passed again and again, each time from the original belief, with the maps taken about the
 smoothed trajectory of the pass before: the iterated extended Kalman smoother (B. M. Bell, SIAM J. Optimization 4:626,
@@ -12,40 +11,64 @@ smoothed trajectory of the pass before: the iterated extended Kalman smoother (B
 sigma points (A. F. Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Trans. Automatic Control 62:2056, 2017). Nothing is
 counted twice, as it would be if a pass began at the end of the one before.
 
-**Starts.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter from a
-wrong one stays there. So the first maps are taken about the trajectories that the starts of
-:mod:`methods.kalman.starts` give, a few separate ones side by side. They are where the maps are taken and no more:
-the belief that each pass begins with is the prior. Of their ends the most probable one is kept, as every search here
-does. (The likelihood of the innovations, by which D. T. Magill weighs a bank of filters, IEEE Trans. Automatic Control
-10:434, 1965, adds the volume of what the data leave open: at 0 dB it prefers a motion that dies at once, and explains
-nothing, to the true one.) The ends that are nearly as probable widen its covariance, as components of a Gaussian sum do
-(D. L. Alspach, H. W. Sorenson, IEEE Trans. Automatic Control 17:439, 1972), and the answer says so.
+**Starting points.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter
+from a wrong one stays there. So the first maps are taken about the trajectories of a few separate starting points of
+the scan that multiple shooting has, too, side by side. The belief that each pass begins with is the prior all the same.
+Of their ends the most probable one is kept, as every search here does. (The likelihood of the innovations, by which
+D. T. Magill weighs a bank of filters, IEEE Trans. Automatic Control 10:434, 1965, adds the volume of what the data
+leave open: at 0 dB it prefers a motion that dies at once, and explains nothing, to the true one.) The ends that are
+nearly as probable widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE Trans.
+Automatic Control 17:439, 1972), and the answer says so.
 
-**Noise.** Not told. At first what the trajectory of a start leaves; from then on each channel's variance is its
-residual sum of squares over N less the part of them that was fitted, ``sum H P H' / R``: the fixed point of the EM step
-of R. H. Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982). Parameters are constants, so their process noise,
-``drift``, is zero unless it is asked for.
+**Noise.** At first what the trajectory of a starting point leaves; from then on each channel's variance is its residual
+sum of squares over N less the part of them that was fitted, ``sum H P H' / R``: the fixed point of the EM step of R. H.
+Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982).
 
 **First belief.** Log-parameters: the prior. Without one: ``open_sd``, a factor of ``e``, about the first candidate as
-the data gave it, moved by no search; where nothing tells the scale the gauge mass is 1 and the answer is the groups. A
-start that is not told: rest, with a standard deviation of :data:`methods.kalman.joint.START` times the largest
-displacement (times the fastest rate for velocities).
+the data gave it, moved by no search; where the scale is not identifiable the gauge mass is 1 and the answer is the
+groups. An unknown initial state: rest, with a standard deviation of :data:`methods.kalman.joint.START` times the
+largest displacement (times the fastest rate for velocities).
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, estimate_at
-from methods.kalman.core import Rule
-from methods.kalman.filtering import filtered, noise
-from methods.kalman.joint import Joint, Nodes, fastest_rate, first_belief
-from methods.kalman.starts import MARGIN, screened_starts
-from methods.starts.candidates import NOISE_SHARE
+from bench import (
+    EVERY_PROBLEM,
+    SIGMA_FLOOR,
+    Cost,
+    Estimate,
+    InputError,
+    NoEstimate,
+    OutputError,
+    Problem,
+    Serves,
+    estimate_at,
+)
+from methods.kalman.core import Rule, outer
+from methods.kalman.joint import Joint, Nodes, fastest_rate
+from methods.kalman.smoother import smooth
+from methods.starts.ambiguity import SearchingIdentifier
+from methods.starts.candidates import NOISE_SHARE, candidates, head, screening
+from methods.starts.evidence import most_probable
+from methods.starts.long_records import is_long, thinned
+from methods.starts.reach import is_unresolved
 from methods.starts.rough import RADIANS_A_STEP, radians_a_step
+from methods.starts.separate import separate
 
+STARTS = 3
+"""Separate starting points at most."""
+SCREENING = 5
+"""Output-error steps that each candidate is given before the best are taken."""
+MARGIN = 15.0
+"""A starting point is kept if minus twice its log-posterior is within this of the best."""
+ROUNDS = 4
+"""Gauss-Newton steps for the initial states of a candidate of a nonlinear system."""
 ROUNDING = 1e-9
 """Of a noise level, which is at the least that is resolved but for its last bits."""
 APART = 1.0
@@ -65,17 +88,20 @@ SPARE = 1.15
 
 
 @dataclass(frozen=True)
-class Settings:
-    """At most ``passes``, until the log-parameters move by less than ``tolerance`` of their standard deviations.
+class IteratedSmoother(SearchingIdentifier):
+    """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
 
-    ``drift``: standard deviation of the random walk of each log-parameter over the longest record. ``open_sd``: that
-    of a log-parameter at first, where there is no prior.
+    ``drift``: standard deviation of the random walk of a log-parameter over the longest record (its process noise).
+    ``open_sd``: that of a log-parameter at first, where no prior is given.
     """
 
-    passes: int
-    tolerance: float
-    drift: float
-    open_sd: float
+    passes: int = 30
+    tolerance: float = 1e-3
+    drift: float = 0.0
+    open_sd: float = 1.0
+
+    serves: ClassVar[Serves] = EVERY_PROBLEM
+    works_in = "natural units"
 
     def __post_init__(self) -> None:
         if self.passes < 1:
@@ -86,23 +112,64 @@ class Settings:
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"method.{name}", getattr(self, name), "a positive number")
 
+    @property
+    @abstractmethod
+    def rule(self) -> Rule:
+        """How the maps become affine."""
 
-def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
-    """Estimate parameters (or groups) by passes of the filter that ``rule`` makes; a problem in natural units."""
-    model = OutputError(problem)
-    thetas = screened_starts(model)
-    joint = first_belief(model, thetas[0], settings.drift, settings.open_sd)
-    nodes = Nodes.of(joint, longest_step(model, thetas, np.ones((1, 1))))
-    bank = started(joint, nodes, thetas)
-    passes = 0
-    while passes < settings.passes and np.any(bank.moved > settings.tolerance):
-        thetas = np.stack([joint.theta(own, nodes) for own in bank.about])
-        longest = longest_step(model, thetas, bank.sigma / model.rms)
-        if not longest / SPARE**2 <= nodes.longest <= longest:
-            nodes = Nodes.of(joint, longest / SPARE)
-        bank = passed(joint, nodes, rule, bank)
-        passes += 1
-    return answer(joint, nodes, bank, passes, settings)
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        """Estimate all parameters, or the groups where the scale is not identifiable. Uses no randomness."""
+        model = OutputError(problem)
+        first, thetas = starting_points(model)
+        joint = first_belief(model, first, thetas[0], self.drift, self.open_sd)
+        nodes = Nodes.of(model, longest_step(model, thetas, np.ones((1, 1))))
+        bank = started(joint, nodes, thetas)
+        passes = 0
+        while passes < self.passes and np.any(bank.moved > self.tolerance):
+            longest = longest_step(model, joint.theta(bank.about, nodes), bank.sigma / model.rms)
+            if not longest / SPARE**2 <= nodes.longest <= longest:
+                nodes = Nodes.of(model, longest / SPARE)
+            bank = passed(joint, nodes, self.rule, bank)
+            passes += 1
+        return answer(joint, nodes, bank, passes, self)
+
+
+def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
+    """The first of the parameter sets that the data suggest, and the vectors (B, size) to start from, best first.
+
+    Each candidate takes a few output-error steps, on the thinned samples of a long record of a linear system, on the
+    first samples of another. Raises NoEstimate where no candidate gives a finite response.
+    """
+    short = head(model)
+    sets = candidates(short, STARTS + 1)
+    quick, linear = screening(short), model.system.linear
+    if linear and is_long(model.problem):
+        quick = OutputError(thinned(model.problem))
+    thetas = np.zeros((len(sets), quick.size))
+    thetas[:, : len(quick.free)] = np.log([[p[name] for name in quick.free] for p in sets])
+    thetas = quick.settle(quick.with_initial_states(thetas, 1 if linear else ROUNDS), 1, SCREENING)
+    values = quick.profile(thetas)
+    best = separate(short, values, thetas)[:STARTS]
+    if not best:
+        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
+    kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]
+    return sets[0], np.stack(most_probable(short, kept) if len(kept) > 1 and is_unresolved(short.problem) else kept)
+
+
+def first_belief(
+    model: OutputError, candidate: dict[str, float], theta: np.ndarray, drift: float, open_sd: float
+) -> Joint:
+    """The belief before any sample: the prior, or ``open_sd`` about a candidate.
+
+    ``theta``: the best starting point, whose fastest rate says how fast an unknown initial state may be. ``drift``:
+    standard deviation of the random walk of a log-parameter over a unit of time, the longest record.
+    """
+    k = len(model.free)
+    if model.prior is not None:
+        logs, sds = model.prior.log_mean, model.prior.log_sds
+    else:
+        logs, sds = np.log([candidate[name] for name in model.free]), np.full(k, open_sd)
+    return Joint(model, logs, sds, drift**2, fastest_rate(model, theta[:k]))
 
 
 # --------------------------------------------------------------------------------------------- filters side by side
@@ -110,11 +177,11 @@ def estimate(problem: Problem, rule: Rule, settings: Settings) -> Estimate:
 
 @dataclass(frozen=True, eq=False)
 class FilterBatch:
-    """Filters from B starts, side by side, after a pass: means (B, K, d), covariances (B, K, d, d), noise (B, C).
+    """Filters from B starting points, side by side, after a pass: means (B, K, d), covariances (B, K, d, d).
 
-    ``about``, ``width``: the means and covariances that the maps of the next pass are taken about. ``used`` (B,):
-    degrees of freedom that the data spent; ``shift`` (B, constants): how far the pass took the constants from where its
-    maps were taken, in their standard deviations; ``part`` (B,) of it was followed.
+    ``sigma`` (B, C): noise. ``about``, ``width``: the means and covariances that the maps of the next pass are taken
+    about. ``used`` (B,): degrees of freedom that the data spent; ``shift`` (B, constants): how far the pass took the
+    constants from where its maps were taken, in their standard deviations; ``part`` (B,) of it was followed.
     """
 
     means: np.ndarray
@@ -133,32 +200,25 @@ class FilterBatch:
 
 
 def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> FilterBatch:
-    """The trajectories of starts (B, size), known exactly so far as the maps are concerned, and what they leave."""
+    """The trajectories of starting points (B, size), certain as far as the maps are concerned, and their residuals."""
     model, count = joint.model, len(thetas)
-    means = nodes.trajectories(thetas)
-    seen = nodes.observe(means.swapaxes(0, 1), np.arange(nodes.number)).swapaxes(0, 1)
-    here = np.isfinite(nodes.values)
-    rss = np.sum(np.where(here, nodes.values - seen, 0.0) ** 2, axis=1)
-    share = max(1.0 - model.size / model.data.size, 1.0 / model.data.size)
-    sigma = np.maximum(np.sqrt(rss / (np.maximum(model.counts, 1) * share)), SIGMA_FLOOR * model.rms)
+    means = joint.trajectories(thetas, nodes)
+    sigma = model.noise(model.data - model.predict(thetas), model.size)
     covariances = np.zeros((*means.shape, joint.size))
-    far, none, whole = np.full((count, joint.constants.size), np.inf), np.zeros(count), np.ones(count)
-    finite = np.all(np.isfinite(means), axis=(1, 2))
-    return _alive(FilterBatch(means, covariances, means, covariances, sigma, none, far, whole), finite)
+    far, none = np.full((count, joint.size - joint.states), np.inf), np.zeros(count)
+    return _alive(FilterBatch(means, covariances, means, covariances, sigma, none, far, none + 1.0))
 
 
 def passed(joint: Joint, nodes: Nodes, rule: Rule, bank: FilterBatch) -> FilterBatch:
     """The bank after one more pass; filters that do not stay finite are left out."""
-    smoothed = filtered(joint, nodes, rule, bank.sigma, bank.about, bank.width)
-    means, covariances = smoothed.means, smoothed.covariances
-    sigma, used = noise(joint, nodes, bank.sigma, smoothed)
-    variances = np.diagonal(covariances[:, -1], axis1=1, axis2=2)[:, joint.constants]
-    shift = (means - bank.about)[:, -1, joint.constants] / np.sqrt(np.maximum(variances, 1e-24))
+    new = smooth(joint, nodes, rule, bank.sigma, bank.about, bank.width)
+    variances = np.diagonal(new.covariances[:, -1], axis1=1, axis2=2)
+    shift = ((new.means - bank.about)[:, -1] / np.sqrt(np.maximum(variances, 1e-24)))[:, joint.states :]
     part = _part_to_follow(bank, shift)
-    about = bank.about + part[:, None, None] * (means - bank.about)
-    width = bank.width + part[:, None, None, None] * (covariances - bank.width)
-    sigma = bank.sigma * (sigma / bank.sigma) ** part[:, None]
-    return _alive(FilterBatch(means, covariances, about, width, sigma, used, shift, part), smoothed.finite)
+    about = bank.about + part[:, None, None] * (new.means - bank.about)
+    width = bank.width + part[:, None, None, None] * (new.covariances - bank.width)
+    sigma = bank.sigma * (new.sigma / bank.sigma) ** part[:, None]
+    return _alive(FilterBatch(new.means, new.covariances, about, width, sigma, new.used, shift, part))
 
 
 def _part_to_follow(bank: FilterBatch, shift: np.ndarray) -> np.ndarray:
@@ -175,9 +235,10 @@ def _part_to_follow(bank: FilterBatch, shift: np.ndarray) -> np.ndarray:
     return np.where(known & (part > 0), np.clip(part, *PART), 1.0)
 
 
-def _alive(bank: FilterBatch, finite: np.ndarray) -> FilterBatch:
-    """Those that are finite, and their noise too. Raises NoEstimate where none is."""
-    alive = finite & np.all(np.isfinite(bank.sigma), axis=1)
+def _alive(bank: FilterBatch) -> FilterBatch:
+    """Those that are finite. Raises NoEstimate where none is."""
+    parts = (bank.means, bank.covariances, bank.sigma)
+    alive = np.logical_and.reduce([np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in parts])
     if not np.any(alive):
         raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
     return FilterBatch(*(getattr(bank, part.name)[alive] for part in fields(bank)))
@@ -196,17 +257,17 @@ def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray
 # ------------------------------------------------------------------------------------------------------- the answer
 
 
-def answer(joint: Joint, nodes: Nodes, bank: FilterBatch, passes: int, settings: Settings) -> Estimate:
+def answer(joint: Joint, nodes: Nodes, bank: FilterBatch, passes: int, method: IteratedSmoother) -> Estimate:
     """The most probable end, with what the others say against it."""
-    model, settled = joint.model, bank.moved <= settings.tolerance
+    model, settled = joint.model, bank.moved <= method.tolerance
     cost = Cost(passes * len(settled) * (2 * joint.size + 1), passes)
-    thetas = np.stack([joint.theta(means, nodes) for means in bank.means])
+    thetas = joint.theta(bank.means, nodes)
     with np.errstate(all="ignore"):
         residuals = model.data - model.predict(thetas)
     logs = -0.5 * np.asarray(model.profile_of(thetas, residuals))
     best = int(np.argmax(logs - np.where(settled, 0.0, 0.5 * MARGIN)))
     left = float(np.mean((residuals[best] / model.rms[model.channel_of]) ** 2))
-    unsettled = settings.passes > 1 and not settled[best]
+    unsettled = method.passes > 1 and not settled[best]
     if unsettled and bank.moved[best] > ADRIFT and not left < POOR:
         lost = f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
         raise NoEstimate(lost, cost=cost)
@@ -226,8 +287,8 @@ def _combined(joint: Joint, bank: FilterBatch, logs: np.ndarray, best: int) -> t
 
     ``logs`` (B,): logarithms of the posterior at the ends.
     """
-    constants = joint.constants[: len(joint.model.free)]
-    means, covariances = bank.means[:, -1, constants], bank.covariances[:, -1][:, constants][:, :, constants]
+    at = joint.log_places
+    means, covariances = bank.means[:, -1, at], bank.covariances[:, -1, at, at]
     away, covariance = means - means[best], covariances[best]
     apart = np.max(np.abs(away) / np.sqrt(np.maximum(np.diag(covariance), 1e-24)), axis=1) > APART
     odds = np.exp(np.minimum(logs - logs[best], 0.0))
@@ -237,7 +298,7 @@ def _combined(joint: Joint, bank: FilterBatch, logs: np.ndarray, best: int) -> t
     weights = np.where(rivals, odds, 0.0)
     weights[best] = 1.0
     weights /= weights.sum()
-    spread = covariances + away[:, :, None] * away[:, None, :]
+    spread = covariances + outer(away, away)
     chance = f"{1.0 - weights[best]:.0%}"
     said = f"another motion may have made the data (a chance of {chance}); the interval is widened to hold it"
     return np.einsum("b,bij->ij", weights, spread), [said]

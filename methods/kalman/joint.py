@@ -1,16 +1,16 @@
 """State and parameters as one: the joint model of the Kalman filters, and the nodes through which it moves.
 
 The joint state is displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors.
-Its motion is the system's residual and nothing else (:func:`bench.rk4_step`). The :class:`Nodes` are each time 0 and
-each time of a sample, record after record, with the integration steps between them. Everything is in natural units
+Its motion is the system's residual and nothing else (:func:`bench.rk4_step`). :class:`Nodes` are the times at which
+the state is estimated, and the integration steps between them. Everything is in natural units
 (:meth:`bench.Problem.natural_units`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -28,35 +28,120 @@ from bench import (
     simulate,
     step_counts,
 )
-from methods.kalman.starts import first_candidate
 
 START = 3.0
-"""Standard deviation of an untold start, in largest displacements of the data (and fastest rates)."""
+"""Standard deviation of an unknown initial state, in largest displacements of the data (and fastest rates)."""
 DIFFERENCE = 1e-5
 """Step of the differences from which the fastest rate follows, over the size of the data."""
 MAX_STEPS = 3000
 """Steps between two samples beyond which a motion counts as too fast to follow,"""
 MOST_STEPS = 5_000_000
 """and steps over a record."""
+LONG = 1000
+"""Times of a record above which a node has the samples of several,"""
+NODES = 250
+"""so that the record has about as many nodes."""
 
 
-OfRig = Callable[[System, np.ndarray, np.ndarray], np.ndarray]
-"""A rig, joint states (L, S, d) and the nodes (L,) or (1,) they belong to, to values (L, S, ...)."""
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The nodes of all records, one record behind the other, each with the samples from it to the next.
+
+    The times are, record by record, 0 and those of its samples; a node stands at each, or at every so many of a long
+    record. T times, J integration steps, K nodes with n times each at most, C channels.
+
+    ``values`` (T, C): what each channel gave, NaN where nothing; ``forces`` (T, n_dof). ``lengths`` (J,): steps,
+    none above ``longest``; ``pushes`` (J, 3, n_dof): forces at the start, middle and end of each; ``reached`` (T,): how
+    many of them lead to a time. ``bounds`` (records + 1,): the first time of each record, and T. ``samples`` (K, n):
+    the times of a node, the last one repeated; ``there`` (K, n): which count; ``ends`` (K,): steps that lead to the
+    end of a node; ``records`` (K,): its record.
+    """
+
+    values: np.ndarray
+    forces: np.ndarray
+    lengths: np.ndarray
+    pushes: np.ndarray
+    reached: np.ndarray
+    bounds: np.ndarray
+    samples: np.ndarray
+    there: np.ndarray
+    ends: np.ndarray
+    records: np.ndarray
+    longest: float
+
+    @staticmethod
+    def of(model: OutputError, longest: float) -> Nodes:
+        """Place the nodes, with steps of at most ``longest``; raises NoEstimate where that takes too many."""
+        n, values, forces = model.system.n_dof, list[np.ndarray](), list[np.ndarray]()
+        paths, reached = list[Steps](), list[np.ndarray]()
+        for i, (record, times) in enumerate(zip(model.problem.records, node_times(model), strict=True)):
+            rows = np.full((times.size, len(model.channels)), np.nan)
+            for j, (of, channel) in enumerate(model.channels):
+                if of == i:
+                    rows[np.searchsorted(times, channel.times), j] = channel.values
+            values.append(rows)
+            forces.append(np.stack(record.force(times, n), axis=1))
+            grid = np.unique(np.concatenate([times, *[f.times[f.times <= times[-1]] for f in record.forces]]))
+            counts = step_counts(grid, longest)
+            upto = np.concatenate([[0], np.cumsum(counts)])[np.searchsorted(grid, times)]
+            if np.max(np.diff(upto), initial=0) > MAX_STEPS + grid.size or upto[-1] > MOST_STEPS:
+                raise NoEstimate(
+                    "the motion came out far faster than the samples can show; give a prior nearer to the system"
+                )
+            reached.append(upto + sum(path.lengths.size for path in paths))
+            paths.append(Steps.over(grid, counts, record.forces, n))
+        bounds = np.cumsum([0, *map(len, values)])
+        most = int(np.max(np.diff(bounds)))
+        each = most // NODES if most > LONG else 1
+        firsts = [np.arange(first, last, each) for first, last in itertools.pairwise(bounds)]
+        records = np.repeat(np.arange(len(firsts)), [len(part) for part in firsts])
+        wanted = np.concatenate(firsts)[:, None] + np.arange(each + 1)
+        samples = np.minimum(wanted, bounds[records + 1][:, None] - 1)
+        steps = np.concatenate(reached)
+        return Nodes(
+            np.concatenate(values),
+            np.concatenate(forces),
+            np.concatenate([path.lengths for path in paths]),
+            np.concatenate([path.forces for path in paths]),
+            steps,
+            bounds,
+            samples[:, :-1],
+            (samples == wanted)[:, :-1],
+            steps[samples[:, -1]],
+            records,
+            longest,
+        )
+
+    @property
+    def readings(self) -> np.ndarray:
+        """What each channel gave at the times of each node, (K, n C), NaN where nothing."""
+        return np.where(self.there[..., None], self.values[self.samples], np.nan).reshape(len(self.samples), -1)
+
+    @property
+    def durations(self) -> np.ndarray:
+        """The time from each node to its end, (K,)."""
+        upto = np.concatenate([[0.0], np.cumsum(self.lengths)])
+        return np.asarray(upto[self.ends] - upto[self.reached[self.samples[:, 0]]])
+
+    @property
+    def firsts(self) -> np.ndarray:
+        """The first node of each record."""
+        return np.searchsorted(self.records, np.arange(self.records[-1] + 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
     """The joint state ``[x, v, z, log-parameters, offsets]`` and the belief in it before any sample.
 
-    ``logs`` and ``log_sds`` (k,): log-parameters at first; ``log_walk`` (k,): variance that they gain a unit of time.
-    ``speed``: the rate (radians a unit of time) by which a velocity that is not told is thought to be larger than a
+    ``logs`` and ``log_sds`` (k,): log-parameters at first; ``log_walk``: variance that they gain a unit of time.
+    ``speed``: the rate (radians a unit of time) by which an unknown velocity is thought to be larger than a
     displacement.
     """
 
     model: OutputError
     logs: np.ndarray
     log_sds: np.ndarray
-    log_walk: np.ndarray
+    log_walk: float
     speed: float
 
     @property
@@ -67,15 +152,14 @@ class Joint:
     def size(self) -> int:
         return self.states + len(self.model.free) + len(self.model.offset_channels)
 
-    @cached_property
-    def constants(self) -> np.ndarray:
-        """Where the constants stand in the joint state: log-parameters, then offsets."""
-        return np.arange(self.states, self.size)
+    @property
+    def log_places(self) -> slice:
+        """Where the log-parameters stand; the offsets come behind them."""
+        return slice(self.states, self.states + len(self.model.free))
 
     def parameters(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """The parameters of joint states (..., d), each of shape (...)."""
-        logs = points[..., self.states : self.states + len(self.model.free)]
-        return self.model.parameters(np.clip(logs, -LOG_LIMIT, LOG_LIMIT))
+        return self.model.parameters(np.clip(points[..., self.log_places], -LOG_LIMIT, LOG_LIMIT))
 
     def start(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variances of the motion ``[x, v, z]`` at time 0 of a record; hidden states start at zero."""
@@ -95,29 +179,80 @@ class Joint:
         return np.concatenate([mean, self.logs, np.zeros(offsets.size)]), np.diag(all_variances)
 
     def theta(self, means: np.ndarray, nodes: Nodes) -> np.ndarray:
-        """The model's vector at smoothed means (K, d): constants at the end, and the starts that were not told.
+        """The model's vectors (B, size) at smoothed means (B, K, d): constants at the end, and unknown initial states.
 
         The last mean is the filter's own; those before it, where constants are the same, are known less exactly.
         """
-        k, n = len(self.model.free), self.model.system.n_dof
-        starts = [means[nodes.first_of[i], : 2 * n] for i in self.model.unknown_starts]
-        constants = means[-1, self.constants]
-        return np.concatenate([np.clip(constants[:k], -LOG_LIMIT, LOG_LIMIT), *starts, constants[k:]])
+        n, at = self.model.system.n_dof, self.log_places
+        starts = [means[:, nodes.firsts[i], : 2 * n] for i in self.model.unknown_starts]
+        logs, offsets = means[:, -1, at], means[:, -1, at.stop :]
+        return np.concatenate([np.clip(logs, -LOG_LIMIT, LOG_LIMIT), *starts, offsets], axis=1)
+
+    def trajectories(self, thetas: np.ndarray, nodes: Nodes) -> np.ndarray:
+        """The joint states (B, K, d) that the model's vectors (B, size) give at the nodes."""
+        model, parts, p = self.model, list[np.ndarray](), self.model.parameters(thetas)
+        k, offsets = len(model.free), len(model.offset_channels)
+        constants = np.concatenate([thetas[:, :k], thetas[:, thetas.shape[1] - offsets :]], axis=1)
+        times = np.concatenate(node_times(model))
+        for i, (record, start) in enumerate(zip(model.problem.records, model.starts(thetas), strict=True)):
+            wanted = times[nodes.samples[nodes.records == i, 0]]
+            motion = simulate(record.rig(model.system), p, start, wanted, record.forces)
+            parts.append(np.concatenate([motion.displacement, motion.velocity, motion.hidden]))
+        path = np.moveaxis(np.concatenate(parts, axis=-1), 0, -1)
+        rest = np.broadcast_to(constants[:, None], (*path.shape[:2], constants.shape[1]))
+        return np.concatenate([path, rest], axis=-1)
+
+    def follow(self, points: np.ndarray, nodes: Nodes, which: np.ndarray, rig: System) -> np.ndarray:
+        """Carry joint states (L, S, d) from nodes (L,) to their ends, at which another node may stand.
+
+        Returns:
+            What the channels give at the times of the node, then the joint state at its end, (L, S, n C + d).
+        """
+        p, first = self.parameters(points), nodes.reached[nodes.samples[which, 0]]
+        state, steps = [points[..., i] for i in range(self.states)], nodes.ends[which] - first
+        due = nodes.reached[nodes.samples[which]] - first[:, None]
+        path = np.empty((self.states, *points.shape[:2], due.shape[1]))
+        wanted, most = set(due.ravel().tolist()), int(np.max(steps, initial=0))
+        for j in range(most + 1):
+            if j in wanted:
+                place, sample = np.nonzero(due == j)
+                path[:, place, :, sample] = np.moveaxis(np.array(state)[:, place], 0, 1)
+            if j == most:
+                break
+            step = np.minimum(first + j, nodes.lengths.size - 1)
+            length = np.where(j < steps, nodes.lengths[step], 0.0)[:, None]  # no length: nothing moves any more
+            start, middle, end = ([nodes.pushes[step, k, i, None] for i in range(rig.n_dof)] for k in range(3))
+            state = rk4_step(rig, p, state, length, (start, middle, end), nan_ops)
+        readings = self.observe(path, p, points, nodes.forces[nodes.samples[which]], rig)
+        return np.concatenate([readings, np.stack(state, axis=-1), points[..., self.states :]], axis=-1)
+
+    def observe(
+        self, path: np.ndarray, p: dict[str, np.ndarray], points: np.ndarray, forces: np.ndarray, rig: System
+    ) -> np.ndarray:
+        """What every channel gives along motions (states, L, S, n) under forces (L, n, n_dof), (L, S, n C)."""
+        n, at, offsets = rig.n_dof, self.log_places.stop, self.model.offset_channels
+        shown = {"displacement": path[:n], "velocity": path[n : 2 * n]}
+        if any(c.measures == "acceleration" for _, c in self.model.channels):
+            push = [forces[:, None, :, i] for i in range(n)]
+            each = {name: value[..., None] for name, value in p.items()}
+            motion = list(path[:n]), list(path[n : 2 * n])
+            shown["acceleration"] = np.stack(acceleration(rig, each, *motion, push, list(path[2 * n :]), nan_ops))
+        rows = [
+            shown[c.measures][c.dof] + (points[..., at + offsets.index(i), None] if i in offsets else 0.0)
+            for i, (_, c) in enumerate(self.model.channels)
+        ]
+        return np.stack(rows, axis=-1).reshape(*path.shape[1:3], -1)
+
+    def nodes_by_rig(self, nodes: Nodes) -> Iterator[tuple[System, np.ndarray]]:
+        """Each rig that moved, and its nodes: rigs differ where masses were added in some records."""
+        moved = [record.rig(self.model.system) for record in self.model.problem.records]
+        for rig in dict.fromkeys(moved):
+            yield rig, np.flatnonzero([moved[i] == rig for i in nodes.records])
 
 
-def first_belief(model: OutputError, theta: np.ndarray, drift: float, open_sd: float) -> Joint:
-    """The belief before any sample: the prior, or ``open_sd`` about the first of the candidates.
-
-    ``theta``: the best start, whose fastest rate says how fast an untold start may be. ``drift``: standard deviation
-    of the random walk of a log-parameter over a unit of time, the longest record.
-    """
-    k = len(model.free)
-    if model.prior is not None:
-        logs, sds = model.prior.log_mean, model.prior.log_sds
-    else:
-        nominal = first_candidate(model)
-        logs, sds = np.log([nominal[name] for name in model.free]), np.full(k, open_sd)
-    return Joint(model, logs, sds, np.full(k, drift**2), fastest_rate(model, theta[:k]))
+def node_times(model: OutputError) -> list[np.ndarray]:
+    """The times of each record: 0 and those of its samples."""
+    return [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in model.problem.records]
 
 
 def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
@@ -152,139 +287,3 @@ def amplitude(model: OutputError, rate: float) -> float:
         if order[c.measures] == least and c.n
     ]
     return max(sizes, default=0.0) or 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Nodes:
-    """The nodes, record after record: each time 0 and each time of a sample, and the steps that lead to them.
-
-    ``values`` (K, C): what each channel gave at a node, NaN where nothing; ``forces`` (K, n_dof) there.
-    ``lengths`` (J,): all integration steps, none above ``longest``; ``pushes`` (J, 3, n_dof): forces at the start,
-    middle and end of each; ``reached`` (K,): how many of them lead to a node. ``first_of``: the first node of each
-    record.
-    """
-
-    joint: Joint
-    values: np.ndarray
-    forces: np.ndarray
-    lengths: np.ndarray
-    pushes: np.ndarray
-    reached: np.ndarray
-    first_of: tuple[int, ...]
-    longest: float
-
-    @staticmethod
-    def of(joint: Joint, longest: float) -> Nodes:
-        """With steps of at most ``longest``; raises NoEstimate where that takes too many."""
-        model = joint.model
-        n, values, forces, first_of = model.system.n_dof, list[np.ndarray](), list[np.ndarray](), list[int]()
-        paths, reached = list[Steps](), list[np.ndarray]()
-        for i, (record, times) in enumerate(zip(model.problem.records, _node_times(model), strict=True)):
-            first_of.append(sum(map(len, values)))
-            rows = np.full((times.size, len(model.channels)), np.nan)
-            for j, (of, channel) in enumerate(model.channels):
-                if of == i:
-                    rows[np.searchsorted(times, channel.times), j] = channel.values
-            values.append(rows)
-            forces.append(np.stack(record.force(times, n), axis=1))
-            grid = np.unique(np.concatenate([times, *[f.times[f.times <= times[-1]] for f in record.forces]]))
-            counts = step_counts(grid, longest)
-            upto = np.concatenate([[0], np.cumsum(counts)])[np.searchsorted(grid, times)]
-            if np.max(np.diff(upto), initial=0) > MAX_STEPS + grid.size or upto[-1] > MOST_STEPS:
-                raise NoEstimate(
-                    "the motion came out far faster than the samples can show; give a prior nearer to the system"
-                )
-            reached.append(upto + sum(path.lengths.size for path in paths))
-            paths.append(Steps.over(grid, counts, record.forces, n))
-        lengths = np.concatenate([path.lengths for path in paths])
-        pushes = np.concatenate([path.forces for path in paths])
-        tables = np.concatenate(values), np.concatenate(forces), lengths, pushes, np.concatenate(reached)
-        return Nodes(joint, *tables, tuple(first_of), longest)
-
-    @property
-    def number(self) -> int:
-        return len(self.values)
-
-    @cached_property
-    def counts(self) -> np.ndarray:
-        """How many steps lead to each node from the one before, (K,)."""
-        return np.diff(self.reached, prepend=0)
-
-    @cached_property
-    def durations(self) -> np.ndarray:
-        """The time from the node before to each, (K,); 0 where a record starts."""
-        return np.diff(np.concatenate([[0.0], np.cumsum(self.lengths)])[self.reached], prepend=0.0)
-
-    @cached_property
-    def _rigs(self) -> tuple[tuple[System, ...], np.ndarray]:
-        """The rigs that moved, and which of them each node belongs to, (K,)."""
-        moved = [record.rig(self.joint.model.system) for record in self.joint.model.problem.records]
-        rigs = tuple(dict.fromkeys(moved))
-        lengths = np.diff([*self.first_of, self.number])
-        return rigs, np.repeat([rigs.index(rig) for rig in moved], lengths)
-
-    def _by_rig(self, of: OfRig, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """``of`` for each rig at its own nodes; they differ where masses were added in some records."""
-        rigs, number = self._rigs
-        mine = number[nodes]
-        if np.all(mine == mine[0]):
-            return of(rigs[mine[0]], points, nodes)
-        parts = [(mine == i, rig) for i, rig in enumerate(rigs) if np.any(mine == i)]
-        by_rig = [(which, of(rig, points[which], nodes[which])) for which, rig in parts]
-        whole = np.empty((len(nodes), *by_rig[0][1].shape[1:]))
-        for which, values in by_rig:
-            whole[which] = values
-        return whole
-
-    def advance(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """Joint states (L, S, d) carried to the nodes (L,) from the ones before them."""
-        return self._by_rig(self._advanced, points, nodes)
-
-    def _advanced(self, system: System, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        joint = self.joint
-        p = joint.parameters(points)
-        state = [points[..., i] for i in range(joint.states)]
-        counts = self.counts[nodes]
-        for j in range(int(np.max(counts, initial=0))):
-            step = np.minimum(self.reached[nodes] - counts + j, self.lengths.size - 1)
-            length = np.where(j < counts, self.lengths[step], 0.0)[:, None]  # no length: nothing moves any more
-            f = [[self.pushes[step, part, i, None] for i in range(system.n_dof)] for part in range(3)]
-            state = rk4_step(system, p, state, length, (f[0], f[1], f[2]), nan_ops)
-        return np.concatenate([np.stack(state, axis=-1), points[..., joint.states :]], axis=-1)
-
-    def trajectories(self, thetas: np.ndarray) -> np.ndarray:
-        """The joint states (B, K, d) that the model's vectors (B, size) give at all nodes."""
-        model = self.joint.model
-        k, offsets = len(model.free), len(model.offset_channels)
-        constants = np.concatenate([thetas[:, :k], thetas[:, thetas.shape[1] - offsets :]], axis=1)
-        p, parts = model.parameters(thetas), list[np.ndarray]()
-        for record, start, times in zip(model.problem.records, model.starts(thetas), _node_times(model), strict=True):
-            motion = simulate(record.rig(model.system), p, start, times, record.forces)
-            parts.append(np.concatenate([motion.displacement, motion.velocity, motion.hidden]))
-        path = np.moveaxis(np.concatenate(parts, axis=-1), 0, -1)
-        rest = np.broadcast_to(constants[:, None], (*path.shape[:2], constants.shape[1]))
-        return np.concatenate([path, rest], axis=-1)
-
-    def observe(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """What every channel would give, (L, S, C), at joint states (L, S, d) of the nodes (L,)."""
-        return self._by_rig(self._observed, points, nodes)
-
-    def _observed(self, system: System, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        joint = self.joint
-        n, x = system.n_dof, [points[..., i] for i in range(joint.states)]
-        seen = {"displacement": x[:n], "velocity": x[n : 2 * n]}
-        if any(c.measures == "acceleration" for _, c in joint.model.channels):
-            f = [self.forces[nodes, i][:, None] for i in range(n)]
-            p = joint.parameters(points)
-            seen["acceleration"] = list(acceleration(system, p, x[:n], x[n : 2 * n], f, x[2 * n :], nan_ops))
-        offsets = dict(zip(joint.model.offset_channels, joint.constants[len(joint.model.free) :], strict=True))
-        rows = [
-            seen[c.measures][c.dof] + (points[..., offsets[i]] if i in offsets else 0.0)
-            for i, (_, c) in enumerate(joint.model.channels)
-        ]
-        return np.stack(rows, axis=-1)
-
-
-def _node_times(model: OutputError) -> list[np.ndarray]:
-    """The times of each record's nodes: 0 and those of its samples."""
-    return [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in model.problem.records]

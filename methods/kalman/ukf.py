@@ -19,25 +19,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import EVERY_PROBLEM, Card, Estimate, InputError, Problem, Serves
-from methods.kalman.core import regression
-from methods.kalman.iteration import Settings, estimate
-from methods.starts.ambiguity import SearchingIdentifier
+from bench import Card, InputError
+from methods.kalman.core import Rule, regression
+from methods.kalman.iteration import IteratedSmoother
 
 
 @dataclass(frozen=True)
-class UKF(SearchingIdentifier):
-    """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
+class UKF(IteratedSmoother):
+    """The iterated smoother of regressions on sigma points.
 
-    ``kappa`` >= 0: weight of the central point against those about it. ``drift``: standard deviation of the random walk
-    of a log-parameter over the record (its process noise). ``open_sd``: that of a log-parameter at first, where no
-    prior is given.
+    ``kappa`` >= 0: weight of the central point against those about it.
     """
 
-    passes: int = 30
-    tolerance: float = 1e-3
-    drift: float = 0.0
-    open_sd: float = 1.0
     kappa: float = 0.0
 
     version: ClassVar[int] = 3
@@ -57,17 +50,13 @@ class UKF(SearchingIdentifier):
         colour="#661100",
         marker=(6, 1, 0.0),
     )
-    serves: ClassVar[Serves] = EVERY_PROBLEM
-    works_in = "natural units"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (np.isfinite(self.kappa) and self.kappa >= 0):
             raise InputError("method.kappa", self.kappa, "0 or more: a negative weight breaks the covariance")
-        self._settings()
 
-    def _settings(self) -> Settings:
-        return Settings(self.passes, self.tolerance, self.drift, self.open_sd)
-
-    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
-        return estimate(problem, partial(regression, kappa=self.kappa), self._settings())
+    @property
+    def rule(self) -> Rule:
+        """Regressions on the sigma points."""
+        return partial(regression, kappa=self.kappa)

@@ -11,15 +11,14 @@ models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
 from bench import HeldModel, Layout
-from methods.kalman.core import Affine, apply, mixture, predict, predict_root, regression, update, update_root
+from methods.kalman.core import COVARIANCE, ROOT, Affine, apply, mixture, regression
 
 Rule = Literal["extended", "unscented", "square_root"]
 HELD = 0.99
@@ -29,11 +28,16 @@ LEAST_SPREAD = 1e-6
 """Of a belief's largest standard deviation: a direction of the unscented filter's points has at least this."""
 WIDE = 4.0
 """A member that expects a value with so many times the variance of the surest may not explain it."""
+Outcome = np.void
+"""What a step gives beside the new state, by the names of :attr:`Bank.outcome`."""
 
 
 @dataclass(frozen=True)
 class Bank:
-    """The compiled functions of a layout by one rule. ``mixes``: whether members interact by a Markov chain."""
+    """Filters of a layout by one rule. ``mixes``: whether members interact by a Markov chain.
+
+    Members lead in all arrays: means (M, d), spreads (covariances, or roots) (M, d, d), log-weights (M,).
+    """
 
     layout: Layout
     members: int
@@ -42,63 +46,31 @@ class Bank:
 
     def functions(self) -> tuple[Any, Any]:
         """(step, coast), compiled: the one takes a sample, the other an interval without one."""
-        return _functions(self)
+        return _compiled(self)
 
     @cached_property
-    def size(self) -> int:
-        """Of the joint state."""
-        return HeldModel(self.layout).size
+    def model(self) -> HeldModel:
+        return HeldModel(self.layout)
 
     @cached_property
-    def _places(self) -> tuple[int, ...]:
-        """Where the parts of a row end: those of :class:`Told`, in their order."""
-        d, c = self.size, len(self.layout.sensors)
-        return tuple(itertools.accumulate((d, d * d, c, c, c, c, 1, self.members)))
+    def outcome(self) -> np.dtype[np.void]:
+        """The row that a step gives.
 
-    def told(self, row: np.ndarray) -> Told:
-        """What a step tells, from the row of numbers that it hands out."""
-        d, cov, expected, spread, surprise, outlier, total, gained = self._places
-        return Told(
-            row[:d], row[d:cov].reshape(d, d), row[cov:expected], row[expected:spread], row[spread:surprise],
-            row[surprise:outlier] > 0,
-            float(row[outlier]), row[total:gained], row[gained:].reshape(self.members, -1),
-        )  # fmt: skip
+        Mean and covariance of the mixture; by sensor prediction, its variance, how many standard deviations a value is
+        from it that was used, and which (1 or 0) were taken for outliers; log-likelihood of the mixture and of each
+        member; each member's normalised moves of the log-parameters.
+        """
+        d, c, m = self.model.size, len(self.layout.sensors), self.members
+        shapes = {
+            "mean": (d,), "covariance": (d, d), "expected": (c,), "variance": (c,), "surprise": (c,), "outlier": (c,),
+            "total": (), "gained": (m,), "moves": (m, self.model.n_free),
+        }  # fmt: skip
+        return np.dtype([(name, float, shape) for name, shape in shapes.items()])
 
-
-class Told(NamedTuple):
-    """What a step tells of a sample.
-
-    Mean and covariance of the mixture; by sensor prediction, its variance, how many standard deviations a value is from
-    it that was used, and which were taken for outliers; log-likelihood of the mixture and of each member; each member's
-    normalised moves of the log-parameters.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    expected: np.ndarray
-    spread: np.ndarray
-    surprise: np.ndarray
-    outlier: np.ndarray
-    total: float
-    gained: np.ndarray
-    moves: np.ndarray
-
-
-@lru_cache(maxsize=64)
-def _functions(bank: Bank) -> tuple[Any, Any]:
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_cpu_enable_async_dispatch", False)  # a step is over sooner than a thread has taken it on
-    members = _Members(bank)
-    return jax.jit(members.step), jax.jit(members.coast)
-
-
-class _Members:
-    """What is compiled. Members lead: means (M, d), roots or covariances (M, d, d), log-weights (M,)."""
-
-    def __init__(self, bank: Bank) -> None:
-        self.model, self.rule, self.mixes = HeldModel(bank.layout), bank.rule, bank.mixes
+    @property
+    def form(self) -> Any:
+        """How a belief is carried: by its covariance, or a root of it."""
+        return ROOT if self.rule == "square_root" else COVARIANCE
 
     def _affine(self, function: Any, means: Any, spreads: Any) -> Affine:
         """A map of one joint state made affine about each member's belief, by the rule."""
@@ -108,33 +80,30 @@ class _Members:
         if self.rule == "unscented":
             return regression(jax.vmap(jax.vmap(function)), means, spreads, least=0.0, relative=LEAST_SPREAD)
         slopes, values = jax.vmap(jax.jacfwd(function))(means), jax.vmap(function)(means)
-        return Affine(slopes, values - apply(slopes, means), jnp.zeros((*values.shape, values.shape[-1])))
+        return Affine(slopes, values - apply(slopes, means), jnp.zeros_like(values)[:, None])
 
     def coast(self, means: Any, spreads: Any, force: Any, interval: Any, noise: Any) -> tuple[Any, Any]:
-        """An interval (s) on: beliefs before the next sample.
+        """Carry beliefs an interval (s) on, to before the next sample.
 
         ``noise``: variances of the process noise of each member (M, d), and what the unknown force keeps of itself.
         """
-        import jax.numpy as jnp
-
         walk, memory = noise
         affine = self._affine(lambda point: self.model.advance(point, force, interval, memory), means, spreads)
-        if self.rule == "square_root":
-            return predict_root(affine, means, spreads, walk)
-        return predict(affine._replace(error=affine.error + walk[..., None] * jnp.eye(self.model.size)), means, spreads)
+        after: tuple[Any, Any] = self.form.predict(affine, walk, means, spreads)
+        return after
 
     def step(self, state: tuple[Any, Any, Any], sample: Any, constants: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """From one sample to the next.
+        """Go from one sample to the next.
 
         Args:
-            state: means, covariances or roots, log-weights.
-            sample: values, which of them say something (1 or 0), told forces from now on, told forces since the sample
-                before, one behind the other.
+            state: means, spreads, log-weights.
+            sample: values, which of them say something (1 or 0), known forces from now on, known forces since the
+                sample before, one behind the other.
             constants: sampling interval (s), process noise (see :meth:`coast`), and the levels: variances of the
                 sensors, forgetting or transition matrix, gate (squared standard deviations).
 
         Returns:
-            The state after the sample, and :class:`Told` as one row.
+            The state after the sample, and the row of :attr:`outcome`.
         """
         import jax
         import jax.numpy as jnp
@@ -146,50 +115,48 @@ class _Members:
         means, spreads, weights = state
         if self.mixes:
             means, spreads, weights = self._mixed(means, spreads, weights, chain)
-        means, spreads = self.coast(means, spreads, before, interval, noise)
-        slopes, offsets, error = self._affine(lambda point: self.model.observe(point, force), means, spreads)
-        covs, levels = self._covariances(spreads), variances + jnp.diagonal(error, axis1=1, axis2=2)
-        seen = apply(slopes, means) + offsets
+        start, spreads = self.coast(means, spreads, before, interval, noise)
+        slopes, offsets, scatter = self._affine(lambda point: self.model.observe(point, force), start, spreads)
+        covs, levels = self.form.covariance(spreads), variances + jnp.sum(scatter**2, axis=-2)
+        shown = apply(slopes, start) + offsets
         diagonal = jnp.sum((slopes @ covs) * slopes, axis=-1) + levels
-        left = values - seen
-        share = jnp.exp(weights - jax.scipy.special.logsumexp(weights))
-        expected = share @ seen
-        spread = share @ (diagonal + (seen - expected) ** 2)
+        share = jax.nn.softmax(weights)
+        expected = share @ shown
+        variance = share @ (diagonal + (shown - expected) ** 2)
         sure = (diagonal <= WIDE * jnp.min(diagonal, axis=0)) | self.mixes  # a fast rate is no hypothesis just opened
-        outlier = there & (jnp.min(jnp.where(sure, left**2 / diagonal, jnp.inf), axis=0) > gate)
+        off = jnp.min(jnp.where(sure, (values - shown) ** 2 / diagonal, jnp.inf), axis=0)
+        outlier = there & (off > gate)
         used = there & ~outlier
-        start, measured = means, (slopes, offsets, levels, values, used)
-        if self.rule == "square_root":
-            means, spreads, gained = update_root(means, spreads, *measured)
-        else:
-            means, spreads, *_, gained = update(means, spreads, *measured)
-        after = self._covariances(spreads)
+        means, spreads, *_, gained = self.form.update(start, spreads, slopes, offsets, levels, values, used)
+        after = self.form.covariance(spreads)
         learned = jnp.diagonal(covs - after, axis1=1, axis2=2)[:, logs]
         moves = (means - start)[:, logs] / jnp.sqrt(jnp.maximum(learned, 1e-300))
         weights = (weights if self.mixes else chain * weights) + gained
         total = jax.scipy.special.logsumexp(weights)
         weights = jnp.maximum(weights - total, FLOOR)
-        share = jnp.exp(weights - jax.scipy.special.logsumexp(weights))
-        mean, cov = mixture(_weighty(share), means, after)
-        surprise = jnp.where(used, jnp.abs(values - expected) / jnp.sqrt(spread), 0.0)
-        told = [mean, cov.ravel(), expected, spread, surprise, 1.0 * outlier, total[None], gained, moves.ravel()]
-        return (means, spreads, weights), jnp.concatenate(told)
-
-    def _covariances(self, spreads: Any) -> Any:
-        return spreads @ spreads.swapaxes(1, 2) if self.rule == "square_root" else spreads
+        mean, cov = mixture(_weighty(jax.nn.softmax(weights)), means, after)
+        surprise = jnp.where(used, jnp.abs(values - expected) / jnp.sqrt(variance), 0.0)
+        row = [mean, cov.ravel(), expected, variance, surprise, 1.0 * outlier, total[None], gained, moves.ravel()]
+        return (means, spreads, weights), jnp.concatenate(row)
 
     def _mixed(self, means: Any, spreads: Any, weights: Any, chain: Any) -> tuple[Any, Any, Any]:
         """Beliefs of each member given where the chain may have come from; ``chain[i, j]`` from i to j."""
         import jax
         import jax.numpy as jnp
 
-        share = jnp.exp(weights - jax.scipy.special.logsumexp(weights))
-        joint = share[:, None] * chain
+        joint = jax.nn.softmax(weights)[:, None] * chain
         after = jnp.sum(joint, axis=0)
-        means, covs = jax.vmap(mixture, in_axes=(0, None, None))((joint / after).T, means, self._covariances(spreads))
-        if self.rule == "square_root":
-            covs = jnp.linalg.cholesky(covs + 1e-18 * jnp.eye(self.model.size))
-        return means, covs, jnp.log(after)
+        means, covs = mixture((joint / after).T, means, self.form.covariance(spreads))
+        return means, self.form.spread(covs), jnp.log(after)
+
+
+@lru_cache(maxsize=64)
+def _compiled(bank: Bank) -> tuple[Any, Any]:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # a step is over sooner than a thread has taken it on
+    return jax.jit(bank.step), jax.jit(bank.coast)
 
 
 def _weighty(share: Any) -> Any:

@@ -20,38 +20,42 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, OnlineCard, OnlineIdentifier
-from methods.online.bank import Told
+from bench import InputError, Layout, OnlineCard
+from methods.online.bank import Outcome
 from methods.online.change_point import CHANGE, ChangePointTracker
-from methods.online.filtering import FilterTracker
+from methods.online.filtering import FilterIdentifier, FilterTracker
+
+LARGEST_MOVE = 5.0
+"""Standard deviations of a sample's move that count at most."""
+LARGEST_GAIN = 8.0
+"""What one sample adds to the alarm at most, of a logarithm of a ratio: a spike alone does not ring."""
+OLDEST = 999_999
+"""Age of a place that no hypothesis holds."""
 
 
 class _Cusum(FilterTracker):
     holds = (*FilterTracker.holds, "up", "down")
 
-    def __init__(self, layout: Layout, settings: OnlineCUSUM) -> None:
-        super().__init__(layout, settings.warm_up, "extended", np.zeros((1, len(layout.free))), 1.0)
-        self.settings = settings
+    def __init__(self, layout: Layout, method: OnlineCUSUM) -> None:
+        super().__init__(layout, method.warm_up, np.zeros((1, len(layout.free))), 1.0)
+        self.method = method
         self.up = self.down = np.zeros(len(layout.free))
 
-    def judged(self, told: Told) -> float:
-        drift, moves = self.settings.allowance, np.clip(told.moves[0], -5.0, 5.0)
+    def judged(self, outcome: Outcome) -> float:
+        drift, moves = self.method.allowance, np.clip(outcome["moves"][0], -LARGEST_MOVE, LARGEST_MOVE)
         self.up, self.down = np.maximum(self.up + moves - drift, 0.0), np.maximum(self.down - moves - drift, 0.0)
         alarm = float(max(self.up.max(), self.down.max()))
-        if alarm > self.settings.threshold:
-            added = np.zeros(self.model.size)
-            added[self.model.logs] = CHANGE**2
-            added[: self.model.n_motion] = self.square  # filtered with what was wrong, it would draw the parameters off
-            self.opened(added)
+        if alarm > self.method.threshold:
+            # the motion too: filtered with what was wrong, it would draw the parameters off
+            self.opened(motion=self.square, logs=CHANGE**2)
             self.up = self.down = np.zeros(len(self.layout.free))
         return alarm
 
 
 @dataclass(frozen=True)
-class OnlineCUSUM(OnlineIdentifier):
+class OnlineCUSUM(FilterIdentifier):
     """``allowance`` a sample and ``threshold``, in standard deviations of a sample's move."""
 
-    warm_up: int = 150
     allowance: float = 0.25
     threshold: float = 16.0
     card: ClassVar[OnlineCard] = OnlineCard(
@@ -64,6 +68,7 @@ class OnlineCUSUM(OnlineIdentifier):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("allowance", "threshold"):
             if not getattr(self, name) > 0:
                 raise InputError(f"method.{name}", getattr(self, name), "a positive number of standard deviations")
@@ -74,65 +79,50 @@ class OnlineCUSUM(OnlineIdentifier):
 
 
 class _Ratio(ChangePointTracker):
+    """The answer is that of member 0, the one without a change; the others only count."""
+
     holds = (*ChangePointTracker.holds, "ratios", "bounded")
 
-    def __init__(self, layout: Layout, settings: OnlineGLR) -> None:
-        members = max(settings.members, 4 * len(layout.free))
-        super().__init__(layout, settings.warm_up, members, settings.born, 0.5, "extended")
-        self.threshold, self.ratios, self.bounded = settings.threshold, np.zeros(members), np.zeros(members)
+    def __init__(self, layout: Layout, method: OnlineGLR) -> None:
+        super().__init__(layout, method.warm_up, method.members, method.born)
+        self.threshold = method.threshold
+        self.ratios, self.bounded = np.zeros(len(self.walk)), np.zeros(len(self.walk))
 
-    def judged(self, told: Told) -> float:
-        """The answer is that of member 0, the one without a change; the others only count."""
-        gained = told.gained - told.gained[0]
-        self.ratios, self.bounded = self.ratios + gained, self.bounded + np.clip(gained, -MOST_TOLD, MOST_TOLD)
+    def judged(self, outcome: Outcome) -> float:
+        gained = outcome["gained"] - outcome["gained"][0]
+        self.ratios, self.bounded = self.ratios + gained, self.bounded + np.clip(gained, -LARGEST_GAIN, LARGEST_GAIN)
         self.since += 1
         self.ages = self.ages + 1
         alive = self.ages < OLDEST
         alarm = float(np.max(np.where(alive, np.minimum(self.ratios, self.bounded), -np.inf), initial=0.0))
-        means, spreads = np.array(self.means), np.array(self.spreads)
-        if alarm > self.threshold:
+        if alarm > self.threshold:  # the losers expect what is not so: none may gate a value
             won = int(np.argmax(np.where(alive, self.ratios, -np.inf)))
-            means[:], spreads[:] = means[won], spreads[won]  # the losers expect what is not so: none may gate a value
-            self.ages[1:], self.ratios[:], self.bounded[:] = OLDEST, 0.0, 0.0
-        elif self.due(told):
-            self.since = 0
-            kinds = len(self.layout.free)
-            worst = np.where(alive & (self.ages < self.born * len(means) // (2 * kinds)), np.inf, self.ratios)
-            worst[~alive], worst[0] = -np.inf, np.inf
-            for parameter, place in enumerate(np.argsort(worst)[:kinds]):
-                means[place], spreads[place] = means[0], self.loosened(spreads[0], parameter)
-                self.ages[place], self.ratios[place], self.bounded[place] = 0, 0.0, 0.0
-        else:
-            self.weights = self.first_log_weights()
-            return alarm
-        self.means, self.spreads, self.weights = means, spreads, self.first_log_weights()
+            self.means, self.spreads = (
+                np.repeat(np.asarray(p)[[won]], len(alive), 0) for p in (self.means, self.spreads)
+            )
+            self.compete(1)
+        elif self.due(outcome):
+            worth = np.where(alive & (self.ages < self.remembered // 2), np.inf, self.ratios)
+            worth[~alive], worth[0] = -np.inf, np.inf
+            places = self.bear(np.asarray(self.means)[0], np.asarray(self.spreads)[0], worth)
+            self.ratios[places], self.bounded[places] = 0.0, 0.0
+        self.weights = np.log(self.first_weights())
         return alarm
 
-    def _answering(self) -> int:
+    def answering(self) -> int:
         return 0
 
-    def _asked(self, number: int) -> None:
-        """Let the new hypotheses compete with the first of them, which answers meanwhile."""
-        self.ages[:number], self.ages[number:] = 0, OLDEST
-        self.ratios[:], self.bounded[:], self.since = 0.0, 0.0, 0
-        self.weights = self.first_log_weights()
-
-    def first_log_weights(self) -> np.ndarray:
-        """All on member 0."""
-        return np.log(self.first_weights())
-
-
-MOST_TOLD = 8.0
-"""To the alarm, of a logarithm of a ratio, by one sample: a spike alone does not ring."""
-OLDEST = 999_999
-"""Age of a place that no hypothesis holds."""
+    def compete(self, number: int) -> None:
+        """Let the first ``number`` members count from now on, of which the first answers meanwhile."""
+        self.ages = np.where(np.arange(len(self.walk)) < number, 0, OLDEST)
+        self.ratios, self.bounded = np.zeros(len(self.walk)), np.zeros(len(self.walk))
+        self.weights = np.log(self.first_weights())
 
 
 @dataclass(frozen=True)
-class OnlineGLR(OnlineIdentifier):
+class OnlineGLR(FilterIdentifier):
     """``threshold``: natural logarithm of the likelihood ratio that rings."""
 
-    warm_up: int = 150
     members: int = 36
     born: int = 8
     threshold: float = 9.0
@@ -146,6 +136,7 @@ class OnlineGLR(OnlineIdentifier):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.threshold > 0:
             raise InputError("method.threshold", self.threshold, "a positive logarithm of a likelihood ratio")
 

@@ -13,43 +13,43 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, OnlineCard, OnlineIdentifier
-from methods.online.bank import Rule, Told
-from methods.online.filtering import FilterTracker
+from bench import InputError, Layout, OnlineCard
+from methods.online.bank import Outcome, Rule
+from methods.online.filtering import FilterIdentifier, FilterTracker
 
 RATES = (0.0, 3e-4, 2e-3, 1e-2)
 """Standard deviations of the random walk of a log-parameter, a sample."""
 
 
 class Rates(FilterTracker):
-    """Filters of several rates, mixed by a Markov chain."""
+    """Filters of several rates, mixed by a Markov chain.
+
+    Its first mode is left with probability ``changes``, for each of the others alike, and returned to with ``settles``.
+    """
 
     mixes = True
 
-    def judged(self, told: Told) -> float:
+    def __init__(self, layout: Layout, method: OnlineEKF) -> None:
+        walk = method.walks(len(layout.free))
+        chain = np.eye(len(walk)) * (1.0 - method.settles)
+        chain[:, 0], chain[0] = method.settles, method.changes / (len(walk) - 1)
+        chain[0, 0] = 1.0 - method.changes
+        self.changing = method.changes / (method.changes + method.settles)
+        super().__init__(layout, method.warm_up, walk, chain, method.rule)
+
+    def judged(self, outcome: Outcome) -> float:
         return float("nan")
 
     def first_weights(self) -> np.ndarray:
         """Those that the chain has in the long run."""
-        values, vectors = np.linalg.eig(self.chain.T)
-        found = np.abs(np.real(vectors[:, int(np.argmax(np.real(values)))]))
-        return np.asarray(found / found.sum())
-
-
-def settling(members: int, changes: float, settles: float) -> np.ndarray:
-    """A transition matrix whose first mode is left with probability ``changes``, and returned to with ``settles``."""
-    found = np.eye(members) * (1.0 - settles)
-    found[:, 0] = settles
-    found[0] = changes / (members - 1)
-    found[0, 0] = 1.0 - changes
-    return found
+        others = len(self.walk) - 1
+        return np.array([1.0 - self.changing] + [self.changing / others] * others)
 
 
 @dataclass(frozen=True)
-class OnlineEKF(OnlineIdentifier):
-    """``warm_up`` samples before the filters begin; ``changes``: probability a sample that the rate changes."""
+class OnlineEKF(FilterIdentifier):
+    """``changes``: probability a sample that the rate changes; ``settles``: that it ends."""
 
-    warm_up: int = 150
     changes: float = 1e-5
     settles: float = 1e-2
     rule: ClassVar[Rule] = "extended"
@@ -63,15 +63,18 @@ class OnlineEKF(OnlineIdentifier):
     )
 
     def __post_init__(self) -> None:
-        if self.warm_up < 20:
-            raise InputError("method.warm_up", self.warm_up, "at least 20 samples")
-        if not 0 < self.changes < 1:
-            raise InputError("method.changes", self.changes, "a probability between 0 and 1")
+        super().__post_init__()
+        for name in ("changes", "settles"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(f"method.{name}", getattr(self, name), "a probability between 0 and 1")
 
-    def start(self, layout: Layout) -> FilterTracker:
+    def walks(self, parameters: int) -> np.ndarray:
+        """Variances that the log-parameters of each member gain a sample, (M, parameters); those of the first none."""
+        return np.repeat(np.square(RATES)[:, None], parameters, axis=1)
+
+    def start(self, layout: Layout) -> Rates:
         """A bank before its first sample."""
-        walk = np.repeat(np.square(RATES)[:, None], len(layout.free), axis=1)
-        return Rates(layout, self.warm_up, self.rule, walk, settling(len(RATES), self.changes, self.settles))
+        return Rates(layout, self)
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, OnlineCard, OnlineIdentifier
-from methods.online.ekf import Rates, settling
+from bench import OnlineCard
+from methods.online.ekf import OnlineEKF
 
 RATES = (2e-3, 2e-2)
 """Standard deviations of the random walk of the log-parameter that changes, a sample."""
 
 
 @dataclass(frozen=True)
-class OnlineIMM(OnlineIdentifier):
+class OnlineIMM(OnlineEKF):
     """``changes``: probability a sample that something begins to change; ``settles``: that it ends."""
 
-    warm_up: int = 150
     changes: float = 1e-4
     settles: float = 0.05
     card: ClassVar[OnlineCard] = OnlineCard(
@@ -34,15 +33,6 @@ class OnlineIMM(OnlineIdentifier):
         "#332288",
     )
 
-    def __post_init__(self) -> None:
-        for name in ("changes", "settles"):
-            if not 0 < getattr(self, name) < 1:
-                raise InputError(f"method.{name}", getattr(self, name), "a probability between 0 and 1")
-        if self.warm_up < 20:
-            raise InputError("method.warm_up", self.warm_up, "at least 20 samples")
-
-    def start(self, layout: Layout) -> Rates:
-        """A bank before its first sample."""
-        each = np.concatenate([np.eye(len(layout.free)) * rate**2 for rate in RATES])
-        walk = np.concatenate([np.zeros((1, len(layout.free))), each])
-        return Rates(layout, self.warm_up, "extended", walk, settling(len(walk), self.changes, self.settles))
+    def walks(self, parameters: int) -> np.ndarray:
+        """Nothing changes, or one parameter at one of the rates."""
+        return np.concatenate([np.zeros((1, parameters)), *(np.eye(parameters) * rate**2 for rate in RATES)])

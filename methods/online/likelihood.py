@@ -15,13 +15,13 @@ are followed. The motion at first is unknown. Nothing here knows a true value, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench import HeldModel, Layout, dimension_scale
-from methods.kalman.core import Affine, Update, predict, update
+from methods.kalman.core import predict, update
 
 RATIOS = (0.01, 0.05, 0.25)
 """Damping ratios of the scan."""
@@ -38,6 +38,8 @@ OPEN_LOG = 3.0
 """Standard deviation of a log-parameter before any sample: a factor of 20."""
 OPEN = 10.0
 """Standard deviation of the motion at first, over what is seen of it."""
+SPIKE = 8.0
+"""Robust standard deviations of a sample off its neighbours, beyond which it is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,6 @@ class Beginning:
     mean: np.ndarray
     covariance: np.ndarray
     levels: Levels
-    log_likelihood: float
 
 
 def beginning(head: Head) -> Beginning:
@@ -93,6 +94,18 @@ def beginning(head: Head) -> Beginning:
     Not finite where no start of the scan leads anywhere. Methods that follow the same stream share the answer.
     """
     return _beginning(head.layout, head.values.shape, head.values.tobytes(), head.forces.tobytes())
+
+
+def without_spikes(values: np.ndarray) -> np.ndarray:
+    """The first samples without single values far beyond both of their neighbours, by the spread of such distances."""
+    values = values.copy()
+    for column in values.T:
+        middle = 0.5 * (column[:-2] + column[2:])
+        off = column[1:-1] - middle
+        scale = 1.4826 * np.nanmedian(np.abs(off - np.nanmedian(off)))
+        far = np.abs(off) > SPIKE * scale
+        column[1:-1][far] = np.nan
+    return values
 
 
 @lru_cache(maxsize=8)
@@ -125,7 +138,7 @@ def _searched(head: Head) -> Beginning:
         if end.fun < best:
             best, found = float(end.fun), end.x
     mean, covariance = like.belief(found, head.values, head.forces, first)
-    return Beginning(np.array(mean), np.array(covariance), like.parts(found)[1], -best)
+    return Beginning(np.array(mean), np.array(covariance), Likelihood(head.layout).parts(found)[1])
 
 
 def _limits(head: Head, start: np.ndarray) -> list[tuple[float, float]]:
@@ -185,18 +198,15 @@ def _sizes(layout: Layout, mass: float, length: float, omega: float, ratio: floa
     return np.array(sizes)
 
 
+@dataclass(frozen=True)
 class Likelihood:
-    """The negative log-likelihood of a layout, compiled: of one vector with its slope, and of many."""
+    """The negative log-likelihood of a layout: of one vector with its slope, and of many."""
 
-    def __init__(self, layout: Layout) -> None:
-        """Compile nothing yet; the first call does."""
-        import jax
+    layout: Layout
 
-        jax.config.update("jax_enable_x64", True)
-        self.layout, self.model = layout, HeldModel(layout)
-        self.slope = jax.jit(jax.value_and_grad(self._negative))
-        self.many = jax.jit(jax.vmap(self._negative, in_axes=(0, None, None, None)))
-        self.belief = jax.jit(self._belief)
+    @cached_property
+    def model(self) -> HeldModel:
+        return HeldModel(self.layout)
 
     def parts(self, eta: Any) -> tuple[Any, Levels]:
         """Log-parameters and levels of a vector."""
@@ -207,7 +217,8 @@ class Likelihood:
         sigma, push = xp.exp(eta[n : n + c]), xp.exp(eta[n + c : n + c + a])
         return eta[:n], Levels(sigma, push, 1.0 / (1.0 + xp.exp(-eta[n + c + a :])))
 
-    def _negative(self, eta: Any, values: Any, forces: Any, first: Any) -> Any:
+    def negative(self, eta: Any, values: Any, forces: Any, first: Any) -> Any:
+        """The negative log-likelihood, of motions with standard deviations ``first`` before any sample."""
         return self._path(eta, values, forces, first)[0]
 
     def _path(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
@@ -226,73 +237,90 @@ class Likelihood:
         def observe(state: Any, force: Any) -> Any:
             return model.observe(jnp.concatenate([state, rest]), force)
 
-        zero, still = jnp.zeros(k), jnp.zeros(len(layout.forced))
-        first_cov = jnp.diag(jnp.concatenate([first**2, levels.push**2]))
+        belief = jnp.zeros(k), jnp.diag(jnp.concatenate([first**2, levels.push**2]))
         fresh = jnp.concatenate([jnp.zeros(model.n_motion), levels.push**2 * (1.0 - levels.memory**2)])
-        fixed = (jax.jacfwd(observe)(zero, still), jax.jacfwd(advance)(zero, still)) if layout.system.linear else None
+        fixed = None, None
+        if layout.system.linear:  # one matrix for all samples
+            still = jnp.zeros(len(layout.forced))
+            fixed = jax.jacfwd(observe)(belief[0], still), jax.jacfwd(advance)(belief[0], still)
+        total, (means, _) = _filtered(observe, advance, belief, fresh, levels, (values, forces, None), fixed)
+        return -total, means
 
-        def step(carry: tuple[Any, Any, Any], inputs: tuple[Any, Any]) -> tuple[Any, Any]:
-            mean, cov, total = carry
-            y, force = inputs
-            updated = _updated(lambda s: observe(s, force), mean, cov, mean, levels, y, fixed and fixed[0])
-            mean = updated.mean
-            affine = _tangent(lambda s: advance(s, force), mean, fixed and fixed[1], fresh)
-            return (*predict(affine, mean, updated.covariance), total - updated.likelihood), mean
-
-        carry, means = jax.lax.scan(step, (zero, first_cov, 0.0), (values, forces))
-        return carry[2], means
-
-    def _belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
+    def belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
         """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.
 
         The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there.
         """
-        import jax
         import jax.numpy as jnp
 
         model, layout = self.model, self.layout
         logs, levels = self.parts(eta)
         path = self._path(eta, values, forces, first)[1]
-        rest = jnp.broadcast_to(jnp.concatenate([jnp.zeros(model.n_sensors), logs]), (len(path), layout_size(model)))
-        about = jnp.concatenate([path, rest], axis=1)
+        rest = jnp.concatenate([jnp.zeros(model.n_sensors), logs])
+        about = jnp.concatenate([path, jnp.broadcast_to(rest, (len(path), len(rest)))], axis=1)
         fresh = jnp.zeros(model.size).at[model.ambient].set(levels.push**2 * (1.0 - levels.memory**2))
-        cov = jnp.zeros(model.size).at[: model.n_motion].set(first**2)
-        cov = cov.at[model.ambient].set(levels.push**2).at[model.logs].set(OPEN_LOG**2)
-        mean = jnp.zeros(model.size).at[model.logs].set(logs)
+        variances = jnp.zeros(model.size).at[: model.n_motion].set(first**2)
+        variances = variances.at[model.ambient].set(levels.push**2).at[model.logs].set(OPEN_LOG**2)
+        belief = jnp.zeros(model.size).at[model.logs].set(logs), jnp.diag(variances)
 
-        def step(carry: tuple[Any, Any], inputs: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-            y, force, point = inputs
-            mean, cov, *_ = _updated(lambda s: model.observe(s, force), *carry, point, levels, y)
-            affine = _tangent(lambda s: model.advance(s, force, layout.interval, levels.memory), point, None, fresh)
-            return predict(affine, mean, cov), (mean, cov)
+        def advance(state: Any, force: Any) -> Any:
+            return model.advance(state, force, layout.interval, levels.memory)
 
-        means, covs = jax.lax.scan(step, (mean, jnp.diag(cov)), (values, forces, about))[1]
+        _, (means, covs) = _filtered(model.observe, advance, belief, fresh, levels, (values, forces, about))
         return means[-1], covs[-1]
 
 
-def _tangent(function: Any, point: Any, slopes: Any, fresh: Any) -> Affine:
-    """A map about a joint state, with the variances of its process noise; its slopes where they are not known."""
+def _filtered(
+    observe: Any, advance: Any, belief: Any, fresh: Any, levels: Levels, rows: Any, fixed: Any = (None, None)
+) -> tuple[Any, Any]:
+    """Run an extended Kalman filter over rows of values (NaN: missing), forces and the states to linearise about.
+
+    Args:
+        observe: what the sensors give of a state, under forces.
+        advance: the state after an interval, under forces.
+        belief: mean and covariance before the first row.
+        fresh: variances that the state gains an interval.
+        levels: noise of the sensors.
+        rows: values (n, n_sensors), forces (n, n_forced), states (n, d), or None: about the filter's own mean.
+        fixed: slopes of both maps where they are the same for all rows.
+
+    Returns:
+        The log-likelihood, and means (n, d) and covariances (n, d, d) after each row.
+    """
     import jax
     import jax.numpy as jnp
 
-    slopes = jax.jacfwd(function)(point) if slopes is None else slopes
-    return Affine(slopes, function(point) - slopes @ point, jnp.diag(fresh))
+    def straight(function: Any, point: Any, force: Any, slopes: Any) -> tuple[Any, Any]:
+        slopes = jax.jacfwd(function)(point, force) if slopes is None else slopes
+        return slopes, function(point, force) - slopes @ point
+
+    def step(carry: Any, row: Any) -> Any:
+        (mean, cov), total = carry
+        y, force, point = row
+        there = jnp.isfinite(y)
+        line = straight(observe, mean if point is None else point, force, fixed[0])
+        mean, cov, *_, gained = update(mean, cov, *line, levels.sigma**2, jnp.where(there, y, 0.0), there)
+        line = straight(advance, mean if point is None else point, force, fixed[1])
+        return (predict(*line, jnp.diag(fresh), mean, cov), total + gained), (mean, cov)
+
+    (_, total), path = jax.lax.scan(step, (belief, 0.0), rows)
+    return total, path
 
 
-def _updated(observe: Any, mean: Any, cov: Any, point: Any, levels: Levels, y: Any, slopes: Any = None) -> Update:
-    """A belief after a sample, NaN where a sensor gave nothing; the measurement about a joint state."""
-    import jax.numpy as jnp
+class Compiled(NamedTuple):
+    """A likelihood compiled: of one vector with its slope, of many, and the belief at one."""
 
-    there, affine = jnp.isfinite(y), _tangent(observe, point, slopes, 0.0 * levels.sigma)
-    return update(mean, cov, affine.slopes, affine.constants, levels.sigma**2, jnp.where(there, y, 0.0), there)
-
-
-def layout_size(model: HeldModel) -> int:
-    """Entries of the joint state behind motion and unknown force."""
-    return model.n_sensors + model.n_free
+    slope: Any
+    many: Any
+    belief: Any
 
 
 @lru_cache(maxsize=32)
-def compiled(layout: Layout) -> Likelihood:
-    """The likelihood of a layout, compiled once a process."""
-    return Likelihood(layout)
+def compiled(layout: Layout) -> Compiled:
+    """Compile the likelihood of a layout once a process, at the first call of each function."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    likelihood = Likelihood(layout)
+    many = jax.vmap(likelihood.negative, in_axes=(0, None, None, None))
+    return Compiled(jax.jit(jax.value_and_grad(likelihood.negative)), jax.jit(many), jax.jit(likelihood.belief))

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from bench import System, acceleration, array_ops, rk4_scan, state_rate
-from methods.kalman.joint import Joint, Nodes, fastest_rate
+from methods.kalman.joint import Nodes, fastest_rate
 from methods.sampling.posterior import NOISE_SD, Posterior
 
 STEP = 0.3
@@ -62,10 +62,8 @@ def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
     logs = posterior.mode[:k]
     speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
     # a linear system needs steps at the samples of a force only
-    longest_step = np.inf if system.linear else STEP / max(speed, 1e-9)
-    nodes = Nodes.of(Joint(model, logs, np.zeros(k), np.zeros(k), speed), longest_step)
-    bounds = [*nodes.first_of, nodes.number]
-    tables = [_table(nodes, first, last) for first, last in itertools.pairwise(bounds)]
+    nodes = Nodes.of(model, np.inf if system.linear else STEP / max(speed, 1e-9))
+    tables = [_table(nodes, first, last) for first, last in itertools.pairwise(nodes.bounds)]
     longest = max(float(np.max(table["gaps"])) for table in tables)
     squarings = max(0, int(np.ceil(np.log2(2.0 * REACH * speed * longest)))) if system.linear else 0
     order = {channel: i for i, channel in enumerate(model.offset_channels)}

@@ -38,13 +38,13 @@ def is_long(problem: Problem) -> bool:
 def starts_of_long(problem: Problem, seek: Callable[[OutputError], Starts]) -> Starts:
     """Return starts of a linear system in natural units; ``seek`` finds those of a short problem."""
     shares = [_first_share(record) for record in problem.records]
-    short = _part(problem, shares)
+    short = thinned(problem, shares)
     units = short.natural_units()
     scales = units.scales(problem.system)
     found = [{name: v * scales[name] for name, v in p.items()} for p in seek(OutputError(short.expressed_in(units)))]
     while min(shares) < 1.0:
         shares = [min(LONGER * share, 1.0) for share in shares]
-        found = _fitted(OutputError(_part(problem, shares)), found)
+        found = _fitted(OutputError(thinned(problem, shares)), found)
     return found
 
 
@@ -57,9 +57,9 @@ def _fitted(model: OutputError, found: Starts) -> Starts:
     return [{name: float(v) for name, v in model.parameters(theta).items()} for theta in thetas]
 
 
-def _part(problem: Problem, shares: Sequence[float]) -> Problem:
-    """Return the first share of each record, on at most ``MOST_SAMPLES`` a channel."""
-    pairs = zip(problem.records, shares, strict=True)
+def thinned(problem: Problem, shares: Sequence[float] = ()) -> Problem:
+    """Return the first share of each record, or all of it, on at most ``MOST_SAMPLES`` a channel."""
+    pairs = zip(problem.records, shares or [1.0] * len(problem.records), strict=True)
     return replace(problem, records=tuple(_head(record, share * record.duration) for record, share in pairs))
 
 
