@@ -189,7 +189,7 @@ def update_root(
     return mean, root, likelihood
 
 
-class Form(NamedTuple):
+class SpreadForm(NamedTuple):
     """How the spread of a belief is carried: prediction, update, the spread of a covariance, the covariance of it."""
 
     predict: Callable[..., tuple[Array, Array]]
@@ -204,8 +204,8 @@ def _root(covariance: Array) -> Array:
     return axes * xp.sqrt(xp.maximum(values, 0.0))[..., None, :]
 
 
-COVARIANCE = Form(_predict_covariance, update, lambda covariance: covariance, lambda spread: spread)
-ROOT = Form(predict_root, update_root, _root, lambda root: root @ transposed(root))
+COVARIANCE = SpreadForm(_predict_covariance, update, lambda covariance: covariance, lambda spread: spread)
+ROOT = SpreadForm(predict_root, update_root, _root, lambda root: root @ transposed(root))
 
 # ---------------------------------------------------------------------------------------------------------- algebra
 

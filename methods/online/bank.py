@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bench import HeldModel, Layout
-from methods.kalman.core import COVARIANCE, ROOT, Affine, apply, mixture, regression
+from methods.kalman.core import COVARIANCE, ROOT, Affine, SpreadForm, apply, mixture, regression
 
 Rule = Literal["extended", "unscented", "square_root"]
 HELD = 0.99
@@ -68,7 +68,7 @@ class Bank:
         return np.dtype([(name, float, shape) for name, shape in shapes.items()])
 
     @property
-    def form(self) -> Any:
+    def form(self) -> SpreadForm:
         """How a belief is carried: by its covariance, or a root of it."""
         return ROOT if self.rule == "square_root" else COVARIANCE
 
@@ -89,8 +89,7 @@ class Bank:
         """
         walk, memory = noise
         affine = self._affine(lambda point: self.model.advance(point, force, interval, memory), means, spreads)
-        after: tuple[Any, Any] = self.form.predict(affine, walk, means, spreads)
-        return after
+        return self.form.predict(affine, walk, means, spreads)
 
     def step(self, state: tuple[Any, Any, Any], sample: Any, constants: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         """Go from one sample to the next.

@@ -123,7 +123,7 @@ class FilterTracker(Tracker):
         constants, state = self.ungated if self.asking else self.constants, (self.means, self.spreads, self.weights)
         after, numbers = self._step(state, row, constants)
         if not _finite(outcome := np.asarray(numbers).view(self.bank.outcome)[0]):
-            after, numbers = self._step(_mended(state, after), row, constants)
+            after, numbers = self._step(self._mended(after, outcome), row, constants)
             outcome = np.asarray(numbers).view(self.bank.outcome)[0]
         self.means, self.spreads, self.weights = after
         self.asking = max(self.asking - 1, 0)
@@ -202,6 +202,16 @@ class FilterTracker(Tracker):
     def _keep(self, values: np.ndarray, forces: np.ndarray) -> None:
         self.head_values = np.concatenate([self.head_values, values])
         self.head_forces = np.concatenate([self.head_forces, forces])
+
+    def _mended(self, after: Any, outcome: Outcome) -> tuple[np.ndarray, ...]:
+        """The state before a step, with members that it took to no number where the weightiest of the others is."""
+        means, spreads, weights = (np.array(part) for part in (self.means, self.spreads, self.weights))
+        covariances = self.bank.form.covariance(np.asarray(after[1]))
+        gone = ~np.isfinite(np.sum(after[0], axis=1) + np.sum(covariances, axis=(1, 2)) + outcome["gained"])
+        gone |= np.min(np.diagonal(covariances, axis1=1, axis2=2), axis=1) < 0
+        best = int(np.argmax(np.where(gone, -np.inf, weights)))
+        means[gone], spreads[gone], weights[gone] = means[best], spreads[best], FLOOR
+        return means, spreads, weights
 
     @property
     def _kinds(self) -> list[str]:
@@ -284,19 +294,5 @@ class FilterTracker(Tracker):
         self.opened(motion=self.square)
 
 
-State = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Means, covariances or roots, log-weights, of all members."""
-
-
 def _finite(outcome: Outcome) -> bool:
     return isfinite(outcome["total"]) and isfinite(outcome["mean"].sum()) and bool(outcome["variance"].min() > 0)
-
-
-def _mended(state: State, after: State) -> State:
-    """The state before a step, with members that it took to no number where the weightiest of the others is."""
-    means, spreads, weights = (np.array(part) for part in state)
-    moved = np.sum(np.asarray(after[0]), axis=1) + np.sum(np.asarray(after[1]), axis=(1, 2))
-    gone = ~np.isfinite(moved)
-    best = int(np.argmax(np.where(gone, -np.inf, weights)))
-    means[gone], spreads[gone], weights[gone] = means[best], spreads[best], FLOOR
-    return means, spreads, weights

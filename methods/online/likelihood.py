@@ -307,7 +307,7 @@ def _filtered(
     return total, path
 
 
-class Compiled(NamedTuple):
+class CompiledLikelihood(NamedTuple):
     """A likelihood compiled: of one vector with its slope, of many, and the belief at one."""
 
     slope: Any
@@ -316,11 +316,11 @@ class Compiled(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def compiled(layout: Layout) -> Compiled:
+def compiled(layout: Layout) -> CompiledLikelihood:
     """Compile the likelihood of a layout once a process, at the first call of each function."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
     likelihood = Likelihood(layout)
     many = jax.vmap(likelihood.negative, in_axes=(0, None, None, None))
-    return Compiled(jax.jit(jax.value_and_grad(likelihood.negative)), jax.jit(many), jax.jit(likelihood.belief))
+    return CompiledLikelihood(*map(jax.jit, (jax.value_and_grad(likelihood.negative), many, likelihood.belief)))
