@@ -153,7 +153,9 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]
-    return sets[0], np.stack(most_probable(short, kept) if len(kept) > 1 and is_unresolved(short.problem) else kept)
+    if is_unresolved(short.problem):  # a few steps do not yet order the basins of several degrees of freedom
+        kept = most_probable(short, list(thetas[np.isfinite(values)]) if short.system.n_dof > 1 else kept)
+    return sets[0], np.stack(kept)
 
 
 def first_belief(

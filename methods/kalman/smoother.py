@@ -105,7 +105,7 @@ def _measurements(observed: Affine, variances: np.ndarray, values: np.ndarray) -
         return observed.slopes, observed.constants, variances, np.broadcast_to(values, variances.shape), used
     rows = np.concatenate([observed.slopes, (values - observed.constants)[..., None]], axis=-1)
     rows = np.where(here[:, None, :, None], rows / np.sqrt(variances)[..., None], 0.0)
-    triangle = np.linalg.qr(rows, mode="r")[..., :d, :]
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))[..., :d, :]
     nothing = np.zeros(triangle.shape[:-1])
     return triangle[..., :d], nothing, nothing + 1.0, triangle[..., d], nothing == 0.0
 
