@@ -67,8 +67,6 @@ SCREENING = 5
 """Output-error steps that each candidate is given before the best are taken."""
 MARGIN = 15.0
 """A starting point is kept if minus twice its log-posterior is within this of the best."""
-ROUNDS = 4
-"""Gauss-Newton steps for the initial states of a candidate of a nonlinear system."""
 ROUNDING = 1e-9
 """Of a noise level, which is at the least that is resolved but for its last bits."""
 APART = 1.0
@@ -142,12 +140,12 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
     """
     short = head(model)
     sets = candidates(short, STARTS + 1)
-    quick, linear = screening(short), model.system.linear
-    if linear and is_long(model.problem):
+    quick = screening(short)
+    if model.system.linear and is_long(model.problem):
         quick = OutputError(thinned(model.problem))
     thetas = np.zeros((len(sets), quick.size))
     thetas[:, : len(quick.free)] = np.log([[p[name] for name in quick.free] for p in sets])
-    thetas = quick.settle(quick.with_initial_states(thetas, 1 if linear else ROUNDS), 1, SCREENING)
+    thetas = quick.settle(quick.with_initial_states(thetas), 1, SCREENING)
     values = quick.profile(thetas)
     best = separate(short, values, thetas)[:STARTS]
     if not best:
