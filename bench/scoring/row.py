@@ -49,10 +49,7 @@ the truth (``_pit``) and a share of the record, they are of the mean, likewise.
 class Rows(Sequence[Row]):
     """Replicates by column, so that a score of all of them is read without making any row.
 
-    Args:
-        statuses: The status of each replicate.
-        column: Returns a column of :data:`PLAIN`, or a score (n,), NaN where a replicate has none.
-        score_names: The scores that some replicate may have.
+    ``column`` returns a column of :data:`PLAIN`, or one of the scores ``score_names``, (n,), NaN where there is none.
     """
 
     def __init__(

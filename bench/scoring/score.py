@@ -1,7 +1,4 @@
-"""The scores of replicates: estimates against their truths, as named numbers.
-
-Replicates whose estimates are of one kind are scored together, as arrays whose first axis is the replicate.
-"""
+"""The scores of replicates: estimates against their truths, as named numbers, those of one kind together as arrays."""
 
 from __future__ import annotations
 

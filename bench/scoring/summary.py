@@ -32,10 +32,8 @@ def metric_bounds(bound: Bound) -> dict[str, float]:
 def below_chance(excess: float, bound_pct: float, n: int) -> bool:
     """Decide whether errors are smaller than the bound allows by chance, so that the method must know the truth.
 
-    Args:
-        excess: Root mean square of the errors over the bound.
-        bound_pct: The bound (%), which includes what the prior says.
-        n: Number of errors. Squares of normal errors at the bound add up to a chi-square variable of n.
+    ``excess``: root mean square of n errors over the bound ``bound_pct`` (%), which includes the prior. Squares of
+    normal errors at the bound add up to a chi-square variable of n.
     """
     least = math.sqrt(2.0 * gammaincinv(n / 2.0, CHANCE) / n) if n > 0 else 0.0
     return excess < least and bound_pct <= LARGEST_BOUND_PCT

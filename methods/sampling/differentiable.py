@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from bench import System, acceleration, array_ops, rk4_scan, state_rate
-from methods.kalman.joint import Nodes, fastest_rate
+from methods.kalman.joint import Nodes, fastest_rate, node_times
 from methods.sampling.posterior import NOISE_SD, Posterior
 
 STEP = 0.3
@@ -71,7 +71,7 @@ def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
     known = tuple(record.initial_state is not None for record in records)
     rigs = tuple(record.rig(system) for record in records)
     layout = DensityLayout(system, model.free, rigs, known, channels, bool(np.any(nodes.pushes)), squarings)
-    times = [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in records]
+    times = node_times(model)
     data: Data = {
         "tables": tables,
         "starts": model.initial_states,

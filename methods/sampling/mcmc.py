@@ -9,14 +9,12 @@ nonlinear system is integrated as finely as the noise asks for (:func:`methods.s
 Convergence is judged over independent ensembles, each from an overdispersed start: the split R-hat of rank-normalised
 draws and of their distances from the median (A. Vehtari et al., Bayesian Analysis 16:667, 2021), the integrated
 autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size that it implies. A chain that
-has not converged is extended; one that never does is a failure with a sentence.
+has not converged is extended; one that never does is a failure with a sentence. Walkers that propose from each other
+mix ever more slowly as the unknowns grow beyond some ten (D. Huijser et al., arXiv:1509.02230), and where the posterior
+is far from its Laplace approximation few other moves are accepted.
 
-The ensembles of all problems of one layout with a linear system step together (:mod:`methods.sampling.ensembles`): the
-kind of move goes by turns, and each ensemble has its own random numbers, so an answer does not depend on its batch.
-
-Walkers that propose from each other mix ever more slowly as the unknowns grow beyond some ten (D. Huijser et al.,
-arXiv:1509.02230). Here most moves do not, but where the posterior is far from its Laplace approximation little else is
-left; a long autocorrelation time shows it, and the sentence of the failure names the way out.
+The ensembles of all problems of one layout with a linear system step together (:mod:`methods.sampling.ensembles`); each
+has its own random numbers, so an answer does not depend on its batch.
 """
 
 from __future__ import annotations
@@ -72,10 +70,9 @@ class MCMC(SearchingIdentifier):
     ``ensembles`` independent ensembles of at least ``walkers`` each run ``burn`` steps that are dropped, then blocks of
     ``block`` steps until converged: R-hat at most ``r_hat``, effective sample size at least ``effective`` and
     ``autocorrelations`` autocorrelation times in each chain, for every unknown; at most ``blocks`` blocks.
-    ``independent`` is the share of independent moves. At most ``draws`` draws are kept, and ``curves`` of them
-    are averaged in the reconstruction. ``likelihood="student"`` takes the errors to be Student's t, not normal;
-    ``"autoregressive"`` takes normal ones whose colour is that of the residuals at the best mode of a white fit, and
-    then again at the best mode of that.
+    ``independent`` is the share of independent moves. At most ``draws`` draws are kept, and ``curves`` of them are
+    averaged in the reconstruction. ``likelihood``: errors are normal, Student's t, or normal with the colour of the
+    residuals at the best mode of a white fit, and then again at the best mode of that.
     """
 
     ensembles: int = 2

@@ -37,9 +37,9 @@ from methods.starts.rounding import rounded
 class NUTS(SearchingIdentifier):
     """Gradient sampling; settings below, the method in the module's docstring.
 
-    It has converged when R-hat is at most ``r_hat``, the bulk effective sample size at least ``effective`` for every
-    unknown, and at most a share ``divergent`` of the transitions diverged; at most ``blocks`` blocks are run. At most
-    ``kept`` draws are kept, and ``curves`` of them are averaged in the reconstruction.
+    Converged: R-hat at most ``r_hat`` and bulk effective sample size at least ``effective`` for every unknown, and at
+    most a share ``divergent`` of divergent transitions; at most ``blocks`` blocks are run. At most ``kept`` draws are
+    kept, and ``curves`` of them are averaged in the reconstruction.
     """
 
     chains: int = 4

@@ -1,11 +1,24 @@
-"""The test of whiteness keeps its level behind a fit, sees what it should, and rests on the textbook's sum."""
+"""Medians of resamples; the test of whiteness keeps its level behind a fit, and rests on the textbook's sum."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bench.scoring.statistics import ljung_box, whiteness
+from bench.scoring.statistics import counted, ljung_box, medians, whiteness
+
+
+@pytest.mark.parametrize("n", [1, 2, 9, 40, 301])
+def test_medians_of_resamples_are_numpys(n: int) -> None:
+    """A quarter of the values are failures; the lower median is that of numpy's quantiles that interpolate nothing."""
+    rng = np.random.default_rng(n)
+    values, drawn = rng.standard_normal(n), rng.integers(0, n, (50, n))
+    values[: n // 4] = np.inf
+    with np.errstate(invalid="ignore"):
+        expected = np.median(values[drawn], axis=1)
+    np.testing.assert_array_equal(medians(values, counted(drawn)), expected)
+    lower = np.quantile(values[drawn], 0.5, axis=1, method="lower")
+    np.testing.assert_array_equal(medians(values, counted(drawn), lower=True), lower)
 
 
 def test_it_is_the_sum_of_ljung_and_box() -> None:
