@@ -31,6 +31,8 @@ LONG_GRID = 200
 """Evenly spaced times from which on free motions of one mass are superposed rather than simulated at each time."""
 TOLERANCE = 1e-10
 """Estimated local error of LSODA, relative to a component and to the largest component of the first state."""
+START_STEPS, PART = 5, 1e-3
+"""Steps of Gauss and Newton to an initial state, and a finite difference of it over the size of the motion."""
 MAX_RATES = 500_000
 """Evaluations of the equation of motion after which LSODA gives a motion up: some seconds."""
 
@@ -66,7 +68,7 @@ def simulate(
     times: np.ndarray,
     forces: Sequence[Force] = (),
 ) -> SimulatedMotion:
-    """The response from a state at time 0, at increasing times >= 0 (s), shape (n_times,).
+    """Simulate the response from a state at time 0, at increasing times >= 0 (s), shape (n_times,).
 
     Parameters are floats or arrays of one shape ``sets``; ``start`` is an InitialState, or displacement and velocity
     of shape (n_dof, *sets). A diverging response gives infinities or NaNs, never an error.
@@ -224,33 +226,29 @@ class SimulatedResponse:
 
 
 def fitted_start(system: System, p: Mapping[str, float], record: Record) -> InitialState:
-    """The initial state that fits a record best at given parameters: the told one, or least squares on the data.
+    """Return the initial state that fits a record best at given parameters, or the one that is known.
 
-    Gauss-Newton on the simulated measurements by finite differences of the start; one step solves a linear system,
-    where the response is affine in the start. Offsets of channels are fitted along.
+    Gauss-Newton on the simulated measurements by finite differences of the state, with the offsets of channels; one
+    step solves a linear system, whose response is affine in the state.
     """
     if record.initial_state is not None:
         return record.initial_state
-    n = system.n_dof
+    n, state = system.n_dof, np.zeros(2 * system.n_dof)
     size = max(float(np.max(np.abs(c.values), initial=0.0)) for c in record.channels) or 1.0
-    theta = np.zeros(2 * n)
-    offsets = [c for c in record.channels if c.offset]
-    time = record.duration
-    scale = np.concatenate([np.full(n, size), np.full(n, size / time)])
-    y = np.concatenate([c.values for c in record.channels])
-    constants = np.array([[float(c is o) for o in offsets] for c in record.channels for _ in range(c.n)]).reshape(
-        y.size, -1
-    )
-    for _ in range(1 if system.linear else 5):
-        trial = theta[:, None] + np.concatenate([np.zeros((2 * n, 1)), 1e-3 * np.diag(scale)], axis=1)
-        p_sets = {name: np.full(2 * n + 1, value) for name, value in p.items()}
-        predicted = measurements(system, p_sets, (trial[:n], trial[n:]), record)
+    scale = np.repeat([size, size / record.duration], n)
+    values = np.concatenate([c.values for c in record.channels])
+    channel_of = np.repeat(np.arange(len(record.channels)), [c.n for c in record.channels])
+    offsets = size * (channel_of[:, None] == [i for i, c in enumerate(record.channels) if c.offset])
+    sets = {name: np.full(2 * n + 1, value) for name, value in p.items()}
+    for _ in range(1 if system.linear else START_STEPS):
+        trial = state[:, None] + np.concatenate([np.zeros((2 * n, 1)), PART * np.diag(scale)], axis=1)
+        predicted = measurements(system, sets, (trial[:n], trial[n:]), record)
         if not np.all(np.isfinite(predicted)):
             break
-        jacobian = (predicted[1:] - predicted[0]).T / (1e-3 * scale)
-        solution, *_ = np.linalg.lstsq(np.hstack([jacobian * scale, size * constants]), y - predicted[0], rcond=1e-12)
-        theta = theta + scale * solution[: 2 * n]
-    return InitialState(theta[:n], theta[n:])
+        slopes = (predicted[1:] - predicted[0]).T / PART
+        solution, *_ = np.linalg.lstsq(np.hstack([slopes, offsets]), values - predicted[0], rcond=1e-12)
+        state = state + scale * solution[: 2 * n]
+    return InitialState(state[:n], state[n:])
 
 
 def measurements(
