@@ -31,7 +31,7 @@ from bench.contract.zero import levelled
 from bench.dynamics.held import HeldModel
 from bench.dynamics.intervals import Steps, interval_polynomials, step_counts
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
-from bench.dynamics.ops import array_ops, nan_ops, numpy_ops, ops_from
+from bench.dynamics.ops import array_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
 from bench.dynamics.simulate import SimulatedMotion, SimulatedResponse, fitted_start, measurements, simulate
 from bench.dynamics.stepper import compiled_path, rk4, rk4_path, rk4_scan, rk4_step
@@ -130,7 +130,6 @@ __all__ = [
     "mass_matrix",
     "measurements",
     "minimise",
-    "nan_ops",
     "numpy_ops",
     "ops_from",
     "regression_columns",

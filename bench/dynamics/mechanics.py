@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.dynamics.ops import nan_ops, numpy_ops, solved_or_nan
+from bench.dynamics.ops import numpy_ops, solved_or_nan
 from bench.systems import Array, Components, Ops, System
 
-_analytic_ops = replace(nan_ops, abs=lambda z: np.where(np.real(z) < 0, -z, z))
+_analytic_ops = replace(numpy_ops, abs=lambda z: np.where(np.real(z) < 0, -z, z))
 """The numpy functions that a residual may call, all of them analytic in an imaginary step."""
 
 

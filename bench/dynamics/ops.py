@@ -59,10 +59,8 @@ def solved_or_nan(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.where(singular, np.nan, np.linalg.solve(np.where(singular, np.eye(matrix.shape[-1]), matrix), right))
 
 
-numpy_ops = array_ops(np)
-"""The numpy functions a residual may call."""
-nan_ops = array_ops(np, solved=solved_or_nan)
-"""``numpy_ops``, but NaN where a matrix is singular: one set of parameters that ran away does not stop the others."""
+numpy_ops = array_ops(np, solved=solved_or_nan)
+"""The numpy functions a residual may call; NaN where a mass matrix is singular."""
 float_ops = ops_from(
     math,
     lambda matrix, rhs: np.linalg.solve(matrix, rhs).tolist(),

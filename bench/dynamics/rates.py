@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.dynamics.mechanics import state_rate
-from bench.dynamics.ops import nan_ops
+from bench.dynamics.ops import numpy_ops
 from bench.systems import System
 
 DIFFERENCE = 1e-6
@@ -41,7 +41,7 @@ def fastest_rates(system: System, p: Mapping[str, Any], state: np.ndarray, step:
     with np.errstate(all="ignore"):
         for share in (0.0, 1.0):
             moved = list(share * state[:, None] + moves)
-            rates = np.array(np.broadcast_arrays(*state_rate(system, p, moved, [0.0] * system.n_dof, nan_ops)))
+            rates = np.array(np.broadcast_arrays(*state_rate(system, p, moved, [0.0] * system.n_dof, numpy_ops)))
             jacobian = np.moveaxis((rates[:, :d] - rates[:, d:]) / (2 * step), (0, 1), (-2, -1))
             finite = np.all(np.isfinite(jacobian), axis=(-2, -1))
             eigenvalues = np.linalg.eigvals(np.where(finite[..., None, None], jacobian, 0.0))

@@ -23,7 +23,7 @@ from bench import (
     System,
     acceleration,
     fastest_rates,
-    nan_ops,
+    numpy_ops,
     rk4_step,
     simulate,
     step_counts,
@@ -222,7 +222,7 @@ class Joint:
             step = np.minimum(first + j, nodes.lengths.size - 1)
             length = np.where(j < steps, nodes.lengths[step], 0.0)[:, None]  # no length: nothing moves any more
             start, middle, end = ([nodes.pushes[step, k, i, None] for i in range(rig.n_dof)] for k in range(3))
-            state = rk4_step(rig, p, state, length, (start, middle, end), nan_ops)
+            state = rk4_step(rig, p, state, length, (start, middle, end), numpy_ops)
         readings = self.observe(path, p, points, nodes.forces[nodes.samples[which]], rig)
         return np.concatenate([readings, np.stack(state, axis=-1), points[..., self.states :]], axis=-1)
 
@@ -236,7 +236,7 @@ class Joint:
             push = [forces[:, None, :, i] for i in range(n)]
             each = {name: value[..., None] for name, value in p.items()}
             motion = list(path[:n]), list(path[n : 2 * n])
-            shown["acceleration"] = np.stack(acceleration(rig, each, *motion, push, list(path[2 * n :]), nan_ops))
+            shown["acceleration"] = np.stack(acceleration(rig, each, *motion, push, list(path[2 * n :]), numpy_ops))
         rows = [
             shown[c.measures][c.dof] + (points[..., at + offsets.index(i), None] if i in offsets else 0.0)
             for i, (_, c) in enumerate(self.model.channels)
