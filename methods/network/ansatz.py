@@ -1,10 +1,9 @@
 """What represents x(t): a function of time with coefficients, and the pieces of its Jacobian that optimisers need.
 
-Every tensor has a leading axis over fits (B), so that one fit or a hundred are the same code. The value and the first
-and second time derivative of the function are its *streams*, (B, 3, n_points, n_paths). A *row* is a scalar
-``sum(seeds[:, :, k] * streams[:, :, points[k]])`` of the streams at one point; the adjoints of all rows are found in
-one reverse pass, and from them the Jacobian of the rows by the coefficients, its Gram matrix, or its transpose times a
-vector, without forming what is not asked for.
+Every tensor has a leading axis over fits (B). The value and the first and second time derivative of the function are
+its *streams*, (B, 3, n_points, n_paths). A *row* is a scalar ``sum(seeds[:, :, k] * streams[:, :, points[k]])`` of the
+streams at one point; the adjoints of all rows are found in one reverse pass, and from them the Jacobian of the rows by
+the coefficients, its Gram matrix, or its transpose times a vector, without forming what is not asked for.
 """
 
 from __future__ import annotations

@@ -1,20 +1,18 @@
 """Data-driven neural network: a tanh network fitted to displacement alone, then regression on its derivatives.
 
 The network never sees the equation of motion. It is fitted with Bayesian regularisation: Gaussian priors on its
-weights, one precision for each layer's weights and biases, and Gaussian noise, whose sizes follow from the evidence
-(D. J. C. MacKay, Neural Comput. 4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T. Hagan, Proc. ICNN
-1997, p. 1930). So nothing is stopped by looking at a truth, and no sample is spent on validation. The priors are
-centred at the random weights that the fit starts from. A step is solved in the space of the residuals, which are
-few, with the weights scaled by their prior.
+weights about the random ones that the fit starts from, one precision for each layer, and Gaussian noise, whose sizes
+follow from the evidence (D. J. C. MacKay, Neural Comput. 4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T.
+Hagan, Proc. ICNN 1997, p. 1930). So nothing is stopped by looking at a truth, and no sample is spent on validation. A
+step is solved in the space of the residuals, which are few, with the weights scaled by their prior.
 
 The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of
 motion: all of them where a force or an added mass is known, else its groups, the gauge mass fixed at one. This
-inherits the bias of any regression on noisy regressors, and that of the smoothing: five samples a cycle do not tell
-a network the curvature between them.
+inherits the bias of any regression on noisy regressors, and that of the smoothing: five samples a cycle do not
+determine the curvature between them.
 
 Uncertainty: draws of the weights from the linearised (Laplace) posterior, the regression repeated on each, and the
-second moment of the results about the estimate: so the bias by noisy derivatives is counted, as far as the posterior
-knows of it.
+second moment of the results about the estimate: so the bias by noisy derivatives counts as far as the posterior has it.
 """
 
 from __future__ import annotations

@@ -31,10 +31,9 @@ def initial_layers(
     """Random weights for a function of time on [-1, 1] with about ``cycles`` oscillations; numpy, float64.
 
     First layer: slopes near ``gain = 1 + cycles / 2`` of either sign, and biases that put the centres of the tanh
-    evenly over the interval (zero biases put all of them at its middle, where the ends of the record cannot be fitted).
-    Hidden layers: normal with variance 4/n_in, biases of variance 1. Last layer: zero, so that the first response is
-    the state of rest. These sizes were chosen so that a linear combination of the last hidden layer alone already
-    solves an oscillator's equation; with larger slopes it oscillates between the collocation points instead.
+    evenly over the interval. Hidden layers: normal with variance 4/n_in, biases of variance 1. Last layer: zero, so
+    that the first response is the state of rest. With these sizes a linear combination of the last hidden layer alone
+    already solves an oscillator's equation; with larger slopes it oscillates between the collocation points instead.
     """
     layers = []
     gain = 1.0 + 0.5 * cycles

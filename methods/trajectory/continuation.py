@@ -1,10 +1,8 @@
 """Continuation in the smoothing of friction: where the programme of multiple shooting has no solution.
 
-Dry friction ``mu sign(v)`` is smoothed to ``mu tanh(v / v_s)``. Where a motion sticks, the response bends within a
-small part of a step, and the likelihood has kinks at which a search stops. With a larger v_s the likelihood is smooth;
-its maximum is a good starting point for a smaller v_s, down to that of the system (a homotopy: E. L. Allgower,
-K. Georg, Introduction to Numerical Continuation Methods, 2003, chapter 1). Each maximum is that of a single trajectory,
-by the Runge-Kutta steps of shooting (:mod:`methods.trajectory.stepped`).
+Dry friction ``mu sign(v)`` is smoothed to ``mu tanh(v / v_s)``. Where a motion sticks, the likelihood has kinks that
+stop a search. With a larger v_s it is smooth; its maximum is a good starting point for a smaller v_s, down to that of
+the system (a homotopy: E. L. Allgower, K. Georg, Introduction to Numerical Continuation Methods, 2003, chapter 1).
 
 A damping may run down to zero on the way, in its logarithm without an end. At the next smoothing it starts anew. At the
 last one the likelihood is largest without it: it stays where nothing depends on it, the others are searched again, and

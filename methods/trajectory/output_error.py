@@ -1,25 +1,17 @@
 """Output error: maximum a posteriori by simulation, single shooting, from several starts or from one cold one.
 
 The response is simulated from the initial state, and parameters, unknown initial states and offsets are moved until it
-fits: ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``, by Levenberg-Marquardt in the log-parameters
-(:mod:`methods.trajectory.fit`). It has the same objective, noise estimate and covariance as multiple shooting
-(:mod:`methods.trajectory.shooting`) and the oracle; what it lacks is states between the samples.
-
-The misfit has one minimum for each half cycle that the phase may slip over the record, and a search from more than
-about half a cycle away ends in one of the others. So it starts where multiple shooting does: from the separate minima
-of a scan of the data, screened by a few steps each (:mod:`methods.trajectory.screening`), and the best end is kept.
-Where all parameters are identifiable without a prior and the noise hides one of them, it is held as there.
+fits: the objective, noise estimate and covariance of multiple shooting (:mod:`methods.trajectory.shooting`), without
+states between the samples. The misfit has one minimum for each half cycle that the phase may slip over the record, and
+a search from more than about half a cycle away ends in one of the others. So it starts from the separate minima of a
+scan of the data (:mod:`methods.trajectory.screening`), and the best end is kept.
 
 ``cold=True`` shows what that costs to leave out: it has one start. That is the prior's nominal values or, without a
 prior, under a known force the equation error's estimate (:mod:`methods.starts.equation_error`) whose response is
 nearest to the data, else parameters of unit size in the natural units of the problem; the initial state is what fits
 the data best there. Where a known mass was added in some records and there is no prior, the records of the lightest and
-of the heaviest load are first fitted alone, each from that start: their two values of k over the whole mass tell the
-mass. Its end is reported as it stands, as it would be by an engineer who trusted the optimiser.
-
-The noise of each channel is not known: fit, ``sigma² = RSS / (N - p)``, fit again from there, until it settles; p is
-the number of directions that the data decide, ``trace(H_data H^-1)``. The covariance is the inverse of the Gauss-Newton
-Hessian. Linear systems of one layout are fitted together.
+of the heaviest load are first fitted alone, each from that start: their two values of k over the whole mass determine
+the mass. Its end is reported as it stands, as it would be by an engineer who trusted the optimiser.
 """
 
 from __future__ import annotations
