@@ -19,13 +19,15 @@ motion before them is then free.
 
 from __future__ import annotations
 
-import cmath
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing
+from methods.discrete.ar import coefficient_slopes, coefficients_of
+from methods.online.least_squares import LeastSquaresTracker
 
 RADII = (0.5, 0.9, 0.98)
 """Starts of the moving average under an unknown force: the poles of the autoregression, drawn in to this."""
@@ -37,7 +39,6 @@ ZEROED = 400
 """Samples behind a jump of the sensor's zero over which it is estimated."""
 FADED = 0.02
 """Behind a gap nothing is learned until what was there before has faded to this in the innovations."""
-DIFFUSE = 1e4
 MOST = 4
 """Times as many first samples as asked for are kept, where some of them are missing."""
 LEAST_MOVE = 1e-3
@@ -74,36 +75,33 @@ class OnlineAR(OnlineIdentifier):
             return "a known and an unknown force at once have one moving average too few"
         return None
 
-    def start(self, layout: Layout) -> Tracker:
+    def start(self, layout: Layout) -> LeastSquaresTracker:
         """A tracker before its first sample."""
         return _ARTracker(layout, self)
 
 
-class _ARTracker(Tracker):
+class _ARTracker(LeastSquaresTracker):
     """Coefficients in units of the first samples' sizes: ``theta`` is a1, a2, then b1, b2 where forced, else c1, c2.
 
     ``recent``: what they multiply in the next prediction; ``slopes``: its last two derivatives by ``theta``.
     """
 
     holds = (
-        "begun", "head_values", "head_forces", "theta", "inverse", "information", "power", "weight", "recent",
-        "slopes", "sizes", "far", "settling", "zero", "zeroed", "off",
+        *LeastSquaresTracker.holds, "begun", "head_values", "head_forces", "information", "recent", "slopes", "sizes",
+        "far", "settling", "zero", "zeroed", "off",
     )  # fmt: skip
 
     def __init__(self, layout: Layout, settings: OnlineAR) -> None:
-        super().__init__(layout)
+        super().__init__(layout, 4)
         self.settings, self.forced = settings, bool(layout.forced)
         self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
         self.begun, self.far, self.settling = False, 0, 0
         self.sizes = np.ones(2)
         self.zero, self.zeroed, self.off = 0.0, ZEROED, 0.0
-        self._forget_everything(np.zeros(4))
+        self._forget_everything()
 
-    def _forget_everything(self, theta: np.ndarray) -> None:
-        q = theta.size
-        self.theta, self.inverse, self.information = theta, DIFFUSE * np.eye(q), np.zeros((q, q))
-        self.power = self.weight = 0.0
-        self.recent, self.slopes = np.zeros(q), np.zeros((2, q))
+    def _forget_everything(self) -> None:
+        self.information, self.recent, self.slopes = np.zeros((4, 4)), np.zeros(4), np.zeros((2, 4))
 
     def step(self, sample: Sample, steps: int) -> Standing:
         """Collect the first samples; then one Gauss-Newton step a sample."""
@@ -190,16 +188,14 @@ class _ARTracker(Tracker):
                 end = least_squares(lambda eta: errors(eta, y, f)[0], start, method="lm", max_nfev=200)
             except (ValueError, np.linalg.LinAlgError):
                 continue
-            theta = errors(end.x, y, f)[1]
-            self._forget_everything(theta)
-            self.power, self.weight, self.inverse = 2.0 * float(end.cost), float(y.size), np.eye(4)
-            if _invertible(self._average) and self._belief() is not None:
+            self.theta = errors(end.x, y, f)[1]
+            if _invertible(self._average) and self._groups() is not None:
                 ends.append((end.cost, end.x))
         if not ends:
             return False
         cost, eta = min(ends, key=lambda each: each[0])
-        left, theta = errors(eta, y, f)
-        self._forget_everything(theta)
+        left, self.theta = errors(eta, y, f)
+        self._forget_everything()
         for value, force in zip(y.tolist(), f.tolist(), strict=True):
             slope = self._slope()
             self.information = self.information + np.outer(slope, slope)
@@ -235,20 +231,15 @@ class _ARTracker(Tracker):
 
     def _learn(self, y: float, f: float, keep: float) -> None:
         """A Gauss-Newton step; the moving average stays invertible."""
-        theta, slope = self.theta, self._slope()
-        seen = self.inverse @ slope
-        size, left = float(slope @ seen), y - float(self.recent @ theta)
-        gain, move = seen / (keep + size), 1.0
-        at = slice(0, 2) if self.forced else slice(2, 4)
-        while move > LEAST_MOVE and not _invertible(theta[at] + move * gain[at] * left):
+        before, slope, move = self.theta, self._slope(), 1.0
+        left = y - float(self.recent @ before)
+        self.forget(keep)
+        self.learn(slope, left)
+        whole = self.theta - before
+        while move > LEAST_MOVE and not _invertible(self._average):
             move *= 0.5
-        self.theta = theta + move * gain * left if move > LEAST_MOVE else theta
-        self.inverse = (self.inverse - np.outer(gain, seen)) / keep
-        self.inverse = 0.5 * (self.inverse + self.inverse.T)
+            self.theta = before + (move if move > LEAST_MOVE else 0.0) * whole
         self.information = keep**2 * self.information + np.outer(slope, slope)
-        self.weight = keep * self.weight + 1.0
-        if self.weight > theta.size:
-            self.power = keep * self.power + left**2 / (1.0 + size / keep)
         self._shift(slope, y, f)
 
     def _pass_by(self, y: float, f: float) -> None:
@@ -263,40 +254,39 @@ class _ARTracker(Tracker):
 
     def _belief(self) -> Normal | None:
         """Normal in the logarithms by the delta method; None where the poles are no oscillator's."""
-        centre = self._logs(self.theta)
-        spare = self.weight - self.theta.size
-        if centre is None or spare < 2 or self.power <= 0:
+        groups, variance = self._groups(), self.variance
+        if groups is None or variance is None:
             return None
-        jacobian = np.zeros((centre.size, self.theta.size))
-        for i in range(4 if self.forced else 2):
-            h = np.zeros(self.theta.size)
-            h[i] = 1e-6
-            up, down = self._logs(self.theta + h), self._logs(self.theta - h)
-            if up is None or down is None:
-                return None
-            jacobian[:, i] = (up - down) / 2e-6
+        k_over_m, c_over_m = groups
+        (by_k, by_c), (_, decay) = coefficient_slopes(groups, self.layout.interval).tolist()
+        # derivatives by a1 and a2 of log k/m (k1, k2) and by a2 of log c/m (c2), and of log k (p, p, q, q)
+        k1, k2, c2 = -1.0 / (by_k * k_over_m), by_c / (by_k * decay * k_over_m), -1.0 / (decay * c_over_m)
+        if self.forced:
+            rest, push = 1.0 + float(self.theta[:2].sum()), float(self.theta[2:].sum())
+            p, q = 1.0 / rest, -1.0 / push
+            jacobian = np.array([[p - k1, p - k2, q, q], [p - k1, p - k2 + c2, q, q], [p, p, q, q]])
+            k = rest / push * self.sizes[1] / self.sizes[0]
+            logs = np.log([k / k_over_m, k / k_over_m * c_over_m, k])
+        else:
+            jacobian = np.array([[0.0, c2, 0.0, 0.0], [k1, k2, 0.0, 0.0]])
+            logs = np.log([c_over_m, k_over_m])
         # weights that fall off as keep^n: the sum of their squares stands between two inverses of their sum
-        spread = self.inverse @ self.information @ self.inverse * self.power / spare
-        return Normal(self.layout.free, centre, jacobian @ spread @ jacobian.T, log=True)
+        spread = self.inverse @ self.information @ self.inverse * variance
+        return Normal(self.layout.free, logs, jacobian @ spread @ jacobian.T, log=True)
 
-    def _logs(self, theta: np.ndarray) -> np.ndarray | None:
-        """Logarithms of the layout's free parameters: c, k in units of the mass, or m, c, k."""
-        a1, a2, h = float(theta[0]), float(theta[1]), self.layout.interval
-        root = cmath.sqrt(a1 * a1 / 4.0 - a2)
-        poles = [-a1 / 2.0 + root, -a1 / 2.0 - root]
-        if any(z == 0 or (z.imag == 0 and z.real <= 0) for z in poles):
+    def _groups(self) -> tuple[float, float] | None:
+        """k/m and c/m; None where the poles, or the gain at rest, are no oscillator's."""
+        (a1, a2, b1, b2), h = self.theta.tolist(), self.layout.interval
+        inside = a2 - 0.25 * a1**2
+        large = -0.5 * a1 + math.sqrt(max(-inside, 0.0))  # the larger real root
+        if not 0 < a2 < 1 or (inside <= 0 and large <= 0) or (self.forced and not (b1 + b2) / (1.0 + a1 + a2) > 0):
             return None
-        s = [cmath.log(z) / h for z in poles]
-        k_over_m, c_over_m = (s[0] * s[1]).real, -(s[0] + s[1]).real
-        if not (k_over_m > 0 and c_over_m > 0):
-            return None
-        if not self.forced:
-            return np.log([c_over_m, k_over_m])
-        gain = float(theta[2] + theta[3]) / (1.0 + a1 + a2) * self.sizes[0] / self.sizes[1]
-        if not gain > 0:
-            return None
-        k = 1.0 / gain
-        return np.log([k / k_over_m, k / k_over_m * c_over_m, k])
+        c_over_m = -math.log(a2) / h
+        if inside > 0:
+            k_over_m = 0.25 * c_over_m**2 + (math.atan2(math.sqrt(inside), -0.5 * a1) / h) ** 2
+        else:
+            k_over_m = math.log(large) * math.log(a2 / large) / h**2
+        return (k_over_m, c_over_m) if k_over_m > 0 else None
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
@@ -318,8 +308,7 @@ def _invertible(c: np.ndarray) -> bool:
 def _coefficients(eta: np.ndarray) -> np.ndarray:
     """a1, a2 of a logarithm of frequency (radians a sample) and of damping ratio."""
     omega, ratio = np.exp(np.clip(eta[:2], -12.0, 3.0))
-    decay, turn = np.exp(-omega * ratio), omega * np.sqrt(abs(1.0 - ratio**2))
-    return np.array([-2.0 * decay * (np.cos(turn) if ratio <= 1 else np.cosh(turn)), decay**2])
+    return -coefficients_of(np.array([omega**2, 2.0 * ratio * omega]), 1.0)
 
 
 def _innovations(eta: np.ndarray, y: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -35,10 +35,10 @@ from bench import (
     Sample,
     SampleStatus,
     Standing,
-    Tracker,
     levelled,
     regression_columns,
 )
+from methods.online.least_squares import LeastSquaresTracker
 
 Forgetting = Literal["exponential", "variable", "directional"]
 DIFFUSE = 1e8
@@ -85,22 +85,18 @@ class OnlineRLS(OnlineIdentifier):
             return "it needs the displacement of every degree of freedom"
         return None
 
-    def start(self, layout: Layout) -> Tracker:
+    def start(self, layout: Layout) -> LeastSquaresTracker:
         """A tracker before its first sample."""
         return _RLSTracker(layout, self)
 
 
-class _RLSTracker(Tracker):
-    holds = ("values", "pushes", "theta", "inverse", "power", "equations", "waits", "zero")
+class _RLSTracker(LeastSquaresTracker):
+    holds = (*LeastSquaresTracker.holds, "values", "pushes", "waits", "zero")
 
     def __init__(self, layout: Layout, settings: OnlineRLS) -> None:
-        super().__init__(layout)
-        self.settings = settings
-        q = len(layout.free) + layout.system.n_dof
+        super().__init__(layout, len(layout.free) + layout.system.n_dof)
+        self.settings, self.waits, self.zero = settings, 0, np.zeros(len(layout.sensors))
         self.values, self.pushes = np.zeros((0, len(layout.sensors))), np.zeros((0, len(layout.forced)))
-        self.theta, self.inverse = np.zeros(q), np.zeros((q, q))
-        self.power, self.equations, self.waits = 0.0, 0.0, 0
-        self.zero = np.zeros(len(layout.sensors))
         s = np.linspace(-1.0, 1.0, settings.span)
         bump = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** BUMP
         half, h = 0.5 * (settings.span - 1) * layout.interval, layout.interval
@@ -138,55 +134,49 @@ class _RLSTracker(Tracker):
             f[dof] = f[dof] + middle @ column[:-1]
         columns, offset = regression_columns(system, x, v, a, f)
         free = [system.names.index(name) for name in self.layout.free]
-        told = [i for i in range(len(system.names)) if i not in free]
+        known = [i for i in range(len(system.names)) if i not in free]
         constant = w[0].sum() * np.eye(system.n_dof)
-        return np.concatenate([columns[:, free], constant], axis=1), -offset - columns[:, told].sum(axis=1)
+        return np.concatenate([columns[:, free], constant], axis=1), -offset - columns[:, known].sum(axis=1)
 
     def _learn(self, columns: np.ndarray, target: np.ndarray) -> None:
-        q = len(self.theta)
-        if self.equations == 0:
+        if self.weight == 0:
             self.inverse = np.diag(DIFFUSE * np.mean(target**2) / np.maximum(np.mean(columns**2, axis=0), 1e-300))
-        keep = self.settings.factor ** (self.settings.span // 4)
         for i, (phi, y) in enumerate(zip(columns, target, strict=True)):
-            seen = self.inverse @ phi
-            size, left = float(phi @ seen), float(y - phi @ self.theta)
-            rate = self._kept(keep, size, left) if i == 0 else 1.0
-            if self.settings.forgetting == "directional":
-                self.inverse = self.inverse + (1.0 - rate) / rate * np.outer(seen, seen) / max(size, 1e-300)
-            else:
-                self.inverse = self.inverse / rate
-            self.power, self.equations = rate * self.power, rate * self.equations
-            seen = self.inverse @ phi
-            size = float(phi @ seen)
-            self.theta = self.theta + seen * left / (1.0 + size)
-            self.inverse = self.inverse - np.outer(seen, seen) / (1.0 + size)
-            self.inverse = 0.5 * (self.inverse + self.inverse.T)
-            self.equations += 1.0
-            if self.equations > q + 1:  # a residual of the first equations is the diffuse start's
-                self.power += left**2 / (1.0 + size)
+            left = float(y - phi @ self.theta)
+            if i == 0:
+                self._forget(phi, left)
+            self.learn(phi, left)
+
+    def _forget(self, phi: np.ndarray, left: float) -> None:
+        """Forget for the samples since the last equation, before the one with slopes (q,) that leaves a residual."""
+        keep = self.settings.factor ** (self.settings.span // 4)
+        along = self.inverse @ phi
+        size = float(phi @ along)
+        if self.settings.forgetting == "directional":
+            self.inverse = self.inverse + (1.0 - keep) / keep * np.outer(along, along) / max(size, 1e-300)
+            self.forget_noise(keep)
+            return
+        if self.settings.forgetting == "variable":
+            horizon = 1.0 / (1.0 - keep) if keep < 1 else 1e6
+            level = self.power / max(self.weight, 1.0)
+            surprise = left**2 / (1.0 + size) / (level * horizon) if level > 0 else 0.0
+            keep = float(np.clip(1.0 - surprise, LEAST, 1.0))
+        self.forget(keep)
 
     def _levelled(self) -> bool:
         """Take a jump of a sensor's zero off the samples behind it, and open what is left; whether there was one."""
         moved = levelled(self.values, self.zero) is not None
-        if moved and self.equations:
+        if moved and self.weight:
             zeros, weight = range(len(self.layout.free), len(self.theta)), self._weights[0].sum()
             self.inverse[zeros, zeros] += DIFFUSE * np.mean(self.values**2) / weight**2
         return moved
 
-    def _kept(self, keep: float, size: float, left: float) -> float:
-        if self.settings.forgetting != "variable":
-            return keep
-        held = 1.0 / (1.0 - keep) if keep < 1 else 1e6
-        level = self.power / max(self.equations, 1.0)
-        if level <= 0:
-            return 1.0
-        return float(np.clip(1.0 - left**2 / (1.0 + size) / (level * held), LEAST, 1.0))
-
     def _belief(self) -> Normal | None:
         """Normal in the logarithms, by the delta method; None where an estimate is not positive."""
-        spare, q = self.equations - len(self.theta), len(self.layout.free)
+        q, variance = len(self.layout.free), self.variance
         theta = self.theta[:q]
-        if spare < 2 or np.any(theta <= 0) or self.power <= 0:
+        if variance is None or np.any(theta <= 0):
             return None
-        covariance = self.power / spare * self.inverse[:q, :q] / np.outer(theta, theta)
-        return Normal(self.layout.free, np.log(theta), covariance, log=True)
+        return Normal(
+            self.layout.free, np.log(theta), variance * self.inverse[:q, :q] / np.outer(theta, theta), log=True
+        )

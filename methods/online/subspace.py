@@ -18,13 +18,13 @@ from typing import ClassVar
 import numpy as np
 
 from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from methods.modal.matrix_pencil import groups_from_poles
+from methods.online.likelihood import without_spikes
 
 BLOCKS = 12
 FEWEST_ROWS, MOST_ROWS = 4, 120
 """Of the Hankel matrix: two cycles, within these."""
 CYCLES = 2.0
-SPIKE = 8.0
-"""Robust standard deviations of a sample off its neighbours, beyond which it is left out."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +80,11 @@ class _SSITracker(Tracker):
             status = SampleStatus.WARMING_UP if waits else SampleStatus.OK
             return Standing(sample.time, status, self._belief(), message="the window is not full" if waits else "")
         self.unseen = 0
-        found = self._fitted()
-        if found is None:
-            said = "the strongest two directions of the window are no oscillator's"
-            return Standing(sample.time, SampleStatus.FAILED, self._belief(), message=said)
-        self.mean, self.covariance = found
+        answer = self._fitted()
+        if answer is None:
+            message = "the strongest two directions of the window are no oscillator's"
+            return Standing(sample.time, SampleStatus.FAILED, self._belief(), message=message)
+        self.mean, self.covariance = answer
         return Standing(sample.time, SampleStatus.OK, self._belief())
 
     def _belief(self) -> Normal | None:
@@ -92,17 +92,15 @@ class _SSITracker(Tracker):
 
     def _fitted(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Mean and covariance of log c/m and log k/m."""
-        values = _readable(self.values)
+        values = without_spikes(self.values - np.nanmean(self.values, axis=0))
         rows = self._rows(values)
         by_block = _products(values, 2 * rows)
         whole = by_block.sum(axis=0)
-        centre = self._logs(whole, rows)
-        each = [self._logs(whole - own, rows) for own in by_block]
-        if centre is None or any(one is None for one in each):
+        logs = np.array([self._logs(products, rows) for products in (whole, *(whole - by_block))])
+        if not np.all(np.isfinite(logs)):
             return None
-        off = np.array(each) - np.mean(np.array(each), axis=0)
-        covariance = (BLOCKS - 1) / BLOCKS * off.T @ off
-        return centre, covariance
+        off = logs[1:] - np.mean(logs[1:], axis=0)
+        return logs[0], (BLOCKS - 1) / BLOCKS * off.T @ off
 
     def _rows(self, values: np.ndarray) -> int:
         """As many lags as :data:`CYCLES` cycles of the strongest frequency have samples."""
@@ -111,27 +109,16 @@ class _SSITracker(Tracker):
         top = 1 + int(np.argmax(power[1:]))
         return int(np.clip(round(CYCLES * n / top), FEWEST_ROWS, MOST_ROWS))
 
-    def _logs(self, products: np.ndarray, rows: int) -> np.ndarray | None:
+    def _logs(self, products: np.ndarray, rows: int) -> np.ndarray:
+        """Logarithms of c/m and k/m, not finite where the poles are no oscillator's."""
         c = products.shape[1]
         lags = np.arange(rows)[:, None] + np.arange(rows)[None] + 1
         hankel = products[lags - 1].transpose(0, 2, 1, 3).reshape(rows * c, rows * c)
         left, sizes, _ = np.linalg.svd(hankel)
-        seen = left[:, :2] * np.sqrt(sizes[:2])
-        poles = np.linalg.eigvals(np.linalg.lstsq(seen[:-c], seen[c:], rcond=None)[0]).astype(complex)
-        if np.any(poles == 0) or np.any((poles.imag == 0) & (poles.real <= 0)):
-            return None
-        s = np.log(poles) / self.layout.interval
-        k_over_m, c_over_m = float((s[0] * s[1]).real), float(-(s[0] + s[1]).real)
-        return np.log([c_over_m, k_over_m]) if k_over_m > 0 and c_over_m > 0 else None
-
-
-def _readable(values: np.ndarray) -> np.ndarray:
-    """Samples about their mean; NaN where one is far from both of its neighbours."""
-    values = values - np.nanmean(values, axis=0)
-    off = np.zeros_like(values)
-    off[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    scale = 1.4826 * np.nanmedian(np.abs(off), axis=0)
-    return np.where(np.abs(off) > SPIKE * scale, np.nan, values)
+        shown = left[:, :2] * np.sqrt(sizes[:2])
+        poles = np.linalg.eigvals(np.linalg.lstsq(shown[:-c], shown[c:], rcond=None)[0])
+        with np.errstate(all="ignore"):
+            return np.asarray(np.log(groups_from_poles(poles[None].astype(complex), self.layout.interval)[0, ::-1]))
 
 
 def _products(values: np.ndarray, lags: int) -> np.ndarray:
@@ -139,10 +126,10 @@ def _products(values: np.ndarray, lags: int) -> np.ndarray:
     there = np.isfinite(values)
     filled, counted = np.where(there, values, 0.0), there.astype(float)
     edges = np.linspace(0, len(values) - lags, BLOCKS + 1).round().astype(int)
-    found = np.empty((BLOCKS, lags, values.shape[1], values.shape[1]))
+    sums = np.empty((BLOCKS, lags, values.shape[1], values.shape[1]))
     for lag in range(1, lags + 1):
         for block, (low, high) in enumerate(itertools.pairwise(edges.tolist())):
             total = filled[low + lag : high + lag].T @ filled[low:high]
             number = counted[low + lag : high + lag].T @ counted[low:high]
-            found[block, lag - 1] = total * (high - low) / np.maximum(number, 1.0)
-    return found
+            sums[block, lag - 1] = total * (high - low) / np.maximum(number, 1.0)
+    return sums
