@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from bench import Channel, Problem, Record, Status, Units
+from bench import Channel, Problem, Record, Status
 from bench.systems import SDOF
 from methods.network.ddnn import DDNN, Smoother
 
@@ -53,15 +53,6 @@ def test_draws_have_the_posterior_of_the_linear_model() -> None:
         expected = prior - prior @ np.linalg.solve(prior + noise, prior)
         drawn = smoother.paths(record.channels[0].times, 4000, np.random.default_rng(1))[1:, 0, :, 0]
     np.testing.assert_allclose(np.cov(drawn, rowvar=False), expected, atol=0.1 * expected.max())
-
-
-def test_units_change_nothing() -> None:
-    problem, units = sine(0.1), Units(2.0, 1e-3, 0.1)
-    one = FAST.identify(problem, np.random.default_rng(0)).groups
-    other = FAST.identify(problem.expressed_in(units), np.random.default_rng(0)).expressed_in(units.inverse).groups
-    assert one is not None
-    assert other is not None
-    assert np.all(np.abs(one.mean - other.mean) < 1e-3 * np.sqrt(np.diag(one.covariance)))  # type: ignore[arg-type]
 
 
 def test_survives_little_and_nothing() -> None:

@@ -19,7 +19,6 @@ from bench import (
 )
 from bench.entrants.reference import oracle_estimate
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
-from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, Chain, Duffing, System
 from methods.trajectory.output_error import SingleShooting, cold_start
 
@@ -141,22 +140,6 @@ def test_it_ends_where_multiple_shooting_does(snr: float, changes: dict[str, obj
             low, high = other.interval(0.6827)
             assert abs(one.value - other.value) < 0.02 * (high - low), name
     assert compared >= 5
-
-
-def test_without_prior_and_force_only_groups_are_claimed() -> None:
-    problem, _ = scenario(40.0, prior=None).replicates(0, 1)[0]
-    estimate = fit(problem)
-    assert estimate.parameters is None
-    assert estimate.groups is not None
-    assert combine_with_prior(estimate, None).marginal(problem.system.quantity("m")) is None
-
-
-def test_a_known_force_tells_the_mass() -> None:
-    push = ForceSpec(3.0, 0.1, 1.0, samples=101, hold="linear")
-    problem, _ = scenario(100.0, force=push, samples=50).replicates(0, 1)[0]
-    estimate = fit(problem)
-    for name, true in TRUE.items():
-        assert value(estimate, problem.system, name) == pytest.approx(true, rel=1e-3)
 
 
 def test_two_records_an_offset_and_two_kinds_of_sensor() -> None:

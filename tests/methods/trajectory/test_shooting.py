@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import Channel, Force, Identifier, InitialState, Prior, Problem, Record, Units, measurements, simulate
+from bench import Channel, Force, Identifier, InitialState, Prior, Problem, Record, measurements, simulate
 from bench.contract.estimate import Estimate, Status
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
 from bench.systems import SDOF, Chain, Duffing, System
@@ -112,16 +112,6 @@ def test_it_needs_no_hint_of_the_frequency(parameters: dict[str, float]) -> None
         assert any(found == pytest.approx(parameters["k"] / parameters["m"], rel=0.2) for found in values)
 
 
-def test_free_vibration_without_a_prior_gives_groups_only() -> None:
-    problem, _ = scenario(40.0, prior=None, initial_state="unknown").replicates(0, 1)[0]
-    estimate = fit(problem)
-    assert estimate.parameters is None
-    assert estimate.groups is not None
-    low, high = estimate.marginal(problem.system.quantity("k_over_m")).interval(0.999)  # type: ignore[union-attr]
-    assert low < 9.0 / 1.3 < high
-    assert (high - low) / low < 0.02
-
-
 @pytest.mark.parametrize("hold", ["linear", "zero_order"])
 @pytest.mark.parametrize("told", ["known", "unknown"])
 def test_a_known_force_tells_mass_damping_and_stiffness(hold: str, told: str) -> None:
@@ -194,32 +184,12 @@ def test_a_duffing_oscillator() -> None:
         assert value(estimate, Duffing(), group.name) == pytest.approx(group.value(parameters), rel=0.08)
 
 
-def test_units_change_nothing_but_units() -> None:
-    problem, _ = scenario(10.0, initial_state="unknown").replicates(7, 1)[0]
-    units = Units(3.0, 1e-3, 0.1)
-    plain, other = fit(problem), fit(problem.expressed_in(units))
-    for q in problem.system.quantities:
-        a, b = plain.marginal(q), other.expressed_in(units.inverse).marginal(q)
-        assert a is not None
-        assert b is not None
-        low, high = a.interval(0.68)
-        assert abs(a.value - b.value) < 1e-3 * (high - low) / 2
-
-
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("prior", [NOMINAL, None])
 def test_five_samples_give_an_answer_or_a_sentence(told: str, prior: PriorSpec | None) -> None:
     for problem, _ in scenario(10.0, initial_state=told, samples=5, prior=prior).replicates(0, 4):
         estimate = fit(problem).checked()
         assert estimate.status is Status.OK or (estimate.status is Status.DIVERGED and len(estimate.message) > 20)
-
-
-def test_a_dead_channel_is_a_sentence() -> None:
-    times = np.linspace(0, 10, 25)
-    for told in (START, None):
-        estimate = fit(Problem(SDOF(), (Record((Channel(times, np.zeros(25)),), initial_state=told),)))
-        assert estimate.status is Status.DIVERGED
-        assert "motion" in estimate.message
 
 
 def test_intervals_cover_and_errors_match_them() -> None:
