@@ -80,8 +80,11 @@ class Residuals:
     The other unknowns are the logarithms of the ``free`` parameters, then one offset for each channel that has one;
     the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``omega`` (B,) are the
     frequencies of the data; ``exact`` builds a known initial state into the response
-    (:func:`methods.pinn.block.exact_start`).
+    (:func:`methods.pinn.block.exact_start`). A ``shift`` (1, n_rows) is added to the rows: the multipliers of an
+    augmented Lagrangian.
     """
+
+    shift: Tensor | None = None
 
     def __init__(
         self,
@@ -240,7 +243,8 @@ class Residuals:
         if self.prior is not None:
             parts.append(logs[:, self.free] - self.prior[0])
         rows = torch.cat(parts, 1)
-        return rows + offsets @ self.offset_rows.T if self.n_offsets else rows
+        rows = rows + offsets @ self.offset_rows.T if self.n_offsets else rows
+        return rows if self.shift is None else rows + self.shift
 
     def _equations(self, block: Block, p: Mapping[str, Tensor], streams: Tensor) -> list[Tensor]:
         """Compute the equations of motion over the gauge mass, then those of the hidden states' rates, (B, m) each."""

@@ -6,7 +6,6 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from methods.pinn_family.choices import BASES
 from methods.pinn_family.method import PINNFamily
 
 if TYPE_CHECKING:
@@ -19,8 +18,7 @@ __all__ = ["Features", "Optimizer", "PINNFamily", "Weighting"]
 
 def __getattr__(name: str) -> Any:
     """Return a base class, whose module imports torch."""
-    for base in BASES.values():
-        module, _, class_name = base.partition(":")
-        if name == class_name:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__} has no attribute {name}")
+    modules = {"Features": "architectures", "Optimizer": "loss", "Weighting": "weighting"}
+    if name not in modules:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return getattr(import_module(f"{__name__}.{modules[name]}"), name)

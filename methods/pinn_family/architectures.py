@@ -10,12 +10,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from methods.network.ansatz import Adjoints, Ansatz, Basis, Tape
+from methods.pinn.block import Block
 from methods.pinn_family.choices import TrainingComponent
 
 Parts = Sequence[Tensor]
@@ -24,28 +26,32 @@ Parts = Sequence[Tensor]
 
 @dataclass
 class Jet:
-    """A function of time at points: value, first and second derivative by time, of any common shape.
+    """A function of time at points: ``streams`` (3, ...) are its value, first and second derivative by time.
 
     The three are carried through a network together (Taylor mode; see the tanh network).
     """
 
-    value: Tensor
-    first: Tensor
-    second: Tensor
+    streams: Tensor
 
     @staticmethod
     def of_time(tau: Tensor, rate: Tensor) -> Jet:
-        """Return scaled time (..., 1) itself, whose derivative by time is ``rate``."""
-        return Jet(tau, rate.expand_as(tau), torch.zeros_like(tau))
+        """Return scaled time (n_points, 1) itself, whose derivative by time is ``rate``."""
+        return Jet(torch.stack([tau, rate.expand_as(tau), torch.zeros_like(tau)]))
 
-    def linear(self, weight: Tensor, bias: Tensor | None = None) -> Jet:
+    @property
+    def value(self) -> Tensor:
+        """The function itself."""
+        return self.streams[0]
+
+    def linear(self, weight: Tensor, bias: Tensor | float = 0.0) -> Jet:
         """Return ``W h + b`` over the last axis."""
-        value = self.value @ weight.mT
-        return Jet(value if bias is None else value + bias, self.first @ weight.mT, self.second @ weight.mT)
+        mapped = self.streams @ weight.mT
+        return Jet(torch.cat([mapped[:1] + bias, mapped[1:]]))
 
     def through(self, value: Tensor, slope: Tensor, curvature: Tensor) -> Jet:
         """Return a function of this, given its value and its two derivatives by this value."""
-        return Jet(value, slope * self.first, slope * self.second + curvature * self.first**2)
+        _, first, second = self.streams
+        return Jet(torch.stack([value, slope * first, slope * second + curvature * first**2]))
 
     def tanh(self) -> Jet:
         """Return the hyperbolic tangent."""
@@ -58,45 +64,38 @@ class Jet:
         s, c = torch.sin(self.value), torch.cos(self.value)
         return self.through(s, c, -s)
 
-    def gaussians(self, centres: Tensor, width: float) -> Jet:
-        """Return Gaussian bumps of the last axis' entries, (..., n) to (..., n * n_centres)."""
+    def gaussians(self, n: int) -> Jet:
+        """Return n Gaussian bumps of each entry of the last axis, centred evenly on [-1, 1]: (..., k) to (..., k n)."""
+        like, width = self.streams, 2.0 / (n - 1)
+        centres = torch.linspace(-1.0, 1.0, n, dtype=like.dtype, device=like.device)
         u = (self.value[..., None] - centres) / width
         g = torch.exp(-0.5 * u * u)
-        wide = Jet(self.value[..., None], self.first[..., None], self.second[..., None])
-        bumps = wide.through(g, -u * g / width, (u * u - 1.0) * g / width**2)
-        return Jet(bumps.value.flatten(-2), bumps.first.flatten(-2), bumps.second.flatten(-2))
+        bumps = Jet(self.streams[..., None]).through(g, -u * g / width, (u * u - 1.0) * g / width**2)
+        return Jet(bumps.streams.flatten(-2))
 
     def __add__(self, other: Jet) -> Jet:
-        return Jet(self.value + other.value, self.first + other.first, self.second + other.second)
+        return Jet(self.streams + other.streams)
 
     def __sub__(self, other: Jet) -> Jet:
-        return Jet(self.value - other.value, self.first - other.first, self.second - other.second)
+        return Jet(self.streams - other.streams)
 
     def __mul__(self, other: Jet) -> Jet:
         """Return the product, by the product rule."""
-        return Jet(
-            self.value * other.value,
-            self.first * other.value + self.value * other.first,
-            self.second * other.value + 2.0 * self.first * other.first + self.value * other.second,
-        )
+        (a, a1, a2), (b, b1, b2) = self.streams, other.streams
+        return Jet(torch.stack([a * b, a1 * b + a * b1, a2 * b + 2.0 * a1 * b1 + a * b2]))
 
     def scaled(self, factor: Tensor | float) -> Jet:
         """Return this times a number."""
-        return Jet(self.value * factor, self.first * factor, self.second * factor)
-
-    @staticmethod
-    def one(like: Tensor) -> Jet:
-        """Return the constant 1."""
-        return Jet(torch.ones_like(like), torch.zeros_like(like), torch.zeros_like(like))
+        return Jet(self.streams * factor)
 
     def beside(self, other: Jet) -> Jet:
         """Return both, along the last axis."""
-        pairs = ((self.value, other.value), (self.first, other.first), (self.second, other.second))
-        return Jet(*(torch.cat(pair, -1) for pair in pairs))
+        return Jet(torch.cat([self.streams, other.streams], -1))
 
-    def stacked(self) -> Tensor:
-        """Return the three along an axis in front of the last two."""
-        return torch.stack([self.value, self.first, self.second], -3)
+    def with_one(self) -> Jet:
+        """Return this and the constant 1, along the last axis."""
+        zero = torch.zeros_like(self.value[..., :1])
+        return self.beside(Jet(torch.stack([zero + 1.0, zero, zero])))
 
 
 @dataclass(frozen=True)
@@ -131,8 +130,8 @@ def _frequencies(n: int, cycles: float, rng: np.random.Generator) -> np.ndarray:
 
 def _waves(frequencies: Tensor, time: Jet) -> Jet:
     """Return sines and cosines of time; the frequencies stay as they are drawn."""
-    phase = time.linear(frequencies.detach())
-    return phase.sin().beside(Jet(phase.value + 0.5 * math.pi, phase.first, phase.second).sin())
+    fixed = frequencies.detach()
+    return time.linear(fixed).sin().beside(time.linear(fixed, 0.5 * math.pi).sin())
 
 
 @dataclass(frozen=True)
@@ -179,14 +178,11 @@ class KolmogorovArnold(Features):
     the bumps' grid. The last layer's edges are the output layer.
     """
 
-    bumps: int = 8
-
-    def _counts(self, cycles: float) -> int:
-        return max(2 * self.bumps, 4 * math.ceil(cycles))
+    bumps: ClassVar[int] = 8
 
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
         hidden = max(self.width // self.bumps, 2)
-        parts, n_in, n_bumps = [], 1, self._counts(cycles)
+        parts, n_in, n_bumps = [], 1, max(2 * self.bumps, 4 * math.ceil(cycles))
         for _ in range(self.depth - 1):
             parts.append(rng.standard_normal((hidden, n_in * n_bumps)) / math.sqrt(n_in * 2.0))
             n_in, n_bumps = hidden, self.bumps
@@ -197,14 +193,8 @@ class KolmogorovArnold(Features):
 
     def jet(self, parts: Parts, time: Jet) -> Jet:
         for layer, weight in enumerate(parts):
-            n_bumps = weight.shape[-1] if layer == 0 else self.bumps
-            time = time.gaussians(*_grid(n_bumps, time.value)).linear(weight).tanh()
-        return time.gaussians(*_grid(self.bumps, time.value))
-
-
-def _grid(n: int, like: Tensor) -> tuple[Tensor, float]:
-    """Return the centres of n bumps on [-1, 1] and their width."""
-    return torch.linspace(-1.0, 1.0, n, dtype=like.dtype, device=like.device), 2.0 / (n - 1)
+            time = time.gaussians(self.bumps if layer else weight.shape[-1]).linear(weight).tanh()
+        return time.gaussians(self.bumps)
 
 
 @dataclass(frozen=True)
@@ -258,7 +248,7 @@ class FeatureAnsatz(Ansatz):
     """
 
     features: Features
-    shapes: tuple[tuple[int, ...], ...]
+    shapes: Sequence[tuple[int, ...]]
     tau: Tensor
     rate: Tensor
     n_paths: int
@@ -274,8 +264,7 @@ class FeatureAnsatz(Ansatz):
     def _features(self, body: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
         """Return streams (3, n, n_features + 1) of features and of 1, for one fit's coefficients."""
         parts = [part.reshape(shape) for part, shape in zip(body.split(self.sizes), self.shapes, strict=True)]
-        jet = self.features.jet(parts, Jet.of_time(tau[:, None], rate))
-        return jet.beside(Jet.one(tau[:, None])).stacked()
+        return self.features.jet(parts, Jet.of_time(tau[:, None], rate)).with_one().streams
 
     def _streams(self, theta: Tensor, tau: Tensor, rate: Tensor) -> Tensor:
         """Return streams (3, n, n_paths) for one fit's coefficients (count,)."""
@@ -284,8 +273,7 @@ class FeatureAnsatz(Ansatz):
 
     def _all_streams(self, theta: Tensor) -> Tensor:
         """Return streams (B, 3, n, n_paths) for the coefficients (B, count) of all fits."""
-        fits = zip(theta, self.tau, self.rate, strict=True)
-        return torch.stack([self._streams(*coefficients) for coefficients in fits])
+        return torch.stack([self._streams(*fit) for fit in zip(theta, self.tau, self.rate, strict=True)])
 
     def forward(self, theta: Tensor) -> Tape:
         return Tape([theta], [], self._all_streams(theta))
@@ -311,10 +299,6 @@ class FeatureAnsatz(Ansatz):
         with torch.enable_grad():
             return torch.stack([slopes(*fit) for fit in zip(theta, seeds, tau, self.rate, strict=True)])
 
-    def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        j = self.jacobian(tape, adjoints, points)
-        return j @ j.mT
-
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
         fits = zip(theta[:, : self.body], self.tau, self.rate, strict=True)
         return Basis(torch.stack([self._features(*fit) for fit in fits]), self.n_paths), theta[:, self.body :]
@@ -324,11 +308,41 @@ class FeatureAnsatz(Ansatz):
 
 
 @dataclass(frozen=True, eq=False)
+class FeatureFunction:
+    """What represents the response by features; as :class:`methods.pinn.settings.PhysicsSettings` has it."""
+
+    features: Features
+
+    def shapes(self, resolution: int) -> list[tuple[int, ...]]:
+        """Return the shapes of the features' coefficients."""
+        return [part.shape for part in self.features.start(resolution, np.random.default_rng(0))]
+
+    def ansatz(self, block: Block, resolution: int) -> FeatureAnsatz:
+        """Return the function at the points of a record."""
+        device = block.values.device
+        tau = torch.as_tensor(2.0 * block.times / block.duration[:, None] - 1.0, device=device)
+        rate = torch.as_tensor(2.0 / block.duration, device=device)
+        return FeatureAnsatz(self.features, self.shapes(resolution), tau, rate, block.n_paths)
+
+    def first_coefficients(
+        self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> np.ndarray:
+        """Return the coefficients to start from, (B, count): those of the output layer are zero."""
+        head = np.zeros(n_paths * (self.features.n_features() + 1))
+        bodies = [[part.ravel() for part in self.features.start(resolution, rng)] for rng in rngs]
+        return np.stack([np.concatenate([*body, head]) for body in bodies])
+
+    def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> FeatureResponse:
+        """Return the paths by time."""
+        return FeatureResponse(self.features, self.shapes(resolution), coefficients, n_paths, duration)
+
+
+@dataclass(frozen=True, eq=False)
 class FeatureResponse:
     """Paths by time, (n,) to (n_paths, n): a feature network with its coefficients."""
 
     features: Features
-    shapes: tuple[tuple[int, ...], ...]
+    shapes: Sequence[tuple[int, ...]]
     coefficients: np.ndarray
     n_paths: int
     duration: float

@@ -1,7 +1,7 @@
 """What the family compares: the values of its settings, with their names in tables, their sources and packages.
 
-Optimisers, weightings and architectures may come from other packages, by entry points of the groups :data:`GROUPS`.
-Loads no torch by itself.
+Optimisers, weightings and architectures may come from other packages, by entry points of the groups
+``pinn_family.optimizers``, ``pinn_family.weightings`` and ``pinn_family.architectures``. Loads no torch by itself.
 """
 
 from __future__ import annotations
@@ -26,65 +26,57 @@ class TrainingComponent:
     version: ClassVar[int] = 1
 
 
-BASES = {
-    "optimizer": "optimizers:Optimizer",
-    "weighting": "weighting:Weighting",
-    "architecture": "architectures:Features",
-}
-"""By setting, the module and the class that a component subclasses; each module names ours in ``COMPONENTS``."""
-GROUPS = {setting: f"pinn_family.{setting}s" for setting in BASES}
-"""By setting, the group of its entry points."""
-
-
-def component(setting: str, name: str) -> Any:
-    """Return the class of an optimiser, a weighting or an architecture.
-
-    Raises InputError for an entry point that does not load, or does not state what a row of the table needs.
-    """
-    module_name, base_name = BASES[setting].split(":")
-    module = import_module(f"methods.pinn_family.{module_name}")
-    if name in module.COMPONENTS:
-        return module.COMPONENTS[name]
-    points, base = entry_points_of(GROUPS[setting]), getattr(module, base_name)
-    found = load_entry_point(f"method.{setting}", name, points, base, needs=("title", "source", "version"))
-    if type(found.version) is not int or found.version < 1:
-        remedy = f"the version of its entry point ({points[name].value}) is {found.version!r}; a whole number from 1"
-        raise InputError(f"method.{setting}", name, remedy)
-    return found
-
-
 class OpenChoices(Mapping[str, Choice]):
-    """The values of a setting: ours, and those that installed packages register, which are loaded when looked up."""
+    """The values of a setting: ours, and those that installed packages register, which are loaded when looked up.
 
-    def __init__(self, setting: str, ours: Mapping[str, Choice]) -> None:
-        self.setting, self.ours = setting, ours
+    ``base``: module and class that a component subclasses; the module names ours in its ``COMPONENTS``.
+    """
+
+    def __init__(self, setting: str, base: str, ours: Mapping[str, Choice]) -> None:
+        self.setting, self.ours, self.group = setting, ours, f"pinn_family.{setting}s"
+        self.module, _, self.base = base.partition(":")
 
     def __iter__(self) -> Iterator[str]:
-        yield from self.ours
-        yield from (name for name in entry_points_of(GROUPS[self.setting]) if name not in self.ours)
+        return iter({**self.ours, **entry_points_of(self.group)})
 
     def __len__(self) -> int:
-        return len(list(iter(self)))
+        return len({**self.ours, **entry_points_of(self.group)})
 
     def __contains__(self, name: object) -> bool:
-        return name in self.ours or name in entry_points_of(GROUPS[self.setting])
+        return name in self.ours or name in entry_points_of(self.group)
 
     def __getitem__(self, name: str) -> Choice:
         if name in self.ours or name not in self:
             return self.ours[name]
-        found, point = component(self.setting, name), entry_points_of(GROUPS[self.setting])[name]
-        package = found.package or (point.dist.name if point.dist else "")
-        return Choice(found.title, found.source, package, point.value, found.version)
+        component, point = self.load(name), entry_points_of(self.group)[name]
+        package = component.package or (point.dist.name if point.dist else "")
+        return Choice(component.title, component.source, package, point.value, component.version)
+
+    def load(self, name: str) -> Any:
+        """Return the class of a value; a name of ours stays ours.
+
+        Raises InputError for an entry point that does not load, or does not state what a row of the table needs.
+        """
+        module = import_module(f"methods.pinn_family.{self.module}")
+        if name in module.COMPONENTS:
+            return module.COMPONENTS[name]
+        field, points, base = f"method.{self.setting}", entry_points_of(self.group), getattr(module, self.base)
+        component = load_entry_point(field, name, points, base, needs=("title", "source", "version"))
+        if type(component.version) is not int or component.version < 1:
+            stated = f"the version of its entry point ({points[name].value}) is {component.version!r}"
+            raise InputError(field, name, f"{stated}; a whole number from 1")
+        return component
 
     def check(self, value: str) -> None:
         """Raise InputError for a value that is neither ours nor registered, or whose entry point is broken."""
         check_name(f"method.{self.setting}", value, list(self))
         if value not in self.ours:
-            component(self.setting, value)
+            self.load(value)
 
 
 OPTIMIZERS = OpenChoices(
     "optimizer",
+    "optimizers:Optimizer",
     {
         "adam": Choice("Adam", "D. P. Kingma and J. Ba, ICLR 2015", "torch"),
         "adam_lbfgs": Choice(
@@ -107,6 +99,7 @@ OPTIMIZERS = OpenChoices(
 )
 WEIGHTINGS = OpenChoices(
     "weighting",
+    "weighting:Weighting",
     {
         "noise": Choice("by the estimated noise", "minus the log posterior, as the PINN here"),
         "paper": Choice("fixed, all one", "the paper's: selected empirically"),
@@ -127,6 +120,7 @@ WEIGHTINGS = OpenChoices(
 )
 ARCHITECTURES = OpenChoices(
     "architecture",
+    "architectures:Features",
     {
         "tanh": Choice("tanh network", "the paper's: two hidden layers of 64", "torch"),
         "sine": Choice("sine activations", "V. Sitzmann et al., NeurIPS 2020", "torch"),

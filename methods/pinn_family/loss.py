@@ -1,7 +1,7 @@
 """What every optimiser of the family minimises, half the squared, weighted residual vector, and their base class.
 
 The budget is counted in gradients, so that a training is the same on every machine; what else an optimiser does is
-counted by what it costs beside one (:data:`COSTS`, measured on the reference network). Seconds are noted, never asked.
+counted by what it costs beside one (:data:`COSTS`, measured on the reference network).
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ from torch import Tensor
 from methods.pinn.equations import NormalEquations, equations
 from methods.pinn.residuals import Residuals, State
 from methods.pinn_family.choices import TrainingComponent
-from methods.pinn_family.sampling import Sampling, TrainingResiduals
+from methods.pinn_family.sampling import Sampling
 from methods.pinn_family.weighting import Weighting
 
 COSTS = {"value": 0.3, "gradient": 1.0, "equations": 5.0, "matrix": 8e-7}
 """Work in gradients: of a value, a gradient, a linearisation with its matrix, and of an entry of a dense matrix that
 is read and written once."""
-MOVES = 30
-"""How often weights and points move where the optimiser takes least-squares steps: before each of the first ones."""
-FIRST_MOVE = 5
-"""Steps before the first of these: at rest, where training begins, no equation is violated and no weight is right."""
+FIRST_MOVE, LAST_MOVE = 5, 35
+"""Least-squares steps between which weights and points move before each: at rest, where training begins, no equation
+is violated and no weight is right."""
 NEGLIGIBLE = 1e-6
 """Share of a loss below which a decrease is negligible, where the loss is no log posterior."""
 GROWTH = 1.15
@@ -38,42 +37,31 @@ class Exhausted(Exception):
     """Raised where the work of a stage is used up; the loss holds the best point of it."""
 
 
-class Clock:
-    """Processor seconds since a fit began, less those that were spent on noting where it is."""
-
-    def __init__(self) -> None:
-        self.started, self.noting = time.process_time(), 0.0
-
-    def seconds(self) -> float:
-        """Return the seconds by now."""
-        return time.process_time() - self.started - self.noting
-
-
 class TrainingPath:
     """Moments of a training: processor seconds, log-parameters, and the plain residual vector on the first grid.
 
-    Each start of a fit has one of its own, by one clock.
+    Seconds count from ``begun`` on, a time of :func:`time.process_time`, without those that noting itself takes.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self.clock, self.next = clock, 0.0
+    def __init__(self, begun: float) -> None:
+        self.begun, self.due = begun, 0.0
         self.seconds: list[float] = []
         self.logs: list[np.ndarray] = []
         self.rows: list[np.ndarray] = []
 
     def note(self, residuals: Residuals, z: Tensor, work: float) -> None:
-        """Note where z (1, n_z) is."""
-        begun = time.process_time()
-        self.seconds.append(self.clock.seconds())
+        """Note where z (1, n_z) is; after how much work the next note is due follows."""
+        now = time.process_time()
+        self.seconds.append(now - self.begun)
         ones = torch.ones(1, residuals.n_rows, dtype=torch.float64, device=residuals.device)
-        self.rows.append(np.asarray(residuals.evaluate(z, ones).rows[0].cpu()))
-        self.logs.append(np.asarray(residuals.split(z)[1][0].cpu()))
-        self.next = GROWTH * max(work, 1.0)
-        self.clock.noting += time.process_time() - begun
+        self.rows.append(plain(residuals.evaluate(z, ones).rows[0]))
+        self.logs.append(plain(residuals.split(z)[1][0]))
+        self.due = GROWTH * max(work, 1.0)
+        self.begun += time.process_time() - now
 
     def traces(self, deviations: Tensor) -> Mapping[str, np.ndarray]:
         """Return the path as arrays; the loss is at the weights that ``deviations`` (1, n_rows) state."""
-        scaled = np.array(self.rows) / np.asarray(deviations[0].cpu())
+        scaled = np.array(self.rows) / plain(deviations[0])
         return {
             "path_cpu_s": np.array(self.seconds),
             "path_parameters": np.exp(np.array(self.logs)),
@@ -95,20 +83,19 @@ class Loss:
 
     def __init__(
         self,
-        residuals: TrainingResiduals,
+        residuals: Residuals,
         weighting: Weighting,
         sampling: Sampling,
         path: TrainingPath,
         shapes: Sequence[tuple[int, ...]],
         tolerance: float | None,
     ) -> None:
-        self.first = residuals
-        self.residuals: Residuals = residuals
+        self.first = self.residuals = residuals
         self.weighting, self.sampling, self.path = weighting, sampling, path
         self.shapes, self.tolerance = shapes, tolerance
-        self.work, self.limit = 0.0, np.inf
-        self.gradients = self.moves = 0
-        self.stage_begun = 0.0
+        self.work, self.limit, self.stage_begun = 0.0, np.inf, 0.0
+        self.gradients = self.steps = 0
+        self.adaptive = weighting.every + sampling.every > 0
         self.moving = True
         self.best: tuple[float, Tensor] | None = None
         self.expand: Callable[[Tensor], Tensor] = lambda z: z
@@ -122,11 +109,6 @@ class Loss:
     def progress(self) -> float:
         """The share of the stage's work that is done."""
         return min(1.0, (self.work - self.stage_begun) / max(self.limit - self.stage_begun, 1e-9))
-
-    @property
-    def adaptive(self) -> bool:
-        """True where weights or points move at all."""
-        return self.weighting.every + self.sampling.every > 0
 
     def negligible(self, value: float) -> float:
         """Return the decrease of a loss of this value that is not worth a step."""
@@ -152,9 +134,7 @@ class Loss:
         state, gradient = self.residuals.gradient(z[None], self.deviations)
         value = self.seen(z, state)
         self.gradients += 1
-        if self.moving:
-            due = (every > 0 and self.gradients % every == 0 for every in (self.weighting.every, self.sampling.every))
-            self._move(z, state, *due)
+        self._move(z, state, self.gradients)
         self.charge(COSTS["gradient"])
         return value, gradient[0]
 
@@ -163,23 +143,24 @@ class Loss:
         self.charge(COSTS["equations"])
         state = self.residuals.evaluate(z[None], self.deviations)
         if self.moving and self.adaptive:
-            self.moves += 1
-            if self.moves > FIRST_MOVE:
-                self._move(z, state, self.weighting.every > 0, self.sampling.every > 0)
-            self.moving = self.moves < FIRST_MOVE + MOVES
+            self.steps += 1
+            if self.steps > FIRST_MOVE:
+                self._move(z, state)
+            self.moving = self.steps < LAST_MOVE
             state = self.residuals.evaluate(z[None], self.deviations)
         self.seen(z, state)
         return state, equations(self.residuals, state, self.deviations)
 
-    def _move(self, z: Tensor, state: State, weigh: bool, sample: bool) -> None:
-        if not (weigh or sample):
+    def _move(self, z: Tensor, state: State, count: int = 0) -> None:
+        """Move the weights and points that are due after so many gradients; at a count of 0 all that ever move."""
+        weigh, sample = (every > 0 and count % every == 0 for every in (self.weighting.every, self.sampling.every))
+        if not self.moving or not (weigh or sample):
             return
-        assert isinstance(self.residuals, TrainingResiduals)  # the output layer's alone are never moved
         if weigh:
             self.weighting.move(self.residuals, state)
-            self.residuals.shift = self.weighting.shift
         if sample:
-            self.residuals = self.sampling.moved(self.residuals, z)
+            self.residuals = self.sampling.moved(self.first, z)
+        self.residuals.shift = self.weighting.shift
         self.best = None
 
     def freeze(self) -> None:
@@ -191,7 +172,7 @@ class Loss:
         value = float(state.loss[0])
         if np.isfinite(value) and (self.best is None or value < self.best[0]):
             self.best = value, z.detach().clone()
-        if self.work >= self.path.next and self.best is not None:
+        if self.work >= self.path.due and self.best is not None:
             self.path.note(self.first, self.expand(self.best[1])[None], self.work)
         return value
 

@@ -10,20 +10,19 @@ minimised. Optimisers, weightings and functions of time may be those of other pa
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Draws, Estimate
+from bench import Card, Draws, Estimate, Problem
 from methods.pinn.task import Fit, Task
 from methods.pinn_family.choices import ARCHITECTURES, OPTIMIZERS, SAMPLINGS, UNCERTAINTIES, WEIGHTINGS
 from methods.pinn_family.settings import FamilySettings
-
-if TYPE_CHECKING:
-    from methods.pinn_family.loss import Clock
+from methods.starts.waves import Guess
 
 
 @dataclass(frozen=True)
@@ -56,39 +55,45 @@ class PINNFamily(FamilySettings):
     )
 
     def attempt(self, tasks: Sequence[Task]) -> None:
-        """Fit each, and start those in a bad basin again elsewhere."""
-        from methods.pinn_family.loss import Clock
+        """Fit each, and start those in a bad basin again elsewhere, with what is left of the budget."""
+        from methods.pinn_family.training import TrainingPath, train
 
         for task in tasks:
-            clock, used = Clock(), 0.0
+            path, left = TrainingPath(time.process_time()), self.budget
             for n in range(1 + self.restarts):
-                if task.wants(n) and used < self.budget:
-                    fit, work = self._fitted(task, n, clock, self.budget - used)
+                if task.wants(n) and left > 0:
+                    settings, watch = replace(self, budget=left), partial(self._report, [task])
+                    fit, work = train(task.scaled, task.guesses[n], settings, task.rng, path, watch)
                     task.fits.append(fit)
-                    used += work
+                    path, left = TrainingPath(path.begun), left - work
 
-    def _fitted(self, task: Task, n: int, clock: Clock, budget: float) -> tuple[Fit, float]:
-        from methods.pinn_family.loss import TrainingPath
-        from methods.pinn_family.training import fit
+    def _fit(
+        self,
+        problems: Sequence[Problem],
+        guesses: Sequence[Guess],
+        rngs: Sequence[np.random.Generator],
+        tasks: Sequence[Task] = (),
+    ) -> list[Fit]:
+        """Train the members of an ensemble or a bootstrap, each with the whole budget."""
+        from methods.pinn_family.training import TrainingPath, train
 
-        settings, watch = replace(self, budget=budget), partial(self._report, [task])
-        return fit(task.scaled, task.guesses[n], settings, task.rng, TrainingPath(clock), watch)
+        fits: list[Fit] = []
+        for problem, guess, rng in zip(problems, guesses, rngs, strict=True):
+            fit, _ = train(problem, guess, self, rng, TrainingPath(time.process_time()), lambda results: None)
+            fit.attempt = None  # which is large, and of use to the best fit alone
+            fits.append(fit)
+        return fits
 
     def _resample(self, task: Task) -> None:
         """State the uncertainty in another way than the linearised (:mod:`methods.pinn_family.uncertainty`)."""
         best = task.best
-        if best is None:
-            return
-        from methods.pinn_family import nuts, uncertainty
-        from methods.pinn_family.training import TrainedFit
+        if best is None or self.uncertainty in ("ensemble", "bootstrap"):
+            return super()._resample(task)
+        from methods.pinn_family import uncertainty
 
-        if self.uncertainty in ("ensemble", "bootstrap"):
-            task.members = uncertainty.members(task, best, self)
-            return
-        assert isinstance(best, TrainedFit)
-        way = nuts.stated if self.uncertainty == "nuts" else uncertainty.WAYS[self.uncertainty]
-        answer = uncertainty.stated(way, best, self, task.rng)
+        answer = uncertainty.stated(best, self, task.rng)
         task.fits = [answer if fit is best else replace(fit, loss=np.inf) for fit in task.fits]
+        return None
 
     def _belief(self, task: Task, best: Fit) -> dict[str, Any]:
         draws = getattr(best, "draws", None)

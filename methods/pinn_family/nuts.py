@@ -22,6 +22,8 @@ weights, of which many permutations give the same function of time. The answer s
 
 from __future__ import annotations
 
+import contextlib
+import copy
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -31,11 +33,12 @@ import torch
 from torch import Tensor
 
 from bench import NoEstimate, Status
-from methods.network.ansatz import Ansatz, SumAnsatz
+from methods.network.ansatz import Ansatz, Basis, SumAnsatz
 from methods.network.tanh import Network, layers_of
+from methods.pinn.residuals import Residuals
 from methods.pinn_family.architectures import Jet
-from methods.pinn_family.training import TrainedFit
-from methods.pinn_family.uncertainty import LEAST_PRECISION, TrainedPosterior, from_draws
+from methods.pinn_family.loss import plain
+from methods.pinn_family.training import TrainedFit, TrainedPosterior
 
 CHAINS = 2
 WARMUP = (60, 40)
@@ -49,9 +52,11 @@ STEP = 0.3
 R_HAT, EFFECTIVE = 1.05, 50.0
 """The largest R-hat and the least effective draws that are believed."""
 PLACES = 10
+LEAST_PRECISION = 1e-12
+"""Precision, over the largest, of an unknown that neither data nor prior determine."""
 
 
-def stated(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator, members: int) -> TrainedFit:
+def stated(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator) -> TrainedFit:
     """Draw all weights and parameters."""
     coordinates, n_free = Coordinates(posterior), len(posterior.residuals.free)
     positions, densities, gradients = zip(*(_chain(coordinates, rng) for _ in range(CHAINS)), strict=True)
@@ -68,17 +73,17 @@ def stated(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generato
     remark = f"; the chains have not converged ({'; '.join(bad)})" if bad else "; the chains have converged"
     worst = np.array(list(health.values()))
     traces = {"r_hat": worst[:, 0], "effective_sample_size": worst[:, 1], "log_density": density[..., 0]}
-    answer = from_draws(posterior, fit, draws, sum(gradients))
+    answer = posterior.from_draws(fit, draws, sum(gradients))
     answer.reason, answer.history = fit.reason + remark, {**fit.history, **traces}
-    answer.draws = np.array([posterior.parameters(z) for z in draws])
+    answer.draws = np.array([posterior.unknowns(z)[0] for z in draws])
     return answer
 
 
-def _judged(posterior: TrainedPosterior, z: Any) -> np.ndarray:
-    """Return free log-parameters, offsets, and displacements at some times."""
-    logs = posterior.parameters(z)[posterior.residuals.free]
+def _judged(posterior: TrainedPosterior, z: Tensor) -> np.ndarray:
+    """Return free log-parameters, displacements at some times, and offsets."""
+    logs, offsets = posterior.unknowns(z)
     few = [x[:, np.linspace(0, x.shape[1] - 1, PLACES).astype(int)].ravel() for x in posterior.motion(z)[0]]
-    return np.concatenate([logs, *few, posterior.offsets(z)])
+    return np.concatenate([logs[posterior.residuals.free], *few, offsets])
 
 
 def _health(paths: np.ndarray) -> tuple[float, float]:
@@ -88,8 +93,7 @@ def _health(paths: np.ndarray) -> tuple[float, float]:
     moving = np.ptp(paths, axis=(0, 1)) > 0  # an initial state that the ansatz has exactly does not
     if not np.any(moving):
         return float("inf"), 0.0
-    r_hat, effective = np.asarray(rhat(paths[..., moving])), np.asarray(ess_bulk(paths[..., moving]))
-    worst = float(np.max(r_hat)), float(np.min(effective))
+    worst = float(np.max(rhat(paths[..., moving]))), float(np.min(ess_bulk(paths[..., moving])))
     return worst if np.all(np.isfinite(worst)) else (float("inf"), 0.0)
 
 
@@ -101,10 +105,10 @@ def _chain(coordinates: Coordinates, rng: np.random.Generator) -> tuple[np.ndarr
         sentence = "uncertainty=nuts needs blackjax: pip install 'vibration-bench[nuts]'"
         raise NoEstimate(sentence, Status.MISSING_DEPENDENCY) from error
     import jax
+    from blackjax.adaptation.step_size import dual_averaging_adaptation
 
     jax.config.update("jax_enable_x64", True)
-    first = np.asarray(coordinates.first.cpu())
-    asked = 0
+    n, hidden, asked = coordinates.first.numel(), coordinates.n_hidden, 0
 
     def target(u: Any) -> tuple[np.float64, np.ndarray]:
         nonlocal asked
@@ -112,25 +116,30 @@ def _chain(coordinates: Coordinates, rng: np.random.Generator) -> tuple[np.ndarr
         value, slope = coordinates.value_and_slope(np.array(u))
         return np.float64(value), slope
 
-    warm, sample = compiled(first.size)
-    hidden = np.arange(first.size) < coordinates.n_hidden
-    metric = np.ones(first.size)
-    begun = 0.1 if not coordinates.n_hidden else 0.01
+    def keys(steps: int) -> Any:
+        return jax.random.split(jax.random.key(int(rng.integers(2**31))), steps)
+
+    begin, move = compiled(n)
+    first, update, finish = dual_averaging_adaptation(0.8)
+    step, metric = 0.01 if hidden else 0.1, np.ones(n)
     HELD.append(target)
     try:
-        u, step = first, begun
-        for steps in WARMUP:
-            keys = jax.random.split(jax.random.key(int(rng.integers(2**31))), steps)
-            place, tuned = warm(keys, u, step, metric)
-            u, step = np.asarray(place), float(tuned)
-            if steps == WARMUP[0] and coordinates.n_hidden:
-                metric = np.where(hidden, min(1.0, (step / STEP) ** 2), 1.0)
-                step = STEP
-        keys = jax.random.split(jax.random.key(int(rng.integers(2**31))), DRAWS)
-        path, density = map(np.asarray, sample(keys, u, step, metric))
+        state, path = begin(plain(coordinates.first)), []
+        for number, steps in enumerate(WARMUP):
+            tuned = first(step)
+            for key in keys(steps):
+                state, info = move(key, state, float(np.exp(tuned.log_step_size)), metric)
+                tuned = update(tuned, info.acceptance_rate)
+            step = float(finish(tuned))
+            if number == 0 and hidden:
+                metric[:hidden], step = min(1.0, (step / STEP) ** 2), STEP
+        for key in keys(DRAWS):
+            state, _ = move(key, state, step, metric)
+            path.append((np.asarray(state.position), float(state.logdensity)))
     finally:
         HELD.pop()
-    return path, density, asked
+    positions, densities = zip(*path, strict=True)
+    return np.array(positions), np.array(densities), asked
 
 
 HELD: list[Callable[[Any], tuple[np.float64, np.ndarray]]] = []
@@ -139,11 +148,10 @@ HELD: list[Callable[[Any], tuple[np.float64, np.ndarray]]] = []
 
 @cache
 def compiled(n: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Compile warm-up and sampling in n dimensions, as functions of keys, position, step and inverse masses (n,)."""
+    """Compile the state at a position (n,), and a step by key, state, step size and inverse masses (n,)."""
     import blackjax
     import jax
     import jax.numpy as jnp
-    from blackjax.adaptation.step_size import dual_averaging_adaptation
 
     shapes = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((n,), jnp.float64)
 
@@ -156,29 +164,11 @@ def compiled(n: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
 
     log_density.defvjp(asked, lambda slope, weight: (weight * slope,))
     kernel = blackjax.mcmc.nuts.build_kernel()
-    begin, update, finish = dual_averaging_adaptation(0.8)
 
     def moved(key: Any, state: Any, step: Any, metric: Any) -> Any:
         return kernel(key, state, log_density, step, metric, max_num_doublings=DOUBLINGS)
 
-    def warm(keys: Any, u: Any, step: Any, metric: Any) -> Any:
-        def once(carry: Any, key: Any) -> Any:
-            state, tuned = carry
-            state, info = moved(key, state, jnp.exp(tuned.log_step_size), metric)
-            return (state, update(tuned, info.acceptance_rate)), None
-
-        first = blackjax.nuts.init(u, log_density), begin(step)
-        (state, tuned), _ = jax.lax.scan(once, first, keys)
-        return state.position, finish(tuned)
-
-    def sample(keys: Any, u: Any, step: Any, metric: Any) -> Any:
-        def once(state: Any, key: Any) -> Any:
-            state, _ = moved(key, state, step, metric)
-            return state, (state.position, state.logdensity)
-
-        return jax.lax.scan(once, blackjax.nuts.init(u, log_density), keys)[1]
-
-    return jax.jit(warm), jax.jit(sample)
+    return jax.jit(lambda u: blackjax.nuts.init(u, log_density)), jax.jit(moved)
 
 
 def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
@@ -193,7 +183,7 @@ def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
     jet = Jet.of_time(ansatz.tau[0][:, None], ansatz.rate[0])
     for weight, bias in layers_of(theta, ansatz.widths)[:-1]:
         jet = jet.linear(weight[0], bias[0]).tanh()
-    return jet.beside(Jet.one(jet.value[:, :1])).stacked()
+    return jet.with_one().streams
 
 
 class Coordinates:
@@ -204,64 +194,53 @@ class Coordinates:
     """
 
     def __init__(self, posterior: TrainedPosterior) -> None:
-        self.posterior = posterior
-        residuals, z, deviations = posterior.residuals, posterior.z, posterior.deviations
-        heads, short = residuals.heads(z)
-        self.n_short, self.n_output = short.shape[1], heads.n_coefficients
-        number = torch.arange(self.n_short, dtype=z.dtype, device=z.device)[None]
-        self.places = residuals.with_heads(torch.full_like(z, -1.0), number)[0].long()
+        self.posterior, z = posterior, posterior.z
         self.hidden = self._trained()
         self.n_hidden = self.hidden.numel()
-        state = residuals.evaluate(z, deviations)
-        linear = residuals.linearise(state, deviations)
-        self.columns = linear.columns[0]
-        self.seeds, first = [], 0
-        self.constant = state.rows[0] - self.columns @ short[0, self.n_output :]
-        for k, block in enumerate(residuals.blocks):
-            rows = slice(first, first + block.n_rows)
-            seeds = linear.seeds[k][0]
-            self.constant[rows] -= (seeds * state.tapes[k].output[0][:, block.points]).sum((0, 2))
-            self.seeds.append(seeds)
-            first += block.n_rows
-        precision = torch.full((self.n_short,), LEAST_PRECISION, dtype=z.dtype, device=z.device)
-        precision[: self.n_output] = 1.0
-        self.precision = torch.diag(precision)
-        root, centre, _ = self._geometry(z)
+        heads, short = self._heads(z), posterior.residuals.heads(z)[1]
+        self.state = heads.evaluate(short, posterior.deviations)
+        self.linear = heads.linearise(self.state, posterior.deviations)
+        self.constant = self.state.rows[0] - self._jacobian(heads) @ short[0]
+        self.n_output = heads.n_coefficients
+        self.precision = torch.full_like(short[0], LEAST_PRECISION)
+        self.precision[: self.n_output] = 1.0
+        root, centre = self._geometry(heads)
         self.first = torch.cat([z[0, self.hidden], root.mT @ (short[0] - centre)])
 
     def _trained(self) -> Tensor:
         """Return the places in z of the hidden weights that the functions depend on."""
+        residuals = self.posterior.residuals
         with torch.enable_grad():
             z = self.posterior.z.clone().requires_grad_(True)
-            parts, _ = self.posterior.residuals.split_flat(z)
-            pairs = zip(self.posterior.residuals.ansatzes, parts, strict=True)
+            pairs = zip(residuals.ansatzes, residuals.split_flat(z)[0], strict=True)
             total = torch.stack([torch.sin(functions(*pair)).sum() for pair in pairs]).sum()
-            if not total.requires_grad:
-                return torch.zeros(0, dtype=torch.long, device=z.device)
-            slopes = torch.autograd.grad(total, z)[0][0]
-        return torch.nonzero((self.places < 0) & (slopes != 0))[:, 0]
+            slopes = torch.autograd.grad(total, z)[0] if total.requires_grad else torch.zeros_like(z)
+        return torch.nonzero(slopes[0])[:, 0]
 
-    def _geometry(self, z: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Return L (n_short, n_short), y* (n_short,) and the functions of each record, at the hidden weights of z."""
-        residuals = self.posterior.residuals
-        parts, _ = residuals.split_flat(z)
-        streams, columns, first = [], [], 0
-        for k, (block, ansatz, part) in enumerate(zip(residuals.blocks, residuals.ansatzes, parts, strict=True)):
-            streams.append(functions(ansatz, part))
-            rows = torch.einsum("sro,srk->rok", self.seeds[k], streams[-1][:, block.points]).flatten(1)
-            columns.append(torch.nn.functional.pad(rows, (0, 0, first, residuals.n_rows - first - block.n_rows)))
-            first += block.n_rows
-        jacobian = torch.cat([*columns, self.columns], 1)
-        root = torch.linalg.cholesky(jacobian.mT @ jacobian + self.precision)
-        centre = -torch.cholesky_solve((jacobian.mT @ self.constant)[:, None], root)[:, 0]
-        return root, centre, streams
+    def _heads(self, z: Tensor) -> Residuals:
+        """Return the residual vector as a function of output layer and other unknowns, at the hidden weights of z."""
+        heads = copy.copy(self.posterior.residuals)
+        records = zip(heads.blocks, heads.ansatzes, heads.split_flat(z)[0], strict=True)
+        heads.ansatzes = [Basis(functions(ansatz, part)[None], block.n_paths) for block, ansatz, part in records]
+        return heads
 
-    def _placed(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
-        """Return z with the hidden weights of u, the output layer and other unknowns y, L, and the functions."""
+    def _jacobian(self, heads: Residuals) -> Tensor:
+        """Return the Jacobian (n_rows, n_short) of the residuals linearised about the trained response."""
+        return torch.cat([part for _, part in heads.jacobian_parts(self.state, self.linear)], 1)[0]
+
+    def _geometry(self, heads: Residuals) -> tuple[Tensor, Tensor]:
+        """Return L (n_short, n_short) and y* (n_short,)."""
+        jacobian = self._jacobian(heads)
+        root = torch.linalg.cholesky(jacobian.mT @ jacobian + torch.diag(self.precision))
+        return root, -torch.cholesky_solve((jacobian.mT @ self.constant)[:, None], root)[:, 0]
+
+    def _placed(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor, Residuals]:
+        """Return z with the hidden weights of u, the output layer and other unknowns y, L, and the residual vector."""
         z = self.posterior.z.index_copy(1, self.hidden, u[None, : self.n_hidden])
-        root, centre, streams = self._geometry(z)
+        heads = self._heads(z)
+        root, centre = self._geometry(heads)
         y = centre + torch.linalg.solve_triangular(root.mT, u[self.n_hidden :, None], upper=True)[:, 0]
-        return z, y, root, streams
+        return z, y, root, heads
 
     def point(self, u: np.ndarray) -> Tensor:
         """Return z (1, n_z) at u."""
@@ -270,26 +249,17 @@ class Coordinates:
 
     def density(self, u: Tensor) -> Tensor:
         """Return the log density at u, up to a constant."""
-        residuals = self.posterior.residuals
-        z, y, root, streams = self._placed(u)
-        weights, rest = y[: self.n_output], y[None, self.n_output :]
-        _, logs, offsets = residuals.split(torch.cat([z[:, : residuals.n_coefficients], rest], 1))
-        sizes = [b.n_paths * stream.shape[-1] for b, stream in zip(residuals.blocks, streams, strict=True)]
-        records = zip(residuals.blocks, streams, weights.split(sizes), strict=True)
-        outputs = [b.response((stream @ own.reshape(b.n_paths, -1).mT)[None]) for b, stream, own in records]
-        rows = residuals.rows(outputs, logs, offsets) / self.posterior.deviations
-        squares = (rows**2).sum() + (weights**2).sum() + (u[: self.n_hidden] ** 2).sum()
+        _, y, root, heads = self._placed(u)
+        rows = heads.evaluate(y[None], self.posterior.deviations).rows
+        squares = (rows**2).sum() + (y[: self.n_output] ** 2).sum() + (u[: self.n_hidden] ** 2).sum()
         return -0.5 * squares - torch.log(root.diagonal()).sum()
 
     def value_and_slope(self, u: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the log density and its gradient (n,); minus infinity where they are not finite."""
         point = torch.tensor(u, dtype=torch.float64, device=self.posterior.z.device, requires_grad=True)
-        try:
-            with torch.enable_grad():
-                value = self.density(point)
-                gradient = np.asarray(torch.autograd.grad(value, point)[0].cpu())
-        except torch.linalg.LinAlgError:
-            return -np.inf, np.zeros_like(u)
-        if not (torch.isfinite(value.detach()) and np.all(np.isfinite(gradient))):
-            return -np.inf, np.zeros_like(u)
-        return float(value.detach()), gradient
+        with torch.enable_grad(), contextlib.suppress(torch.linalg.LinAlgError):
+            value = self.density(point)
+            gradient = torch.autograd.grad(value, point)[0]
+            if torch.isfinite(value) and torch.all(torch.isfinite(gradient)):
+                return float(value.detach()), plain(gradient)
+        return -np.inf, np.zeros_like(u)

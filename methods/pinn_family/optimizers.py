@@ -1,13 +1,12 @@
-"""The family's optimisers by name; here first-order and quasi-Newton training, in ``second_order`` the others.
-
-First-order steps use the gradient over the number of rows, as a mean is what these methods' usual rates are made for.
-"""
+"""The family's optimisers by name; here first-order and quasi-Newton training, in ``second_order`` the others."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -27,62 +26,62 @@ MEMORY = 50
 """Pairs that L-BFGS remembers."""
 
 
-def descend(loss: Loss, z: Tensor, make: Callable[[list[Tensor]], Sequence[torch.optim.Optimizer]]) -> Tensor:
-    """Take steps of torch's optimisers until the work is used up; the rates fall along a half cosine.
+class Descent(Optimizer):
+    """Steps of torch's optimisers until the work is used up; the rates fall along a half cosine.
 
-    ``make`` returns the optimisers of a list of parameters, each of its own shape.
+    The gradient is that of a mean over the rows, which the usual rates of these methods are made for.
     """
-    sizes = [math.prod(shape) for shape in loss.shapes]
-    pairs = zip(z.split(sizes), loss.shapes, strict=True)
-    parts = [part.reshape(shape).clone().requires_grad_(True) for part, shape in pairs]
-    optimizers = make(parts)
-    groups = [group for optimizer in optimizers for group in optimizer.param_groups]
-    rates = [group["lr"] for group in groups]
-    while True:
-        _, gradient = loss.gradient(torch.cat([part.reshape(-1) for part in parts]).detach())
-        gradient = gradient / loss.residuals.n_rows
-        for part, slope in zip(parts, gradient.split(sizes), strict=True):
-            part.grad = slope.reshape(part.shape).clone()
-        share = max(0.5 * (1.0 + math.cos(math.pi * loss.progress)), 1e-3)
-        for group, rate in zip(groups, rates, strict=True):
-            group["lr"] = rate * share
-        for optimizer in optimizers:
-            optimizer.step()
+
+    @abstractmethod
+    def steppers(self, parts: Sequence[Tensor]) -> list[torch.optim.Optimizer]:
+        """Return torch's optimisers of the parts of z, each of its own shape."""
+
+    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+        sizes = [math.prod(shape) for shape in loss.shapes]
+        pairs = zip(z.split(sizes), loss.shapes, strict=True)
+        parts = [part.reshape(shape).clone().requires_grad_(True) for part, shape in pairs]
+        steppers = self.steppers(parts)
+        while True:
+            _, gradient = loss.gradient(torch.cat([part.reshape(-1) for part in parts]).detach())
+            gradient = gradient / loss.residuals.n_rows
+            for part, slope in zip(parts, gradient.split(sizes), strict=True):
+                part.grad = slope.reshape(part.shape).clone()
+            for stepper in steppers:
+                for group in stepper.param_groups:
+                    group["lr"] = self.rate * max(0.5 * (1.0 + math.cos(math.pi * loss.progress)), 1e-3)
+                stepper.step()
 
 
-class Adam(Optimizer):
+class Adam(Descent):
     """Adam: D. P. Kingma and J. Ba, ICLR 2015."""
 
     rate = 3e-3
 
-    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
-        return descend(loss, z, lambda parts: [torch.optim.Adam(parts, lr=self.rate)])
+    def steppers(self, parts: Sequence[Tensor]) -> list[torch.optim.Optimizer]:
+        return [torch.optim.Adam(parts)]
 
 
-class SOAP(Optimizer):
+class SOAP(Descent):
     """SOAP: N. Vyas et al., ICLR 2025; on PINNs S. Wang et al., arXiv:2502.00604."""
 
     rate = 3e-3
 
-    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
+    def steppers(self, parts: Sequence[Tensor]) -> list[torch.optim.Optimizer]:
         import pytorch_optimizer
 
-        return descend(loss, z, lambda parts: [pytorch_optimizer.SOAP(parts, lr=self.rate, weight_decay=0.0)])
+        return [pytorch_optimizer.SOAP(parts, weight_decay=0.0)]
 
 
-class Muon(Optimizer):
+class Muon(Descent):
     """Muon (K. Jordan et al., 2024) for the weights between hidden layers, Adam for all else, as its authors advise."""
 
     rate = 1e-2
 
-    def minimise(self, loss: Loss, z: Tensor) -> Tensor:
-        return descend(loss, z, self._optimizers)
-
-    def _optimizers(self, parts: Sequence[Tensor]) -> list[torch.optim.Optimizer]:
+    def steppers(self, parts: Sequence[Tensor]) -> list[torch.optim.Optimizer]:
         matrices = [part for part in parts if part.ndim == 2 and min(part.shape) > 2]
         others = [part for part in parts if part.ndim != 2 or min(part.shape) <= 2]
-        adam: list[torch.optim.Optimizer] = [torch.optim.Adam(others, lr=self.rate)]
-        return [*adam, torch.optim.Muon(matrices, lr=self.rate, weight_decay=0.0)] if matrices else adam
+        adam: list[torch.optim.Optimizer] = [torch.optim.Adam(others)]
+        return [*adam, torch.optim.Muon(matrices, weight_decay=0.0)] if matrices else adam
 
 
 class LBFGS(Optimizer):
@@ -168,31 +167,30 @@ class SelfScaledBroyden(SelfScaledBFGS):
 
 
 def _scaled_identity(gradient: Tensor) -> Tensor:
-    identity = torch.eye(gradient.shape[0], dtype=torch.float64, device=gradient.device)
-    return identity / max(float(gradient.norm()), 1.0)
+    return torch.diag(torch.full_like(gradient, 1.0 / max(float(gradient.norm()), 1.0)))
 
 
 def _line_search(
     loss: Loss, z: Tensor, value: float, gradient: Tensor, direction: Tensor, before: float | None
 ) -> tuple[float, float, Tensor] | None:
     """Return a length for the strong Wolfe conditions (scipy's), the loss and the gradient there; None without one."""
-    last: dict[bytes, tuple[float, Tensor]] = {}
 
-    def both(x: np.ndarray) -> tuple[float, Tensor]:
-        key = x.tobytes()
-        if key not in last:
-            last.clear()
-            last[key] = loss.gradient(tensor(x, z))
-        return last[key]
+    @lru_cache(maxsize=1)  # scipy asks for value and slope of a point one after the other
+    def at_bytes(point: bytes) -> tuple[float, Tensor]:
+        return loss.gradient(tensor(np.frombuffer(point).copy(), z))
 
-    functions = (lambda x: both(x)[0], lambda x: plain(both(x)[1]))
+    def at(x: np.ndarray) -> tuple[float, Tensor]:
+        return at_bytes(x.tobytes())
+
+    vectors = (plain(z), plain(direction), plain(gradient))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        vectors = (plain(z), plain(direction), plain(gradient))
-        length, _, _, after, _, slope = line_search(*functions, *vectors, value, before)
+        length, _, _, after, _, slope = line_search(
+            lambda x: at(x)[0], lambda x: plain(at(x)[1]), *vectors, value, before
+        )
     if length is None or slope is None or not np.isfinite(after):
         return None
-    return float(length), float(after), both(plain(z) + length * plain(direction))[1]
+    return float(length), float(after), at(plain(z) + length * plain(direction))[1]
 
 
 COMPONENTS: Mapping[str, type[Optimizer]] = {

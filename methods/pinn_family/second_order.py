@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from methods.pinn.levenberg import GREATEST_DAMPING, LEAST_DAMPING, Walk, minimise
-from methods.pinn_family.loss import COSTS, Loss, Optimizer, tensor
+from methods.pinn_family.loss import COSTS, Loss, Optimizer, plain, tensor
 
 FIRST_DAMPING = 1e-6
 """Levenberg-Marquardt's first damping, over the largest squared row of J."""
@@ -32,10 +32,7 @@ INNER = 20
 
 
 class LevenbergMarquardt(Optimizer):
-    """Levenberg-Marquardt with Nielsen's damping (IMM-REP-1999-05).
-
-    It adapts the damping and takes the whole step. It ends where the linear model promises a negligible decrease.
-    """
+    """Levenberg-Marquardt with Nielsen's damping (IMM-REP-1999-05), until the linear model promises next to nothing."""
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
         damping, growth = FIRST_DAMPING, 2.0
@@ -62,8 +59,7 @@ class LevenbergMarquardt(Optimizer):
 class NaturalGradient(Optimizer):
     """Energy natural gradient: J. Müller and M. Zeinhofer, ICML 2023; by Woodbury's identity, arXiv:2505.12149, 2025.
 
-    For a sum of squares its metric is the Gauss-Newton matrix, so the direction is that of Levenberg-Marquardt at a
-    fixed, small damping; the length is the best of a grid.
+    For a sum of squares this is a Gauss-Newton step at a fixed, small damping; its length is the best of a grid.
     """
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
@@ -95,9 +91,8 @@ def _best_length(loss: Loss, z: Tensor, step: Tensor, value: float) -> tuple[flo
 class NystromNewtonCG(Optimizer):
     """Adam, then Newton steps by conjugate gradients with a randomised preconditioner, with Armijo's rule.
 
-    P. Rathore, W. Lei, Z. Frangella, L. Lu and M. Udell, Challenges in Training PINNs, ICML 2024. DeepXDE ships it for
-    networks whose gradient torch records; the engine's gradient is in closed form, so products with the Hessian are
-    central differences of it here.
+    P. Rathore, W. Lei, Z. Frangella, L. Lu and M. Udell, Challenges in Training PINNs, ICML 2024. The engine's gradient
+    is in closed form, so products with the Hessian are central differences of it.
     """
 
     adam_first = True
@@ -204,8 +199,7 @@ class VariableProjection(Optimizer):
             point = projected(logs)
             state = heads.evaluate(point, deviations)
             loss.seen(residuals.with_heads(z[None], point)[0], state)
-            return np.asarray(state.rows[0].cpu())
+            return plain(state.rows[0])
 
-        first = np.asarray(short[0, free].cpu())
-        search = least_squares(rows, first, method="trf", x_scale=1.0, ftol=1e-9, xtol=1e-10, diff_step=1e-6)
+        search = least_squares(rows, plain(short[0, free]), ftol=1e-9, xtol=1e-10, diff_step=1e-6)
         return residuals.with_heads(z[None], projected(search.x))[0]

@@ -14,12 +14,12 @@ from methods.pinn.collocation import Collocation
 from methods.pinn.method import PINN
 from methods.pinn.physics import PhysicsInformed
 from methods.pinn.settings import PhysicsSettings
-from methods.pinn_family.choices import ARCHITECTURES, OPTIMIZERS, WEIGHTINGS, component
+from methods.pinn_family.choices import ARCHITECTURES, OPTIMIZERS, WEIGHTINGS
 
 if TYPE_CHECKING:
     from methods.network.ansatz import Ansatz
     from methods.pinn.block import Block
-    from methods.pinn_family.architectures import Features
+    from methods.pinn_family.architectures import FeatureFunction
 
 Uncertainty = Literal["laplace", "ensemble", "bootstrap", "nuts", "variational", "last_layer", "dropout"]
 
@@ -56,44 +56,24 @@ class FamilySettings(PhysicsInformed):
             remedy = "noise or paper: variable_projection holds weights fixed"
             raise InputError("method.weighting", self.weighting, remedy)
 
-    def _engine_settings(self) -> PhysicsSettings | None:
-        """Return the settings of the tanh network or the spline, which are the engine's own."""
+    def _function_of_time(self) -> PhysicsSettings | FeatureFunction:
+        """Return what represents the response: the engine's tanh network or spline, or features of the family."""
         if self.architecture == "tanh":
             # with the paper's training, since that always has one network
             return PINN(width=self.width, depth=self.depth, collocation=self.collocation, optimizer="adam_lbfgs")
-        return Collocation(collocation=self.collocation) if self.architecture == "spline" else None
+        if self.architecture == "spline":
+            return Collocation(collocation=self.collocation)
+        from methods.pinn_family.architectures import FeatureFunction
 
-    def _features(self, resolution: int) -> tuple[Features, tuple[tuple[int, ...], ...]]:
-        """Return the features of any other architecture, and the shapes of their coefficients."""
-        features: Features = component("architecture", self.architecture)(self.width, self.depth)
-        return features, tuple(part.shape for part in features.start(resolution, np.random.default_rng(0)))
+        return FeatureFunction(ARCHITECTURES.load(self.architecture)(self.width, self.depth))
 
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
-        if engine := self._engine_settings():
-            return engine.ansatz(block, resolution)
-        import torch
-
-        from methods.pinn_family.architectures import FeatureAnsatz
-
-        device = block.values.device
-        tau = torch.as_tensor(2.0 * block.times / block.duration[:, None] - 1.0, device=device)
-        rate = torch.as_tensor(2.0 / block.duration, device=device)
-        return FeatureAnsatz(*self._features(resolution), tau, rate, block.n_paths)
+        return self._function_of_time().ansatz(block, resolution)
 
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
-        if engine := self._engine_settings():
-            return engine.first_coefficients(n_paths, resolution, cycles, rngs)
-        features, _ = self._features(resolution)
-        head = np.zeros(n_paths * (features.n_features() + 1))
-        return np.stack(
-            [np.concatenate([*(part.ravel() for part in features.start(resolution, rng)), head]) for rng in rngs]
-        )
+        return self._function_of_time().first_coefficients(n_paths, resolution, cycles, rngs)
 
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
-        if engine := self._engine_settings():
-            return engine.response(coefficients, n_paths, resolution, duration)
-        from methods.pinn_family.architectures import FeatureResponse
-
-        return FeatureResponse(*self._features(resolution), coefficients, n_paths, duration)
+        return self._function_of_time().response(coefficients, n_paths, resolution, duration)

@@ -1,10 +1,11 @@
-"""One fit of the family: the engine's residuals of one problem, trained as the settings say, with its path noted."""
+"""One fit of the family: the engine's residuals of one problem, trained as the settings say; and its posterior."""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,20 +13,19 @@ import torch
 from torch import Tensor
 
 from bench import Problem
-from methods.network.ansatz import SumAnsatz
+from methods.network.ansatz import Ansatz, SumAnsatz
+from methods.network.response import Band, Function
 from methods.network.tanh import Network
 from methods.pinn.block import Spread
 from methods.pinn.engine import Attempt, Watch, torch_threads
 from methods.pinn.equations import equations
 from methods.pinn.levenberg import Walk, minimise
-from methods.pinn.residuals import Residuals
 from methods.pinn.task import Fit
 from methods.pinn_family.architectures import FeatureAnsatz
-from methods.pinn_family.choices import component
-from methods.pinn_family.loss import Loss, TrainingPath, best_of
+from methods.pinn_family.choices import OPTIMIZERS, WEIGHTINGS
+from methods.pinn_family.loss import Loss, TrainingPath, best_of, plain
 from methods.pinn_family.optimizers import Adam, LevenbergMarquardt
-from methods.pinn_family.sampling import SAMPLINGS, TrainingResiduals
-from methods.pinn_family.weighting import Sizes
+from methods.pinn_family.sampling import SAMPLINGS
 from methods.starts.waves import Guess
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ ROUNDS, SETTLED = 3, 0.03
 """As the engine: how often the last stage may be run again with a noise that has changed by more than this."""
 POLISH, POLISHED = 50, 1e-6
 """Steps of Levenberg-Marquardt to the minimum that a training is judged by, and the promise over the loss to end at."""
+CURVES = 50
+"""The most responses that are averaged in a reconstruction."""
 
 
 class FamilyAttempt(Attempt):
@@ -56,19 +58,17 @@ class FamilyAttempt(Attempt):
         super().__init__([problem], [guess], settings, [rng], watch)
         self.family, self.rng = settings, rng
         self.by_noise = settings.weighting == "noise"
-        self.residuals = TrainingResiduals.of(self.residuals, problem, self._ansatz)
-        sizes = Sizes(self._plain_deviations(), lambda softness: self.residuals.deviations(self.spread(softness)))
-        self.optimizer = component("optimizer", settings.optimizer)(settings.rate, rng)
+        self.optimizer = OPTIMIZERS.load(settings.optimizer)(settings.rate, rng)
         self.loss = Loss(
             self.residuals,
-            component("weighting", settings.weighting)(sizes, self.residuals),
-            SAMPLINGS[settings.sampling](float(self.omega[0]), rng),
+            WEIGHTINGS.load(settings.weighting)(self._sizes(), self.residuals),
+            SAMPLINGS[settings.sampling](problem, self._ansatz, float(self.omega[0]), rng),
             path,
             self._shapes(),
             settings.tolerance if self.by_noise else None,
         )
 
-    def _plain_deviations(self) -> Tensor:
+    def _sizes(self) -> Tensor:
         """Return what takes the dimension off the rows: a wave of the data's size and of the scan's frequency."""
         size = np.max(self.rms * self.to_displacement, 1)
         acceleration = self.omega**2 * size
@@ -91,7 +91,7 @@ class FamilyAttempt(Attempt):
                 work = budget - loss.work if last else share * budget
                 if work <= 0:
                     break
-                loss.weighting.begin(softness)
+                loss.weighting.begin(self.residuals.deviations(self.spread(softness)))
                 loss.moving = True
                 loss.begin(work)
                 z = self._minimise(z, last)
@@ -136,22 +136,25 @@ class FamilyAttempt(Attempt):
         """Return the path, and how far its end is from the minimum of the loss at the weights of the end.
 
         The minimum is where Levenberg-Marquardt goes from there, on the first grid. ``certificate``: the gradient over
-        the product of the lengths of Jacobian and residual, a cosine that is zero at a minimum.
+        the product of the lengths of Jacobian and residual, ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` with the Frobenius norm of J: a
+        cosine that is zero at a minimum.
         """
         residuals, deviations = self.residuals, self.loss.deviations
-        walk = Walk(self.walk.z, 1e-6)
-        loss = float(residuals.evaluate(self.walk.z, deviations).loss[0])
+        state = residuals.evaluate(self.walk.z, deviations)
+        size = math.sqrt(float(equations(residuals, state, deviations).trace)) * float(state.rows.norm())
+        gradient = residuals.pull_back(state, residuals.linearise(state, deviations), state.rows)
+        walk, loss = Walk(self.walk.z, 1e-6), float(state.loss[0])
         minimise(residuals, walk, deviations, POLISH, max(POLISHED * loss, 1e-12))
         least = float(residuals.evaluate(walk.z, deviations).loss[0])
         return {
             **self.loss.path.traces(deviations),
             "minimum_loss": np.array([min(least, loss)]),
-            "minimum_parameters": np.exp(np.asarray(residuals.split(walk.z)[1][0].cpu())),
-            "certificate": np.array([certificate(residuals, self.walk.z, deviations)]),
+            "minimum_parameters": np.exp(plain(residuals.split(walk.z)[1][0])),
+            "certificate": np.array([float(gradient.norm()) / max(size, 1e-300)]),
         }
 
 
-def _ansatz_shapes(ansatz: object) -> list[tuple[int, ...]]:
+def _ansatz_shapes(ansatz: Ansatz) -> list[tuple[int, ...]]:
     if isinstance(ansatz, SumAnsatz):
         return [*_ansatz_shapes(ansatz.inner), (ansatz.fixed.count,)]
     if isinstance(ansatz, Network):
@@ -159,17 +162,7 @@ def _ansatz_shapes(ansatz: object) -> list[tuple[int, ...]]:
         return [shape for n_in, n_out in pairs for shape in ((n_out, n_in), (n_out,))]
     if isinstance(ansatz, FeatureAnsatz):
         return [*ansatz.shapes, (ansatz.n_paths, (ansatz.count - ansatz.body) // ansatz.n_paths)]
-    return [(ansatz.count,)]  # type: ignore[attr-defined]
-
-
-def certificate(residuals: Residuals, z: Tensor, deviations: Tensor) -> float:
-    """Return ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` at z (1, n_z), with the Frobenius norm of J."""
-    state = residuals.evaluate(z, deviations)
-    normal = equations(residuals, state, deviations)
-    linear = residuals.linearise(state, deviations)
-    gradient = residuals.pull_back(state, linear, state.rows)
-    size = math.sqrt(float(normal.trace))
-    return float(gradient.norm()) / max(size * float(state.rows.norm()), 1e-300)
+    return [(ansatz.count,)]
 
 
 @dataclass(eq=False)
@@ -180,7 +173,7 @@ class TrainedFit(Fit):
     draws: np.ndarray | None = None
 
 
-def fit(
+def train(
     problem: Problem, guess: Guess, settings: FamilySettings, rng: np.random.Generator, path: TrainingPath, watch: Watch
 ) -> tuple[TrainedFit, float]:
     """Train from a starting guess; returns the fit, with the path and its judgement, and its work."""
@@ -189,6 +182,70 @@ def fit(
         attempt.record()
         attempt.train()
         attempt.record()
-        plain = attempt.results()[0]
-        plain.history = {**plain.history, **attempt.judged()}
-        return TrainedFit(**vars(plain), attempt=attempt), attempt.loss.work
+        fit = attempt.results()[0]
+        fit.history = {**fit.history, **attempt.judged()}
+        return TrainedFit(**vars(fit), attempt=attempt), attempt.loss.work
+
+
+class TrainedPosterior:
+    """Minus the log posterior at the end of a training, up to a constant: half the squared residual vector.
+
+    Its deviations are those of ``weighting=noise`` at the noise estimated last, the physics as hard as ``slack`` says,
+    whatever the weights that the training had. ``residuals`` is the vector, ``z`` (1, n_z) where the training ended,
+    ``n_weights`` the number of coefficients, which stand before the other unknowns.
+    """
+
+    def __init__(self, attempt: FamilyAttempt) -> None:
+        self.attempt = attempt
+        self.residuals = copy.copy(attempt.residuals)
+        self.residuals.shift = None
+        self.deviations = self.residuals.deviations(attempt.spread())
+        self.z = attempt.walk.z.clone()
+        self.n_weights = self.residuals.n_coefficients
+
+    def unknowns(self, z: Tensor) -> tuple[np.ndarray, np.ndarray]:
+        """Return all log-parameters (n_parameters,), and the channels' offsets, at z (1, n_z)."""
+        _, logs, offsets = self.residuals.split(z)
+        return plain(logs[0]), plain(offsets[0])
+
+    def motion(self, z: Tensor) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Return displacements (n_dof, collocation) and initial states (2, n_dof), record by record."""
+        outputs = self.residuals.evaluate(z, self.deviations).outputs
+        records = [(plain(out[0])[..., : b.n_dof], b) for out, b in zip(outputs, self.residuals.blocks, strict=True)]
+        return [out[0, : b.collocation].T for out, b in records], [out[:2, 0] for out, _ in records]
+
+    def responses(self, z: Tensor) -> tuple[Function, ...]:
+        """Return the response by time, record by record."""
+        parts, _ = self.residuals.split_flat(z)
+        return tuple(self.attempt._response(0, k, plain(part[0])) for k, part in enumerate(parts))
+
+    def from_draws(self, fit: TrainedFit, draws: Sequence[Tensor], gradients: int) -> TrainedFit:
+        """Return a fit as draws of z (1, n_z) state it, which took so many gradients.
+
+        They give mean and covariance of the log-parameters, and mean and spread of the response.
+        """
+        logs, offsets = (np.array(part) for part in zip(*map(self.unknowns, draws), strict=True))
+        paths, starts = zip(*map(self.motion, draws), strict=True)
+        spreads = [np.std(record, axis=0, ddof=1) for record in zip(*paths, strict=True)]
+        few = [draws[i] for i in np.linspace(0, len(draws) - 1, min(CURVES, len(draws))).astype(int)]
+        return replace(
+            fit,
+            logs=logs.mean(0),
+            covariance=np.atleast_2d(np.cov(logs[:, self.residuals.free].T)),
+            responses=tuple(map(AveragedResponse, zip(*map(self.responses, few), strict=True))),
+            bands=tuple(Band(old.times, spread) for old, spread in zip(fit.bands, spreads, strict=True)),
+            starts=[np.mean(record, axis=0) for record in zip(*starts, strict=True)],
+            offsets=offsets.mean(0),
+            evaluations=fit.evaluations + gradients,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedResponse:
+    """The mean of responses; can be pickled where they can."""
+
+    responses: tuple[Function, ...]
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Return the displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        return np.asarray(np.mean([response(times) for response in self.responses], axis=0))

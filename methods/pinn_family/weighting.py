@@ -9,9 +9,7 @@ divided by its root.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -24,34 +22,24 @@ PRIOR = 1e-3
 PHYSICS, BELIEF = TERMS.index("physics"), len(TERMS) - 1
 
 
-@dataclass
-class Sizes:
-    """What weights are made of: the deviations (1, n_rows) that take the dimension off, and by the estimated noise.
+class Weighting(TrainingComponent):
+    """Gives every row a standard deviation; one with fixed weights has nothing to add.
 
-    ``by_noise`` gives those at the present estimate of the noise; ``softness`` multiplies the physics' there.
-    """
-
-    plain: Tensor
-    by_noise: Callable[[float], Tensor]
-
-
-class Weighting(TrainingComponent, ABC):
-    """Gives every row a standard deviation; ``every`` so many gradients it may change them (0: never).
-
-    ``weights`` (4,) are those of the terms (data, physics, initial state, prior), ``row_weights`` (n_rows,) those of
-    the rows besides; ``balanced`` (4,) says which terms are present and balanced, all but the prior; ``members``
-    (4, n_rows) and ``counts`` (4,) say which rows a term has, and how many. ``shift`` (1, n_rows), if any, is added to
-    the rows.
+    ``sizes`` (1, n_rows) are the deviations that take the dimension off. ``weights`` (4,) are those of the terms (data,
+    physics, initial state, prior), ``row_weights`` (n_rows,) those of the rows besides; :meth:`update` may change
+    either after every ``every`` gradients (0: never). ``members`` (4, n_rows), 0 and 1, and ``counts`` (4,) say which
+    rows a term has, and how many; ``balanced`` (4,) which terms are present and balanced, all but the prior. ``shift``
+    (1, n_rows), if any, is added to the rows.
     """
 
     every = 0
     shift: Tensor | None = None
 
-    def __init__(self, sizes: Sizes, residuals: Residuals) -> None:
+    def __init__(self, sizes: Tensor, residuals: Residuals) -> None:
         self.sizes = sizes
-        self.members = residuals.term_rows.T.bool()  # (4, n_rows)
-        self.counts = residuals.term_rows.sum(0).clamp(min=1.0)
-        self.balanced = (residuals.term_rows.sum(0) > 0) & (torch.arange(len(TERMS)) != BELIEF)
+        self.members = residuals.term_rows.T
+        self.counts = self.members.sum(1).clamp(min=1.0)
+        self.balanced = (self.members.sum(1) > 0) & (torch.arange(len(TERMS)) != BELIEF)
         self.weights = torch.ones(len(TERMS), dtype=torch.float64)
         self.weights[BELIEF] = PRIOR
         self.row_weights = torch.ones(residuals.n_rows, dtype=torch.float64)
@@ -59,19 +47,18 @@ class Weighting(TrainingComponent, ABC):
 
     def scaled(self) -> Tensor:
         """Return the deviations (1, n_rows) for the weights."""
-        by_row = ((self.weights / self.counts) @ self.members.to(torch.float64)) * self.row_weights
-        return self.sizes.plain * by_row.clamp(min=1e-30).rsqrt()
+        by_row = ((self.weights / self.counts) @ self.members) * self.row_weights
+        return self.sizes * by_row.clamp(min=1e-30).rsqrt()
 
-    def begin(self, softness: float) -> None:
-        """Begin a stage: the noise is known better, and the physics may be asked for softly at first."""
-        return  # most know no noise
+    def begin(self, by_noise: Tensor) -> None:
+        """Begin a stage, at whose estimate of the noise the rows have the deviations ``by_noise`` (1, n_rows)."""
+        self.deviations = self.scaled()
 
     def move(self, residuals: Residuals, state: State) -> None:
         """Update the weights, and the deviations with them."""
         self.update(residuals, state)
         self.deviations = self.scaled()
 
-    @abstractmethod
     def update(self, residuals: Residuals, state: State) -> None:
         """Change ``weights`` or ``row_weights``, from a state whose rows are divided by ``deviations``."""
 
@@ -82,28 +69,22 @@ class Weighting(TrainingComponent, ABC):
 
     def squares(self, state: State) -> Tensor:
         """Return the squared rows (n_rows,) without dimension."""
-        return (self.plain_rows(state) / self.sizes.plain[0]) ** 2
+        return (self.plain_rows(state) / self.sizes[0]) ** 2
 
     def means(self, by_row: Tensor) -> Tensor:
         """Return the means over the rows of each balanced term."""
-        return ((self.members.to(torch.float64) @ by_row) / self.counts)[self.balanced]
+        return ((self.members @ by_row) / self.counts)[self.balanced]
 
 
 class Noise(Weighting):
     """Minus the log posterior at the noise that the residuals of earlier stages show; the physics nearly hard."""
 
-    def begin(self, softness: float) -> None:
-        self.deviations = self.sizes.by_noise(softness)
-
-    def update(self, residuals: Residuals, state: State) -> None:
-        raise NotImplementedError  # ``every`` is 0: the noise is estimated between stages
+    def begin(self, by_noise: Tensor) -> None:
+        self.deviations = by_noise
 
 
 class Paper(Weighting):
     """Fixed weights, all one: "selected empirically" is all that the paper says of its own."""
-
-    def update(self, residuals: Residuals, state: State) -> None:
-        raise NotImplementedError  # ``every`` is 0
 
 
 class GradientNorms(Weighting):
@@ -118,8 +99,8 @@ class GradientNorms(Weighting):
     def update(self, residuals: Residuals, state: State) -> None:
         linear, plain = residuals.linearise(state, self.deviations), self.plain_rows(state)
         # d/dz of (r/size)²: rows of J are divided by the deviations, so these are multiplied in again
-        dual = 2.0 * plain * self.deviations[0] / self.sizes.plain[0] ** 2
-        terms = (self.members.to(torch.float64) / self.counts[:, None])[self.balanced]
+        dual = 2.0 * plain * self.deviations[0] / self.sizes[0] ** 2
+        terms = (self.members / self.counts[:, None])[self.balanced]
         norms = torch.stack([residuals.pull_back(state, linear, (term * dual)[None]).norm() for term in terms])
         balance = norms.sum() / norms.clamp(min=1e-12)
         self.weights[self.balanced] = 0.9 * self.weights[self.balanced] + 0.1 * balance
@@ -133,7 +114,7 @@ class TangentKernel(Weighting):
     def update(self, residuals: Residuals, state: State) -> None:
         linear = residuals.linearise(state, self.deviations)
         squares = residuals.gram(state, linear).diagonal(dim1=1, dim2=2)[0]
-        traces = self.means(squares * (self.deviations / self.sizes.plain)[0] ** 2)
+        traces = self.means(squares * (self.deviations / self.sizes)[0] ** 2)
         self.weights[self.balanced] = traces.sum() / traces.clamp(min=1e-12)
 
 
@@ -147,7 +128,7 @@ class ReLoBRaLo(Weighting):
     every = 1
     temperature, decay, lookback = 0.1, 0.99, 0.999
 
-    def __init__(self, sizes: Sizes, residuals: Residuals) -> None:
+    def __init__(self, sizes: Tensor, residuals: Residuals) -> None:
         super().__init__(sizes, residuals)
         self.first: Tensor | None = None
         self.last: Tensor = torch.empty(0)
@@ -176,14 +157,14 @@ class SelfAdaptive(Weighting):
     every = 1
     rate = 5e-3
 
-    def __init__(self, sizes: Sizes, residuals: Residuals) -> None:
+    def __init__(self, sizes: Tensor, residuals: Residuals) -> None:
         super().__init__(sizes, residuals)
         self.masks = torch.ones(residuals.n_rows, dtype=torch.float64, requires_grad=True)
         self.optimizer = torch.optim.Adam([self.masks], lr=self.rate, maximize=True)
 
     def update(self, residuals: Residuals, state: State) -> None:
-        squares = self.squares(state) / (self.counts @ self.members.to(torch.float64))
-        squares[self.members[BELIEF]] = 0.0
+        squares = self.squares(state) / (self.counts @ self.members)
+        squares[self.members[BELIEF] > 0] = 0.0
         self.masks.grad = 2.0 * self.masks.detach() * squares
         self.optimizer.step()
         self.row_weights = self.masks.detach() ** 2
@@ -200,7 +181,7 @@ class ResidualAttention(Weighting):
 
     def update(self, residuals: Residuals, state: State) -> None:
         size, attention = self.squares(state).sqrt(), self.row_weights.sqrt()
-        for rows in self.members[self.balanced]:
+        for rows in self.members[self.balanced] > 0:
             largest = size[rows].max().clamp(min=1e-30)
             attention[rows] = self.memory * attention[rows] + self.rate * size[rows] / largest
         self.row_weights = attention**2
@@ -216,13 +197,13 @@ class AugmentedLagrangian(Weighting):
     every = 200
     growth, wanted, largest = 2.0, 0.5, 1e4
 
-    def __init__(self, sizes: Sizes, residuals: Residuals) -> None:
+    def __init__(self, sizes: Tensor, residuals: Residuals) -> None:
         super().__init__(sizes, residuals)
         self.shift = torch.zeros(1, residuals.n_rows, dtype=torch.float64)
         self.before = float("inf")
 
     def update(self, residuals: Residuals, state: State) -> None:
-        physics = self.members[PHYSICS]
+        physics = self.members[PHYSICS] > 0
         violations = self.plain_rows(state)[physics]
         assert self.shift is not None
         self.shift[0, physics] += violations

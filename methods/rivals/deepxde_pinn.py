@@ -2,10 +2,9 @@
 
 L. Lu, X. Meng, Z. Mao, G. E. Karniadakis, SIAM Review 63:208, 2021. As in its examples of inverse problems for ordinary
 differential equations: a ``TimeDomain``, the data as a ``PointSetBC``, a known start as ``IC`` and ``OperatorBC``, the
-unknowns as external trainable variables, Glorot-normal weights. Its L-BFGS is torch's with the options that it ships
-(100 pairs, strong Wolfe, no tolerance of the loss), but comes back after 20 iterations instead of 1,000, so that the
-clock can be read; it takes a return after a single iteration for convergence, so a return must not be due to the number
-of evaluations, of which it is allowed as many as the line searches may take.
+unknowns as external trainable variables, Glorot-normal weights. Its L-BFGS has the options that it ships, but comes
+back after 20 iterations instead of 1,000, so that the clock can be read; it takes a return after a single iteration for
+convergence, so a return must not be due to the number of evaluations.
 """
 
 from __future__ import annotations

@@ -1,14 +1,11 @@
 """The inverse PINN of jinns, on JAX in double precision: Adam of optax, then its self-scaled Broyden method.
 
 H. Gangloff, N. Jouvin, arXiv:2412.14132, 2024. Its ``PINN_MLP``, ``LossODE`` and ``solve`` with the first weights of
-equinox; the equation is differentiated by weights and unknowns. A known displacement is its initial condition; it has
-none for a velocity, so that this is a second dynamic loss, which asks at the start whatever the time. The second
-optimiser is the one that it ships beside those of optax, ``scale_by_SSBroyden_family`` (after arXiv:2405.04230), with a
-dense inverse Hessian.
+equinox. It has no condition for an initial velocity, so that this is a second dynamic loss, which asks at the start
+whatever the time. The second optimiser is its ``scale_by_SSBroyden_family`` (after arXiv:2405.04230).
 
 ``solve`` is compiled anew for each fit and optimiser: that takes several seconds, which are on the path, but a stage's
-time begins after it. The clock is read, and the path noted, through what the package has for validation: a module that
-it calls on the way and that may end the training.
+time begins after it. The clock is read, and the path noted, through what the package has for validation.
 """
 
 from __future__ import annotations
@@ -52,8 +49,7 @@ class Jinns(Rival):
 
         keys = jax.random.split(jax.random.PRNGKey(seed), 4)
         net, params = _network(decay, keys[0])
-        loss = _loss(decay, net, params)
-        data = _data(decay, keys[1], keys[2])
+        loss, data = _loss(decay, net, params), _data(decay, keys[1], keys[2])
         extra = {
             "value": GetJinnsVariableName("train_loss_value"),
             "grad_pt": GetJinnsVariableName("grads"),
@@ -67,7 +63,7 @@ class Jinns(Rival):
         ]
         for seconds, (optimiser, needs, every, most) in zip(self.stages, stages, strict=True):
             stage = SolveStage(path, seconds, every, most or int(MOST_A_SECOND * seconds) + 1)
-            params, last = _solve(stage, loss, params, data, optimiser, needs)
+            params, last = stage.solve(loss, params, data, optimiser, needs)
         leaves = [np.array(leaf) for leaf in jax.tree.leaves(params.nn_params)]
         logs = float(params.eq_params.log_k), float(params.eq_params.log_c)
         return path.end((*logs, last), list(zip(leaves[::2], leaves[1::2], strict=True)), decay.duration)
@@ -169,6 +165,30 @@ class SolveStage:
         self.begun = path.steps
         self.noted: list[tuple[int, int]] = []  # moments of the path, and the step of this stage that each was at
 
+    def solve(self, loss: Any, params: Any, data: dict[str, Any], optimiser: Any, needs: Any) -> tuple[Any, float]:
+        """Train by one optimiser until the stage ends; returns the parameters and the last loss."""
+        import jax
+        import jinns
+
+        done = jinns.solve(
+            n_iter=self.most,
+            init_params=params,
+            loss=loss,
+            optimizer=optimiser,
+            print_loss_every=self.most + 1,
+            extra_optax_args_and_kwargs=needs,
+            validation=_clock(self.ask, self.every),
+            verbose=False,
+            **data,
+        )
+        jax.effects_barrier()
+        losses = np.asarray(done[1])
+        for moment, step in self.noted:
+            self.path.losses[moment] = float(losses[step])
+        taken = int(np.max(np.flatnonzero(losses), initial=0)) + 1  # the losses of steps not taken are zero
+        self.path.steps = self.begun + taken
+        return done[0], float(losses[taken - 1])
+
     def ask(self, log_k: Any, log_c: Any) -> np.ndarray:
         """Return True where it is to stop, as what the compiled loop takes."""
         path = self.path
@@ -179,36 +199,6 @@ class SolveStage:
         if len(path.losses) > moments:
             self.noted.append((moments, step))
         return np.array(stop)
-
-    def end(self, losses: np.ndarray) -> float:
-        """Give the moments their losses, from those of all steps, zero where there was none; returns the last loss."""
-        for moment, step in self.noted:
-            self.path.losses[moment] = float(losses[step])
-        taken = int(np.max(np.flatnonzero(losses), initial=0)) + 1
-        self.path.steps = self.begun + taken
-        return float(losses[taken - 1])
-
-
-def _solve(
-    stage: SolveStage, loss: Any, params: Any, data: dict[str, Any], optimiser: Any, needs: Any
-) -> tuple[Any, float]:
-    """Train by one optimiser until the stage ends it; returns the parameters and the last loss."""
-    import jax
-    import jinns
-
-    done = jinns.solve(
-        n_iter=stage.most,
-        init_params=params,
-        loss=loss,
-        optimizer=optimiser,
-        print_loss_every=stage.most + 1,
-        extra_optax_args_and_kwargs=needs,
-        validation=_clock(stage.ask, stage.every),
-        verbose=False,
-        **data,
-    )
-    jax.effects_barrier()
-    return done[0], stage.end(np.asarray(done[1]))
 
 
 def _clock(ask: Callable[[Any, Any], np.ndarray], every: int) -> Any:

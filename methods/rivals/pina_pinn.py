@@ -2,13 +2,12 @@
 
 D. Coscia, A. Ivagnes, N. Demo, G. Rozza, Journal of Open Source Software 8:5352, 2023. An ``InverseProblem`` with the
 data, the equation and a known start as conditions, its ``FeedForward`` network with torch's first weights, its
-physics-informed solver and trainer, in double precision. L-BFGS has the options that DeepXDE ships, 20 iterations a
-step.
+physics-informed solver and trainer. L-BFGS has the options that DeepXDE ships, 20 iterations a step.
 
-Two things of version 0.3.2 stand in the way of L-BFGS where an equation has unknowns, and are stepped around. Its
-callback that switches optimisers hands on the weights of the network alone, and the unknowns would stay where they are:
-the second optimiser is a second solver of the same network and problem. And a solver adds the unknowns as a second
-group of parameters, of which torch's L-BFGS takes one: ours puts them into the first.
+Two things of version 0.3.2 stand in the way of L-BFGS where an equation has unknowns. Its callback that switches
+optimisers hands on the weights of the network alone: the second optimiser is a second solver of the same network and
+problem. And a solver adds the unknowns as a second group of parameters, of which torch's L-BFGS takes one: ours puts
+them into the first.
 """
 
 from __future__ import annotations

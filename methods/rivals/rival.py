@@ -114,9 +114,9 @@ class FitPath:
     def _answer(self, responses: tuple[NetworkResponse, ...] = (), message: str = "") -> Estimate:
         """Return the last moment; the response simulated from it stands in where the network is not given."""
         system = self.problem.system
-        stiffness, damping = np.exp(np.array(self.logs)).T
-        by_kind = {"mass": np.ones(stiffness.size), "damping": damping, "stiffness": stiffness}
-        parameters = np.stack([by_kind[parameter.kind] for parameter in system.parameters], axis=1)
+        logs = np.insert(np.array(self.logs), 0, 0.0, axis=1)  # the mass is 1
+        kinds = [("mass", "stiffness", "damping").index(parameter.kind) for parameter in system.parameters]
+        parameters = np.exp(logs[:, kinds])
         last = dict(zip(system.names, parameters[-1], strict=True))
         values = np.array([float(group.value(last)) for group in system.groups])
         return Estimate(
@@ -158,11 +158,10 @@ class Rival(Identifier):
                 raise InputError(f"method.{name}", getattr(self, name), "a number of steps, 0 for no limit")
 
     def objection(self, problem: Problem) -> str | None:
-        kinds = sorted(parameter.kind for parameter in problem.system.parameters)
-        needs = (
-            None if kinds == ["damping", "mass", "stiffness"] else "it needs one mass, one damping and one stiffness"
-        )
-        return super().objection(problem) or needs
+        objection = super().objection(problem)
+        if sorted(parameter.kind for parameter in problem.system.parameters) != ["damping", "mass", "stiffness"]:
+            return objection or "it needs one mass, one damping and one stiffness"
+        return objection
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate the groups k/m and c/m, without uncertainty.

@@ -16,7 +16,6 @@ from bench.commands.main import main
 from bench.scenario.scenario import Scenario
 from bench.store.version import settings_version
 from methods.pinn_family import PINNFamily, choices
-from methods.pinn_family.choices import GROUPS
 
 pytest.importorskip("torch")
 PAGE = REPOSITORY / "docs" / "tutorials" / "add_optimizer.md"
@@ -135,7 +134,7 @@ def installed(site: tuple[Path, dict[str, str]], monkeypatch: pytest.MonkeyPatch
     monkeypatch.syspath_prepend(str(site[0]))
     classes = {"optimizer": CLASSES, "weighting": {"half": "HalfPhysics"}, "architecture": {"sines": "Sines"}}
     points = {
-        GROUPS[setting]: {name: EntryPoint(name, f"lion_pinn:{cls}", GROUPS[setting]) for name, cls in own.items()}
+        f"pinn_family.{setting}s": {name: EntryPoint(name, f"lion_pinn:{cls}", "") for name, cls in own.items()}
         for setting, own in classes.items()
     }
     monkeypatch.setattr(choices, "entry_points_of", points.__getitem__)

@@ -82,5 +82,5 @@ def test_a_product_of_jets_follows_the_product_rule() -> None:
     time = Jet.of_time(t, torch.ones(1, dtype=torch.float64))
     found = time * time * time.sin()
     sin, cos = torch.sin(t), torch.cos(t)
-    assert torch.allclose(found.first, 2 * t * sin + t**2 * cos)
-    assert torch.allclose(found.second, 2 * sin + 4 * t * cos - t**2 * sin)
+    assert torch.allclose(found.streams[1], 2 * t * sin + t**2 * cos)
+    assert torch.allclose(found.streams[2], 2 * sin + 4 * t * cos - t**2 * sin)

@@ -13,7 +13,7 @@ from methods.pinn_family import PINNFamily
 
 torch = pytest.importorskip("torch")
 
-from methods.pinn_family.loss import Clock, TrainingPath  # noqa: E402
+from methods.pinn_family.loss import TrainingPath  # noqa: E402
 from methods.pinn_family.training import FamilyAttempt  # noqa: E402
 from methods.starts.waves import Guess  # noqa: E402
 
@@ -29,7 +29,7 @@ def attempt(weighting: Any) -> FamilyAttempt:
     problem = Problem(SDOF(), (record,), prior)
     settings = PINNFamily(weighting=weighting, width=8, collocation=20)
     guess = Guess(omega=9.0, decay=0.5, left=0.01)
-    own = FamilyAttempt(problem, guess, settings, np.random.default_rng(0), lambda results: None, TrainingPath(Clock()))
+    own = FamilyAttempt(problem, guess, settings, np.random.default_rng(0), lambda results: None, TrainingPath(0.0))
     z = own.walk.z + 0.1 * torch.as_tensor(np.random.default_rng(1).standard_normal(own.walk.z.shape))
     own.walk.z = z
     return own
