@@ -1,10 +1,10 @@
 """The equation of motion in weak form: no sample is differentiated, and its noise is weighed as it enters.
 
-Multiplied with a test function φ that vanishes with its slope at both ends of its support, and integrated by parts,
-``m x'' + c x' + k x = f`` becomes ``m ∫φ'' x - c ∫φ' x + k ∫φ x = ∫φ f``: derivatives stand on φ alone. One equation
-comes of each of many overlapping φ, ``(1 - s²)^6`` with s from -1 to 1 over the support (D. A. Messenger, D. M. Bortz,
-Multiscale Modeling and Simulation 19:1474, 2021), integrated by the trapezoidal rule over the samples, which is
-accurate to high order for what vanishes smoothly at both ends.
+Multiplied with a weight (or test) function φ that vanishes with its slope at both ends of its support, and integrated
+by parts, ``m x'' + c x' + k x = f`` becomes ``m ∫φ'' x - c ∫φ' x + k ∫φ x = ∫φ f``: derivatives stand on φ alone. One
+equation comes of each of many overlapping φ, ``(1 - s²)^6`` with s from -1 to 1 over the support (D. A. Messenger,
+D. M. Bortz, Multiscale Modeling and Simulation 19:1474, 2021), integrated by the trapezoidal rule over the samples,
+which is accurate to high order for what vanishes smoothly at both ends.
 
 The noise of a sample enters all integrals about it, so least squares alone is badly biased. The residual at parameters
 p is linear in the noise, of covariance ``S(p) = L(p) L(p)ᵀ`` with the rows ``m φ'' - c φ' + k φ`` of L: generalised
@@ -34,7 +34,7 @@ POWER = 6
 WIDTH = 0.35
 """Support, as part of the record. Of several widths together the functions depend on each other, and round badly."""
 SHARE, MOST_FUNCTIONS = 0.5, 60
-"""Test functions, as part of the samples, and at most; more overlap so much that they tell nothing new."""
+"""Test functions, as part of the samples, and at most; more overlap so much that they add nothing."""
 REWEIGHTED = 4
 """Rounds of generalised least squares."""
 RIDGE = 1e-9
@@ -47,17 +47,19 @@ LEAST_SAMPLES = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Kernels:
-    """Test functions and their first two derivatives times the weights of the quadrature, each (functions, n)."""
+class WeightFunctions:
+    """Test functions about ``centres`` (functions,) times the weights of the quadrature.
+
+    ``shapes`` (3, functions, n): their values, slopes with the other sign, and curvatures, whose sums over a record's
+    samples take the place of displacement, velocity and acceleration.
+    """
 
     centres: np.ndarray
-    value: np.ndarray
-    slope: np.ndarray
-    curvature: np.ndarray
+    shapes: np.ndarray
 
     @staticmethod
-    def of(times: np.ndarray, width: float = WIDTH, share: float = SHARE) -> Kernels:
-        """Test functions for samples at increasing times (n,), with unit integrals.
+    def of(times: np.ndarray, width: float = WIDTH, share: float = SHARE) -> WeightFunctions:
+        """Make test functions for samples at increasing times (n,), with unit integrals.
 
         ``width`` is their support, as part of the record; ``share`` how many there are, as part of the samples.
         """
@@ -74,24 +76,19 @@ class Kernels:
         curvature = 2.0 * POWER * rate**2 * u ** (POWER - 2) * (2.0 * (POWER - 1) * s**2 - u)
         total = np.sum(value * weights, axis=1, keepdims=True)
         scale = weights / np.where(total > 0, total, 1.0)  # between samples far apart there may be none
-        return Kernels(centres, value * scale, slope * scale, curvature * scale)
+        return WeightFunctions(centres, np.stack([value, -slope, curvature]) * scale)
 
-    def where_sampled(self, least: int) -> Kernels:
-        """Those of which at least so many samples are inside the support; NoEstimate where none is."""
-        kept = np.count_nonzero(self.value > 0, axis=1) >= least
+    def where_sampled(self, least: int) -> WeightFunctions:
+        """Keep those of which at least so many samples are inside the support; NoEstimate where none is."""
+        kept = np.count_nonzero(self.shapes[0] > 0, axis=1) >= least
         if not np.any(kept):
             raise NoEstimate("no stretch of the record is sampled densely enough for its integrals", Status.UNSUPPORTED)
-        return Kernels(self.centres[kept], self.value[kept], self.slope[kept], self.curvature[kept])
+        return WeightFunctions(self.centres[kept], self.shapes[:, kept])
 
     def motion(self, y: np.ndarray, force: np.ndarray) -> Motion:
-        """What takes the place of displacement, velocity, acceleration and force, of displacements (n_dof, sets, n)."""
-        return Motion(
-            self.centres,
-            y @ self.value.T,
-            -(y @ self.slope.T),
-            y @ self.curvature.T,
-            np.broadcast_to((force @ self.value.T)[:, None], (*y.shape[:2], self.centres.size)),
-        )
+        """Integrate displacements (n_dof, sets, n) and forces (n_dof, n): what takes the place of their motion."""
+        x, v, a = (y @ shape.T for shape in self.shapes)
+        return Motion(self.centres, x, v, a, np.broadcast_to((force @ self.shapes[0].T)[:, None], x.shape))
 
 
 def weak_fit(data: Regression, fits: SplineFits) -> np.ndarray:
@@ -102,45 +99,43 @@ def weak_fit(data: Regression, fits: SplineFits) -> np.ndarray:
     """
     if not data.system.linear:
         raise NoEstimate("its weak form is that of a linear system; take derivative=spline", Status.UNSUPPORTED)
-    kernels = [Kernels.of(times) for times in data.times]
+    functions = [WeightFunctions.of(times) for times in data.times]
     forces = [np.array(r.force(t, data.system.n_dof)) for r, t in zip(data.records, data.times, strict=True)]
-    motions = [t.motion(y, f) for t, y, f in zip(kernels, data.values, forces, strict=True)]
-    columns, target = data.equations(motions)
+    columns, target = data.equations([f.motion(*own) for f, *own in zip(functions, data.values, forces, strict=True)])
     both = np.concatenate([columns, target[..., None]], axis=2)
-    ends = np.cumsum([functions.centres.size * data.system.n_dof for functions in kernels])[:-1]
+    parts = np.split(both, np.cumsum([f.centres.size * data.system.n_dof for f in functions])[:-1], axis=1)
     of_fit = np.repeat(np.arange(len(fits.unknowns)), data.sets // len(fits.unknowns))
-    unknowns = fits.unknowns[of_fit]
+    unknowns, noise = fits.unknowns[of_fit], np.stack([sd.T[of_fit] for sd in fits.noise])
     for _ in range(REWEIGHTED):
-        whitened = []
-        for i, (functions, part) in enumerate(zip(kernels, np.split(both, ends, axis=1), strict=True)):
-            covariance = _covariance(_matrices(data, unknowns, i), functions, fits.noise[i].T[of_fit])
-            whitened.append(np.linalg.solve(_root(covariance), part))
+        scaled = _matrices(data, unknowns) * noise[:, None, :, None]
+        whitened = [
+            np.linalg.solve(_root(_covariance(m, f.shapes)), part)
+            for m, f, part in zip(scaled, functions, parts, strict=True)
+        ]
         rows = np.concatenate(whitened, axis=1)
         unknowns = solve(rows[..., :-1], rows[..., -1])
     return unknowns
 
 
-def _matrices(regression: Regression, unknowns: np.ndarray, number: int) -> np.ndarray:
-    """Stiffness, damping and mass beside each other, (sets, n, 3n), of a record's rig at unknowns (sets, q)."""
-    n = regression.system.n_dof
+def _matrices(regression: Regression, unknowns: np.ndarray) -> np.ndarray:
+    """Stiffness, damping and mass of each record's rig at unknowns (sets, q), (records, 3, sets, n, n)."""
+    n, records = regression.system.n_dof, len(regression.records)
     units = np.eye(3 * n)[:, None]
     unit = Motion(np.zeros(3 * n), units[:n], units[n : 2 * n], units[2 * n :], np.zeros((n, 1, 3 * n)))
-    columns, target = regression.equations([unit] * len(regression.records))
-    d = len(regression.names)
-    residual = (unknowns[:, :d] @ columns[0, :, :d].T - target[0]).reshape(len(unknowns), -1, 3 * n, n)
-    return np.asarray(residual[:, number].swapaxes(1, 2))
+    columns, target = regression.equations([unit] * records)
+    residual = unknowns[:, : len(regression.names)] @ columns[0, :, : len(regression.names)].T - target[0]
+    return np.asarray(residual.reshape(-1, records, 3, n, n).transpose(1, 2, 0, 4, 3))
 
 
-def _covariance(matrices: np.ndarray, functions: Kernels, noise: np.ndarray) -> np.ndarray:
-    """Covariance (sets, rows, rows) of the residuals, function by function and DOF by DOF, at noise (sets, n_dof)."""
-    n = matrices.shape[1]
-    stiffness, damping, mass = matrices[..., :n], matrices[..., n : 2 * n], matrices[..., 2 * n :]
-    shapes = np.stack([functions.value, -functions.slope, functions.curvature])
+def _covariance(scaled: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Covariance (sets, rows, rows) of the residuals, function by function and DOF by DOF.
+
+    ``scaled``: matrices (3, sets, n, n), their columns times the noise of each DOF; ``shapes`` (3, functions, n).
+    """
     gram = np.einsum("afn,bgn->abfg", shapes, shapes)
-    scaled = np.stack([stiffness, damping, mass]) * noise[:, None]
     both = np.einsum("asij,bskj->sabik", scaled, scaled)
     covariance = np.einsum("abfg,sabik->sfigk", gram, both, optimize=True)
-    rows = functions.centres.size * n
+    rows = shapes.shape[1] * scaled.shape[2]
     return np.asarray(covariance.reshape(-1, rows, rows))
 
 
@@ -169,7 +164,7 @@ def weak_rows(
     # as many radians a second as the root mean squares of velocity and acceleration say
     period = 2.0 * np.pi * np.sqrt(np.mean(motion.v**2) / np.mean(motion.a**2))
     width = float(np.clip(PERIODS * period / (times[-1] - times[0]), LEAST_SAMPLES / times.size, WIDTH))
-    kernels = Kernels.of(times, width, share=1.0).where_sampled(LEAST_SAMPLES // 2)
-    weak = np.einsum("fn,snk->sfk", kernels.value, features)
-    weak[..., linear] = np.moveaxis(np.concatenate([samples @ kernels.value.T, -(samples @ kernels.slope.T)]), 0, -1)
-    return weak, samples @ kernels.curvature.T
+    shapes = WeightFunctions.of(times, width, share=1.0).where_sampled(LEAST_SAMPLES // 2).shapes
+    weak = np.einsum("fn,snk->sfk", shapes[0], features)
+    weak[..., linear] = np.moveaxis(np.concatenate([samples @ shape.T for shape in shapes[:2]]), 0, -1)
+    return weak, samples @ shapes[2].T

@@ -15,7 +15,7 @@ from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF
 from methods.regression.derivatives import Motion
 from methods.regression.sindy import SINDy, greedy
-from methods.regression.weak import Kernels, weak_rows
+from methods.regression.weak import WeightFunctions, weak_rows
 
 pysindy = pytest.importorskip("pysindy")
 
@@ -134,7 +134,7 @@ def test_rows_of_the_weak_form_are_integrals_by_parts() -> None:
     motion = Motion(t, *(part[None, None] for part in (x, v, a)))
     features = np.stack([np.zeros_like(t), np.zeros_like(t), x**3], axis=-1)[None]
     rows, target = weak_rows(motion, x[None, None], features, np.array([0, 1]))
-    kernels = Kernels.of(t, float(np.pi / t[-1]), share=1.0)  # one period
+    kernels = WeightFunctions.of(t, float(np.pi / t[-1]), share=1.0)  # one period
     half = np.pi / 2
     for i in (0, 20, 59):
         centre = float(kernels.centres[i])
@@ -167,8 +167,8 @@ def test_a_force_that_acts_between_the_samples_alone_is_no_crash() -> None:
 
 def test_test_functions_without_samples_are_left_out() -> None:
     times = np.concatenate([np.linspace(0.0, 1.0, 20), np.linspace(9.0, 10.0, 20)])
-    kernels = Kernels.of(times, 0.1, share=1.0)
-    assert np.all(np.isfinite(kernels.value))
+    kernels = WeightFunctions.of(times, 0.1, share=1.0)
+    assert np.all(np.isfinite(kernels.shapes))
     assert 0 < kernels.where_sampled(3).centres.size < kernels.centres.size
     with pytest.raises(NoEstimate, match="densely enough"):
         kernels.where_sampled(50)

@@ -10,7 +10,7 @@ from bench.information.fisher import compute_bound
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.systems import SDOF, Duffing
 from methods.regression.ls import LS
-from methods.regression.weak import Kernels
+from methods.regression.weak import WeightFunctions
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 WEAK = LS(derivative="weak", bootstrap=0)
@@ -23,8 +23,8 @@ def rng() -> np.random.Generator:
 def test_test_functions_turn_a_cubic_into_its_derivatives() -> None:
     """``∫φ x = x`` for a line at its centre, ``-∫φ' x = ∫φ x'`` and ``∫φ'' x = ∫φ x''`` for a cubic."""
     times = np.linspace(0.0, 3.0, 400)
-    motion = Kernels.of(times).motion((times**3)[None, None], np.zeros((1, times.size)))
-    speed = Kernels.of(times).motion((3.0 * times**2)[None, None], np.zeros((1, times.size))).x
+    motion = WeightFunctions.of(times).motion((times**3)[None, None], np.zeros((1, times.size)))
+    speed = WeightFunctions.of(times).motion((3.0 * times**2)[None, None], np.zeros((1, times.size))).x
     np.testing.assert_allclose(motion.v, speed, rtol=1e-7)
     np.testing.assert_allclose(motion.a[0, 0], 6.0 * motion.times, rtol=1e-6)
 
