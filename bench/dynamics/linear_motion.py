@@ -27,6 +27,8 @@ TERMS = 20
 """Of the Taylor series at norm 1 at most: what it leaves out, 1/19!, is below rounding."""
 NEAR = 1e-2
 """Of ``|d| t²``, below which the derivative of ``sinh(√d t)/√d`` by d is summed as a series: it cancels otherwise."""
+MOST_AT_ONCE = 2**21
+"""Numbers of the derivatives of exponentials that are formed together."""
 LONG_RUN = 16
 """Equal intervals in a row from which on few sets are carried in blocks, for speed alone,"""
 FEW = 512
@@ -285,29 +287,40 @@ def _exponentials(
     slopes[..., :n], slopes[..., n : n + m] = matrices.da, matrices.db[..., driven]
     matrix[lost] = slopes[lost] = 0.0
     matrix, slopes = matrix / norms[:, None, None], slopes / norms[:, None, None, None]
-    powers, derivatives = np.zeros((sets, TERMS, size, size)), np.zeros((sets, TERMS, q, n, size))
-    powers[:, 0] = np.eye(size)
+    powers, derivatives = np.zeros((TERMS, sets, size, size)), np.zeros((TERMS, sets, q, n, size))
+    powers[0] = np.eye(size)
     for k in range(1, TERMS):
-        powers[:, k] = powers[:, k - 1] @ matrix / k
+        powers[k] = powers[k - 1] @ matrix / k
         if q:
-            derivatives[:, k] = derivatives[:, k - 1] @ matrix[:, None]
-            derivatives[:, k] = (derivatives[:, k] + powers[:, k - 1, None, :n, :n] @ slopes) / k
+            derivatives[k] = derivatives[k - 1] @ matrix[:, None]
+            derivatives[k] += powers[k - 1, :, None, :n, :n] @ slopes
+            derivatives[k] /= k
 
-    radians = norms[:, None] * lengths
+    growth, change = np.empty((lengths.size, sets, n, size)), np.empty((lengths.size, sets, q, n, size))
+    together = max(1, MOST_AT_ONCE // max(1, sets * max(q * n, size) * size))
+    for i in range(0, lengths.size, together):
+        part = slice(i, i + together)
+        growth[part], change[part] = _summed(norms[:, None] * lengths[part], powers, derivatives)
+    return growth, change, lost
+
+
+def _summed(radians: np.ndarray, powers: np.ndarray, derivatives: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum the series of steps of ``radians`` (sets, lengths), of the rows of the state, with lengths in front."""
+    (_, sets, q, n, size), number = derivatives.shape, radians.shape[1]
     halvings = np.maximum(0, np.ceil(np.log2(np.maximum(radians, 1e-300)))).astype(int)
-    weights: np.ndarray = np.ones((sets, lengths.size, TERMS))
+    weights: np.ndarray = np.ones((sets, number, TERMS))
     weights[..., 1:] = (radians / 2.0**halvings)[..., None]
     weights = np.cumprod(weights, axis=-1)
-    growth = (weights @ powers.reshape(sets, TERMS, size**2)).reshape(sets, lengths.size, size, size)
-    change = weights @ derivatives.reshape(sets, TERMS, q * n * size)
-    change = change.reshape(sets, lengths.size, q, n, size)
+    growth = weights @ powers.reshape(TERMS, sets, size**2).swapaxes(0, 1)
+    change = weights @ derivatives.reshape(TERMS, sets, q * n * size).swapaxes(0, 1)
+    growth, change = growth.reshape(sets, number, size, size), change.reshape(sets, number, q, n, size)
     for done in range(int(np.max(halvings, initial=0))):
         left = slice(None) if np.all(halvings > done) else halvings > done
         half, rows = growth[left], change[left]
         if q:
             change[left] = half[..., None, :n, :n] @ rows + rows @ half[..., None, :, :]
         growth[left] = half @ half
-    return np.moveaxis(growth[:, :, :n], 1, 0), np.moveaxis(change, 1, 0), lost
+    return np.moveaxis(growth[:, :, :n], 1, 0), np.moveaxis(change, 1, 0)
 
 
 def _balanced_norms(a: np.ndarray) -> np.ndarray:
