@@ -57,13 +57,13 @@ class AR(PoleIdentifier):
 
 
 def equations(sets: np.ndarray, offset: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (sets, n - 2, 2 or 3) of a₁, a₂ and the constant of an offset, and target (sets, n - 2), of samples."""
+    """Make columns (sets, n - 2, 2 or 3) of a₁, a₂ and an offset's constant, and target (sets, n - 2), of samples."""
     columns = [sets[:, 1:-1], sets[:, :-2]] + ([np.ones_like(sets[:, 2:])] if offset else [])
     return np.stack(columns, axis=-1), sets[:, 2:]
 
 
 def groups_of(a: np.ndarray, step: float) -> np.ndarray:
-    """k/m and c/m, (..., 2), of coefficients a₁ and a₂ (..., 2 or more) at a step of time.
+    """Return k/m and c/m, (..., 2), of coefficients a₁ and a₂ (..., 2 or more) at a step of time.
 
     NaN where the roots are no oscillator's: not finite, negative, or on both sides of 1.
     """
@@ -78,25 +78,25 @@ def groups_of(a: np.ndarray, step: float) -> np.ndarray:
         pair = (0.5 * decay) ** 2 + angle**2
         real = np.where((large > 0) & (rates[0] * rates[1] > 0), rates[0] * rates[1], np.nan)
         stiffness = np.where(inside > 0, pair, real)
-        found = np.stack([stiffness, decay], axis=-1)
-    return np.where(np.all(np.isfinite(found), axis=-1, keepdims=True), found, np.nan)
+        groups = np.stack([stiffness, decay], axis=-1)
+    return np.where(np.all(np.isfinite(groups), axis=-1, keepdims=True), groups, np.nan)
 
 
-def coefficients_of(groups: np.ndarray, step: float) -> np.ndarray:
-    """a₁ and a₂, (2,), of k/m and c/m (2,) at a step of time: the inverse of :func:`groups_of`."""
+def coefficients_of(groups: np.ndarray | tuple[float, float], step: float) -> np.ndarray:
+    """Return a₁ and a₂, (2,), of k/m and c/m (2,) at a step of time: the inverse of :func:`groups_of`."""
     envelope, cosine, _ = _waves(groups, step)
     return np.array([2.0 * envelope * cosine, -(envelope**2)])
 
 
-def coefficient_slopes(groups: np.ndarray, step: float) -> np.ndarray:
-    """Derivatives of :func:`coefficients_of` by k/m and c/m, (2, 2), a row a coefficient."""
+def coefficient_slopes(groups: np.ndarray | tuple[float, float], step: float) -> np.ndarray:
+    """Differentiate :func:`coefficients_of` by k/m and c/m, (2, 2), a row a coefficient."""
     envelope, cosine, sine = _waves(groups, step)
     by_stiffness = -envelope * step**2 * sine
     by_damping = -step * envelope * cosine - 0.5 * groups[1] * by_stiffness
     return np.array([[by_stiffness, by_damping], [0.0, step * envelope**2]])
 
 
-def _waves(groups: np.ndarray, step: float) -> tuple[float, float, float]:
+def _waves(groups: np.ndarray | tuple[float, float], step: float) -> tuple[float, float, float]:
     """``e^(-dh)``, ``cosh(rh)`` and ``sinh(rh)/(rh)`` of ``d = c/2m``, ``r² = d² - k/m``, without a cut at r = 0."""
     decay = 0.5 * float(groups[1])
     angle = np.sqrt(complex(decay**2 - float(groups[0]))) * step

@@ -1,11 +1,9 @@
 """Eigensystem realisation: the free decay of several masses as a linear system, without a search.
 
-Displacements of all degrees of freedom (DOF) at even steps h obey ``y_j = C A^j s``. Stacked in a block Hankel matrix,
-``H[i, j] = y_{i+j}``, they span, without noise, as many dimensions as there are states, two a DOF. The singular vectors
-of the largest singular values are the observability matrix ``[C; CA; CA²; ...]`` in some coordinates, and its shift by
-one block is A: eigenvalues z and mode shapes ``C w`` (J.-N. Juang, R. S. Pappa, J. Guidance, Control, and Dynamics
-8:620, 1985). ``s = log(z) / h`` are the poles. For one DOF this is the matrix pencil
-(:mod:`methods.modal.matrix_pencil`) with the shift solved on the other side of the Hankel matrix.
+Displacements of all degrees of freedom (DOF) at even steps h are realised as ``y_j = C A^j s`` with two states a DOF
+(J.-N. Juang, R. S. Pappa, J. Guidance, Control, and Dynamics 8:620, 1985; :mod:`methods.modal.realisation`):
+eigenvalues z of A and mode shapes ``C w``. ``s = log(z) / h`` are the poles. For one DOF this is the matrix pencil
+(:mod:`methods.modal.matrix_pencil`) with another number of rows.
 
 **From poles and shapes to parameters.** Displacement shapes Phi and velocity shapes ``Phi S``, S the poles on the
 diagonal, are a basis Psi of the state ``[x, x']``, so ``Psi S Psi^-1`` is the state matrix, and its lower half is
@@ -18,7 +16,7 @@ what the equations then miss weighs them: generalised least squares. The same dr
 (parametric bootstrap). With ``bootstrap=0`` there are neither weights nor an uncertainty.
 
 ``rows`` of the samples are the block rows: a half, a square Hankel matrix for one DOF; no trial was made of others.
-Even sampling is needed, and the displacement of every DOF. Start, prior and noise level are not used.
+Even sampling is needed, and the displacement of every DOF.
 """
 
 from __future__ import annotations
@@ -187,8 +185,8 @@ class RealisedResponse:
         waves = np.exp(rates * (times - times[0])[:, None])
         columns = (shapes[:, None] * waves).reshape(-1, rates.size)
         stacked = np.concatenate([columns.real, -columns.imag], axis=1)
-        found = np.linalg.lstsq(stacked, y.ravel(), rcond=1e-12)[0]
-        return RealisedResponse(rates, shapes * (found[: rates.size] + 1j * found[rates.size :]), float(times[0]))
+        parts = np.linalg.lstsq(stacked, y.ravel(), rcond=1e-12)[0]
+        return RealisedResponse(rates, shapes * (parts[: rates.size] + 1j * parts[rates.size :]), float(times[0]))
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
         """Displacement (m), shape (n_dof, n_times), at times (s)."""

@@ -29,7 +29,7 @@ def realise(sets: np.ndarray, rows: int, states: int, about_level: bool = False)
     Args:
         sets: the samples.
         rows: block rows of the Hankel matrix, of which there are N + 1 - ``rows`` columns.
-        states: as many at least as there are columns, and as there are rows in all but one block row.
+        states: at most as many as there are columns, and rows in all block rows but one.
         about_level: leave out the eigenvalue 1 of an unknown constant. It adds a constant to each row, so that taking
             off the mean of each leaves the span of the columns as it is.
     """
