@@ -24,19 +24,23 @@ SMALLEST = 1e-3
 """Added to the spread of a feature, which may be constant."""
 POOL = 20_000
 """Records simulated at once."""
-SECONDS = "training_seconds"
 
 
 class Density(nn.Module):
-    """A residual network of ``depth`` blocks of ``width``, and a head for ``components`` normals of two dimensions."""
+    """A residual network of ``depth`` blocks of ``width``, and a head for ``components`` normals of two dimensions.
+
+    ``training_seconds``: processor time.
+    """
 
     mean: Tensor
     scale: Tensor
+    training_seconds: Tensor
 
     def __init__(self, inputs: int, width: int, depth: int, components: int) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(inputs))
         self.register_buffer("scale", torch.ones(inputs))
+        self.register_buffer("training_seconds", torch.zeros(()))
         self.first = nn.Linear(inputs, width)
         self.blocks = nn.ModuleList(nn.Linear(width, width) for _ in range(depth))
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(depth))
@@ -88,7 +92,7 @@ def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Dens
         settings: ``width``, ``depth``, ``components``, ``steps``, ``batch`` and ``seed``.
         rate: The largest learning rate, after a warm-up of a twentieth of the steps.
     """
-    rng = np.random.default_rng(settings["seed"])
+    before, rng = time.process_time(), np.random.default_rng(settings["seed"])
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings["seed"])
         features, target = _pool(layout, rng)
@@ -109,6 +113,7 @@ def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Dens
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
         schedule.step()
+    network.training_seconds.fill_(time.process_time() - before)
     return network.eval()
 
 
@@ -121,17 +126,8 @@ def _pool(layout: SampleLayout, rng: np.random.Generator) -> tuple[Tensor, Tenso
     return torch.as_tensor(seen.features), torch.as_tensor(target)
 
 
-def as_arrays(layout: SampleLayout, settings: dict[str, int], rate: float) -> Arrays:
-    """Train a network; its weights by name, and the processor time (s) that it took."""
-    before = time.process_time()
-    network = trained(layout, settings, rate)
-    arrays = {name: value.numpy() for name, value in network.state_dict().items()}
-    return {**arrays, SECONDS: np.array(time.process_time() - before)}
-
-
-def network_from(arrays: Arrays, settings: dict[str, int]) -> tuple[Density, float]:
-    """The network of stored arrays, and the processor time (s) of its training."""
-    weights = {name: torch.as_tensor(value) for name, value in arrays.items() if name != SECONDS}
-    network = Density.of(int(weights["mean"].shape[0]), settings)
-    network.load_state_dict(weights)
-    return network.eval(), float(arrays[SECONDS])
+def from_arrays(arrays: Arrays, settings: dict[str, int]) -> Density:
+    """The network of stored weights and buffers by name."""
+    network = Density.of(arrays["mean"].shape[0], settings)
+    network.load_state_dict({name: torch.as_tensor(value) for name, value in arrays.items()})
+    return network.eval()

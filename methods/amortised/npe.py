@@ -44,7 +44,7 @@ from bench import (
     SimulatedResponse,
     fitted_start,
 )
-from methods.amortised.cache import cache_folder, cached
+from methods.amortised.cache import Arrays, cache_folder, cached
 from methods.amortised.correction import log_likelihood, resampled
 from methods.amortised.simulations import DECIBELS, RATIOS, SampleLayout, shown
 from methods.sampling.mixture import Mixture
@@ -133,7 +133,7 @@ class NPE(BandIdentifier):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            posterior, spent = self._seen(problem)
+            posterior, seconds = self._seen(problem)
         finally:
             torch.set_num_threads(threads)
         prior = None if problem.prior is None else _group_prior(problem, problem.prior)
@@ -147,7 +147,7 @@ class NPE(BandIdentifier):
                 away = logs - prior[0]
                 target -= 0.5 * np.sum(away * np.linalg.solve(prior[1], away.T).T, axis=1)
             logs, effective = resampled(logs, target - posterior.log_density(logs), self.draws, rng)
-        traces = {"training_seconds": np.array([spent]), "effective_draws": np.array([effective])}
+        traces = {"training_seconds": np.array([seconds]), "effective_draws": np.array([effective])}
         return replace(_estimate(problem, logs, rng), traces=traces, cost=Cost(evaluations=1, iterations=self.steps))
 
     def _seen(self, problem: Problem) -> tuple[Mixture, float]:
@@ -156,23 +156,28 @@ class NPE(BandIdentifier):
 
         layout, record = _layout(problem), problem.records[0]
         names = ("steps", "batch", "width", "depth", "components", "seed")
-        network, spent = _loaded(layout, tuple((name, getattr(self, name)) for name in names), self.folder)
+        network = _loaded(layout, tuple((name, getattr(self, name)) for name in names), self.folder)
         start = record.initial_state
         known = None if start is None else np.array([[start.displacement[0], start.velocity[0]]])
         seen = mixture_of(network, shown(layout, record.channels[0].values[None], known))
         # log k/m = 2 log frequency and log c/m = log 2 + log decay rate
         scale, shift = np.array([2.0, 1.0]), np.array([0.0, np.log(2.0)])
-        return replace(seen, centres=scale * seen.centres + shift, roots=scale[:, None] * seen.roots), spent
+        scaled = replace(seen, centres=scale * seen.centres + shift, roots=scale[:, None] * seen.roots)
+        return scaled, float(network.training_seconds)
 
 
 @lru_cache(maxsize=8)
-def _loaded(layout: SampleLayout, settings: tuple[tuple[str, int], ...], folder: str) -> tuple[Density, float]:
-    """The network of a layout, and the processor time (s) that its training took, whenever that was."""
-    from methods.amortised.density import as_arrays, network_from
+def _loaded(layout: SampleLayout, settings: tuple[tuple[str, int], ...], folder: str) -> Density:
+    """The network of a layout, trained whenever that was."""
+    from methods.amortised.density import from_arrays, trained
 
     values = dict(settings)
+
+    def make() -> Arrays:
+        return {name: value.numpy() for name, value in trained(layout, values, RATE).state_dict().items()}
+
     identity = {"version": NPE.version, **asdict(layout), **values}
-    return network_from(cached(cache_folder(folder), identity, lambda: as_arrays(layout, values, RATE)), values)
+    return from_arrays(cached(cache_folder(folder), identity, make), values)
 
 
 def _layout(problem: Problem) -> SampleLayout:

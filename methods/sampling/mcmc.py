@@ -166,7 +166,7 @@ class MCMC(SearchingIdentifier):
             fine, modes = coloured(fine, modes)
         modes = sharpened(fine, modes, errors, NOISE_LEAST)
         posterior = Posterior([fine], [modes[0][1]], errors)
-        return _ChainFit(place, model.problem, posterior, laplace(posterior, modes), rng)
+        return _ChainFit(place, posterior, laplace(posterior, modes), rng)
 
     def _sampled(self, fits: Sequence[_ChainFit], walkers: int, burn: int, block: int) -> dict[int, Estimate]:
         """The answers by the number of the problem, of problems that can be simulated together."""
@@ -211,8 +211,10 @@ class MCMC(SearchingIdentifier):
             traces = {"r_hat": r_hat, "effective_sample_size": effective, "autocorrelation_time": time}
             return estimate_from_draws(fit.posterior, drawn, traces, cost, self.curves, message)
         if not last:
-            drawn = thinned(fit.path, self.draws)
-            report_progress(fit.problem, lambda: estimate_from_draws(fit.posterior, drawn, {}, Cost(), self.curves))
+            drawn, posterior = thinned(fit.path, self.draws), fit.posterior
+            report_progress(
+                posterior.model.problem, lambda: estimate_from_draws(posterior, drawn, {}, Cost(), self.curves)
+            )
             return None
         advice = "raise blocks, or give more data or a narrower prior"
         if unknowns > MANY:
@@ -221,7 +223,7 @@ class MCMC(SearchingIdentifier):
             f"the chains have not converged (R-hat {r_hat:.3f}, effective draws {effective:.0f}, autocorrelation time "
             f"{time:.0f} of {steps} steps{', too long to be trusted' if short else ''}): {advice}"
         )
-        return Estimate.failed(fit.problem.system, Status.DIVERGED, sentence, cost)
+        return Estimate.failed(fit.posterior.model.system, Status.DIVERGED, sentence, cost)
 
 
 def _at_floor(posterior: Posterior, drawn: np.ndarray) -> tuple[np.ndarray, str]:
@@ -242,7 +244,6 @@ class _ChainFit:
     """One problem, by its place among those given; ``path`` (ensembles, steps, walkers, size) since burning in."""
 
     place: int
-    problem: Problem
     posterior: Posterior
     proposal: Mixture
     rng: np.random.Generator

@@ -50,7 +50,7 @@ def test_the_truth_lies_evenly_in_the_mixtures_of_fresh_records(folder: Path) ->
     """The rank of the truth among draws is uniform where a posterior is calibrated (Talts et al., arXiv:1804.06788)."""
     answer(folder, record())
     settings = {**SMALL, "seed": 0}
-    network, _ = npe._loaded(LAYOUT, tuple((name, settings[name]) for name in (*SMALL, "seed")), str(folder))
+    network = npe._loaded(LAYOUT, tuple((name, settings[name]) for name in (*SMALL, "seed")), str(folder))
     rng = np.random.default_rng(8)
     logs, values, starts = simulated(LAYOUT, 120, rng)
     levels = []
