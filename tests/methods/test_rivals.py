@@ -32,16 +32,10 @@ def problem(start: bool = True) -> Problem:
     return Problem(SDOF(), (Record((channel,), (), state),))
 
 
-def require(name: str) -> None:
-    """Skip where the package is absent; its import is left to the method, which keeps it quiet."""
-    if importlib.util.find_spec(PACKAGES[name]) is None:
-        pytest.skip(f"{PACKAGES[name]} is not installed")
-
-
 @cache
 def fitted(name: str, start: bool) -> Estimate:
     """A short fit, made once for all tests that look at it."""
-    require(name)
+    pytest.importorskip(PACKAGES[name])
     adam, second = STEPS[name]
     method = make_method(name, {"seconds": 1e4, "adam_steps": adam, "second_steps": second})
     return method.identify(problem(start), np.random.default_rng(1))
@@ -92,7 +86,8 @@ def test_by_steps_the_answer_is_the_same_twice_and_nothing_is_left_behind(
     name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not a word, no file here or at home; torch's and numpy's settings and random states as they were."""
-    require(name)
+    pytest.importorskip(PACKAGES[name])
+    capfd.readouterr()  # what a first import prints
     torch = pytest.importorskip("torch")
     here, home = tmp_path / "here", tmp_path / "home"
     here.mkdir()
