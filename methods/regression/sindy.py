@@ -179,9 +179,11 @@ class _Library:
     def terms(self, states: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Library terms (terms, ...) at states (2 n_dof, ...) under forces (n_dof, ...)."""
         with_one = np.concatenate([states, np.ones_like(states[:1])])
-        monomials = with_one[self._factors[0]]
+        monomials = with_one.take(self._factors[0], axis=0)
         for factor in self._factors[1:]:
-            monomials *= with_one[factor]
+            monomials *= with_one.take(factor, axis=0)
+        if not self.pushed:
+            return monomials
         pushed = np.broadcast_to(force[self.pushed], (len(self.pushed), *states.shape[1:]))
         return np.concatenate([monomials, pushed])
 

@@ -71,13 +71,12 @@ def spline_fits(regression: Regression) -> SplineFits:
 
 def solved_on_splines(regression: Regression, smoother: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Solve for the unknowns (sets, q), each set on the spline of its numbers ``smoother`` and ``weight`` (sets,)."""
-    unknowns = [np.empty(0)] * regression.sets
-    for number in np.unique(smoother):
-        places = np.flatnonzero(smoother == number)
-        motions = regression[places].splines(SMOOTHERS[number], weight[places])
-        for place, solution in zip(places, solve(*regression.equations(motions)), strict=True):
-            unknowns[place] = solution
-    return np.stack(unknowns)
+    groups = [np.flatnonzero(smoother == number) for number in np.unique(smoother)]
+    solutions = []
+    for sets in groups:
+        motions = regression[sets].splines(SMOOTHERS[smoother[sets[0]]], weight[sets])
+        solutions.append(solve(*regression.equations(motions)))
+    return np.concatenate(solutions)[np.argsort(np.concatenate(groups))]
 
 
 def smoothing_again(drawn: Regression, fits: SplineFits) -> tuple[np.ndarray, np.ndarray]:
