@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class Collocation(PhysicsInformed):
     """The settings: ``degree`` of the spline, and collocation points for each of its intervals."""
 
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     degree: int = 5
     points_an_interval: int = 3
 

@@ -28,9 +28,13 @@ LEAST_NOISE = 1e-6
 """The least noise of a channel over its root mean square: what the ansatz and its collocation can resolve."""
 START = 0.1
 """Standard deviation of a told start, over the noise: the start is told exactly, so this is small beside it."""
-DAMPING = (1e-3, 1e-6, 1e-7)
-"""First damping of the three stages, relative to the largest squared row of J. The later ones start near the
+DAMPING = (1e-3, 1e-6, 1e-7, 1e-8)
+"""First damping of the four stages, relative to the largest squared row of J. The later ones start near the
 minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
+BEFORE_HARDENING = 1e-7
+"""Promised decrease of minus the log posterior at which splines and windows are near enough for multipliers."""
+HARDENING = 6
+"""Iterations that follow the multipliers, at most: where no response obeys the physics at all points, they creep."""
 ROUNDS = 6
 """How often the noise may be estimated anew and the fit polished with it."""
 SETTLED = 0.03
@@ -178,28 +182,44 @@ class Attempt:
 
         With soft physics the loss has one basin where the hard one has many; with the hidden layers fixed an iteration
         is cheap, and their spread features already resolve the motion. The next stage frees all weights, which gains
-        where the features do not resolve the motion to the noise; the last brings the output layer and the parameters
-        to convergence.
+        where the features do not resolve the motion to the noise. The last is of the output layer and the parameters
+        again, with a step of the method of multipliers (M. Hestenes, J. Optim. Theory Appl. 4:303, 1969): what physics
+        and initial state are off is asked for with the opposite sign, so that in the end they are hard. A motion with
+        kinks cannot obey its equation so closely, and goes without.
 
         Where noise is as large as the motion, soft physics follows the noise, and where samples are fewer than two a
         cycle the smoothest curve through them. A ``firm`` fit keeps to the scan's wave instead: it begins with hard
         physics, from the response of that wave's parameters.
         """
         s = self.settings
-        far, near, close = DAMPING
+        far, near, close, hard = DAMPING
+        converged, smooth = s.convergence(self.resolution), self.residuals.system.smooth
         heads, whole = self._heads()
         free, firm = np.flatnonzero(~self.firm), np.flatnonzero(self.firm)
         if free.size:
             self.run(heads, s.softness, s.output_iterations, far, s.tolerance, free)
         if firm.size:
             self.respond(heads, s.output_iterations, near, firm)
-        self.rounds(heads, s.iterations, near, s.convergence(self.resolution))
+        several_layers = heads.n_z < self.residuals.n_z
+        first = s.tolerance if several_layers else max(converged, BEFORE_HARDENING)
+        self.rounds(heads, s.iterations, near, first if smooth else converged)
         self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
-        if heads.n_z < self.residuals.n_z:
+        if several_layers:
             self.rounds(self.residuals, s.iterations, close, s.tolerance)
+        if several_layers or smooth:
             heads, whole = self._heads()
-            self.rounds(heads, s.iterations, near, s.convergence(self.resolution))
+            if smooth:
+                heads.shift = self._multipliers(heads)
+            reasons = self.walk.reasons[:]
+            self.rounds(heads, HARDENING if smooth else s.iterations, hard if smooth else near, converged)
+            self.walk.reasons = reasons if smooth else self.walk.reasons
             self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
+
+    def _multipliers(self, residuals: Residuals) -> Tensor:
+        """Return what physics and initial state are off, in natural units, (B, n_rows)."""
+        deviations = residuals.deviations(self.spread())
+        rows = residuals.plain(residuals.evaluate(self.walk.z, deviations), deviations)
+        return rows * (residuals.term_rows[:, 1] + residuals.term_rows[:, 2])
 
     def _heads(self) -> tuple[Residuals, Tensor]:
         """Go over to the coefficients of the output layers, mixed to weigh alike; returns also all that there were."""

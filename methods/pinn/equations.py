@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from methods.network.ansatz import Adjoints, Local
@@ -210,7 +211,7 @@ class BandedEquations(NormalEquations):
         rows = self._local_rows(range(len(points)), self.linear.adjoints, points)
         columns = torch.cat([self.linear.columns, state.rows[..., None]], 2).cpu().numpy()
         self.bands = [own.band() for own in rows]
-        self.borders = [own.pull_back(border) for own, border in zip(rows, columns, strict=True)]
+        self.borders = [own.sparse().T @ border[: own.first.size] for own, border in zip(rows, columns, strict=True)]
         self.corners = columns.transpose(0, 2, 1) @ columns
         squares = np.sum(columns[..., :-1] ** 2, 2)
         squares[:, : rows[0].first.size] += np.array([np.sum(own.slopes**2, 1) for own in rows])
@@ -273,7 +274,7 @@ class BandedEquations(NormalEquations):
             adjoints, points = self.displacements(k)
             own = []
             for i, rows in enumerate(self._local_rows([k], [adjoints], [points])):
-                by_unknowns = rows.times(fits[i][1][:, :q])
+                by_unknowns = rows.sparse() @ fits[i][1][:, :q]
                 added = np.sum((by_unknowns @ covariance[i].numpy()) * by_unknowns, 1)
                 own.append(rows.quadratic(inverses[i]) + added)
             variances.append(torch.as_tensor(np.array(own), device=self.residuals.device))
@@ -309,17 +310,11 @@ class LocalRows:
             total += (2.0 if below else 1.0) * products * band[below, places]
         return total
 
-    def pull_back(self, columns: np.ndarray) -> np.ndarray:
-        """Return Jᵀ times columns (n_rows or more, m)."""
-        total = np.zeros((self.n, columns.shape[1]))
-        for a, slopes in enumerate(self.slopes.T):
-            for j, column in enumerate(columns[: self.first.size].T):
-                total[:, j] += np.bincount(self.first + a, slopes * column, self.n)
-        return total
-
-    def times(self, columns: np.ndarray) -> np.ndarray:
-        """Return J times columns (n, m)."""
-        return np.asarray(sum(s[:, None] * columns[self.first + a] for a, s in enumerate(self.slopes.T)))
+    def sparse(self) -> csr_array:
+        """Return the rows as a sparse matrix (n_rows, n)."""
+        n_rows, k = self.slopes.shape
+        places = self.first[:, None] + np.arange(k)
+        return csr_array((self.slopes.ravel(), places.ravel(), np.arange(n_rows + 1) * k), shape=(n_rows, self.n))
 
 
 def inverse_band(factor: np.ndarray) -> np.ndarray:

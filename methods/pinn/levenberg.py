@@ -73,7 +73,7 @@ def minimise(
             chosen = torch.as_tensor(accepted, device=own.device)[:, None]
             state = trial if accepted.all() else own.evaluate(torch.where(chosen, trial.z, state.z), spread)
             normal = None
-            walk.record(active[accepted], (state.rows * spread)[accepted])
+            walk.record(active[accepted], own.plain(state, spread)[accepted])
         _damp(walk, active, growth, gain)
         ended = (promised < tolerance) | (walk.damping[active] > GREATEST_DAMPING)
         if ended.any():

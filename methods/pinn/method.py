@@ -42,7 +42,7 @@ class PINN(PhysicsInformed):
     ``width``: units of a hidden layer (more where an oscillation would have fewer than 12: the layers must resolve it).
     """
 
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     optimizer: Literal["lm", "adam_lbfgs"] = "lm"
     width: int = 64
     depth: int = 2

@@ -5,6 +5,7 @@ The loss is minus the log posterior, whatever represents x(t):
 - **Weights of the terms** follow from the noise, which is estimated along the way: the physics is a nearly hard
   constraint (the equation may be off by so little white noise that its effect over the record is a fraction ``slack``
   of the measurement noise; weak-constraint data assimilation: Tremolet, Q. J. R. Meteorol. Soc. 132:2483, 2006).
+  Where motions are smooth, multipliers take off in the end what the equation is still violated by.
 - **Optimiser**: Levenberg-Marquardt (:mod:`methods.pinn.levenberg`), soft physics before hard, the output layer before
   all layers, log-parameters started at the damped wave that fits the data best.
 - **A known force** is carried by functions of its own, added to what represents x(t): steps, pulses and rough forces

@@ -80,7 +80,7 @@ class Residuals:
     The other unknowns are the logarithms of the ``free`` parameters, then one offset for each channel that has one;
     the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``omega`` (B,) are the
     frequencies of the data; ``exact`` builds a known initial state into the response
-    (:func:`methods.pinn.block.exact_start`). A ``shift`` (1, n_rows) is added to the rows: the multipliers of an
+    (:func:`methods.pinn.block.exact_start`). A ``shift`` (B, n_rows) is added to the rows: the multipliers of an
     augmented Lagrangian.
     """
 
@@ -159,6 +159,7 @@ class Residuals:
         other.ansatzes = [ansatz.take(index) for ansatz in self.ansatzes]
         other.log_fixed = self.log_fixed[index]
         other.prior = None if self.prior is None else (self.prior[0][index], self.prior[1][index])
+        other.shift = None if self.shift is None else self.shift[index]
         return other
 
     def hold(self) -> Residuals:
@@ -245,6 +246,11 @@ class Residuals:
         rows = torch.cat(parts, 1)
         rows = rows + offsets @ self.offset_rows.T if self.n_offsets else rows
         return rows if self.shift is None else rows + self.shift
+
+    def plain(self, state: State, deviations: Tensor) -> Tensor:
+        """Return the rows of a state in natural units, without the multipliers."""
+        rows = state.rows * deviations
+        return rows if self.shift is None else rows - self.shift
 
     def _equations(self, block: Block, p: Mapping[str, Tensor], streams: Tensor) -> list[Tensor]:
         """Compute the equations of motion over the gauge mass, then those of the hidden states' rates, (B, m) each."""

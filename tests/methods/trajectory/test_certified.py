@@ -1,4 +1,4 @@
-"""Output error in its two ways and multiple shooting, against certified values of nonlinear least squares.
+"""Trajectory methods, spline collocation and the PINN against certified values of nonlinear least squares.
 
 NIST Statistical Reference Datasets, MGH17 (generated data, level "average"; M. R. Osborne, 1972):
 ``y = b1 + b2 exp(-x b4) + b3 exp(-x b5)`` is the free motion of an overdamped oscillator seen by a sensor with an
@@ -15,6 +15,9 @@ from bench.systems import SDOF
 from methods.trajectory.output_error import SingleShooting
 
 pytest.importorskip("casadi")
+pytest.importorskip("torch")
+from methods.pinn.collocation import Collocation
+from methods.pinn.method import PINN
 from methods.trajectory.shooting import Shooting
 
 READINGS = np.array([
@@ -28,7 +31,9 @@ DIGITS = 1e-6
 
 
 @pytest.mark.parametrize(
-    "method", [Shooting(), SingleShooting(), SingleShooting(cold=True)], ids=["shooting", "screened", "cold"]
+    "method",
+    [Shooting(), SingleShooting(), SingleShooting(cold=True), Collocation(), PINN()],
+    ids=["shooting", "screened", "cold", "collocation", "pinn"],
 )
 def test_certified_digits(method: Identifier) -> None:
     channel = Channel(10.0 * np.arange(READINGS.size), READINGS, offset=True)
