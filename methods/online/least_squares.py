@@ -7,6 +7,8 @@ with every sample; what was learned is forgotten by dividing its covariance (L. 
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from bench import Layout, Tracker
@@ -18,7 +20,7 @@ class LeastSquaresTracker(Tracker):
     ``power``: weighted sum of squared residuals; ``weight``: of the equations, the sum of what is left of each.
     """
 
-    holds = ("theta", "inverse", "power", "weight")
+    holds: ClassVar[tuple[str, ...]] = ("theta", "inverse", "power", "weight")
 
     def __init__(self, layout: Layout, unknowns: int) -> None:
         super().__init__(layout)
