@@ -20,7 +20,7 @@ from methods.starts.waves import ORDER
 
 
 def structure(problem: Problem) -> tuple[object, ...]:
-    """What problems of one batch have in common."""
+    """Return what problems of one batch have in common."""
     records = tuple(
         (
             tuple((c.n, c.measures, c.dof, c.offset) for c in r.channels),
@@ -36,8 +36,8 @@ def structure(problem: Problem) -> tuple[object, ...]:
 @dataclass(frozen=True)
 class Spread:
     """Standard deviations of the rows, fit by fit, in natural units: of the channels (B, n_channels), record by record;
-    of the equation of motion and of the hidden states' (accelerations), and of the told start's displacement and
-    velocity, (B,) each.
+    of the equation of motion and of the hidden states' (accelerations), and of the known initial displacement
+    and velocity, (B,) each.
     """
 
     channels: np.ndarray
@@ -82,21 +82,21 @@ class Block:
         self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(first.channels)])
         self.data_points = collocation + torch.arange(self.n_data, device=device)
         self.pick = tensor(np.eye(3)[:, stream, None] * np.eye(self.n_paths)[dof])  # (3, n_data, n_paths), 0 and 1
-        told = None
+        known = None
         if first.initial_state is not None:
             states = [r.initial_state for r in records if r.initial_state is not None]
-            told = np.stack([np.stack([s.displacement, s.velocity]) for s in states])
+            known = np.stack([np.stack([s.displacement, s.velocity]) for s in states])
         self.lift = self.shape = None
         # rows of the start: displacements, then velocities, then the hidden states, which are zero
-        n_told = 2 * self.n_dof if told is not None and not exact else 0
-        n_start = n_told + system.n_hidden
+        n_known = 2 * self.n_dof if known is not None and not exact else 0
+        n_start = n_known + system.n_hidden
         self.start = torch.zeros(len(records), n_start, dtype=torch.float64, device=device)
-        if told is not None and n_told:
-            self.start[:, :n_told] = tensor(told).flatten(1)
-        self.start_stream = [i // self.n_dof for i in range(n_told)] + [0] * system.n_hidden
-        self.start_path = [i % self.n_dof for i in range(n_told)] + list(range(self.n_dof, self.n_paths))
-        if told is not None and exact:
-            lift, shape = exact_start(self.times, told, omega)
+        if known is not None and n_known:
+            self.start[:, :n_known] = tensor(known).flatten(1)
+        self.start_stream = [i // self.n_dof for i in range(n_known)] + [0] * system.n_hidden
+        self.start_path = [i % self.n_dof for i in range(n_known)] + list(range(self.n_dof, self.n_paths))
+        if known is not None and exact:
+            lift, shape = exact_start(self.times, known, omega)
             self.lift, self.shape = tensor(lift), tensor(shape)
         # rows: data, physics (path by path), start; time 0 is the first collocation point
         physics = torch.arange(collocation, device=device).repeat(self.n_paths)
@@ -109,13 +109,13 @@ class Block:
         }
 
     def response(self, output: Tensor) -> Tensor:
-        """The response's streams from those of the trainable function."""
+        """Return the response's streams from those of the trainable function."""
         if self.lift is None or self.shape is None:
             return output
         return self.lift + torch.einsum("bnst,btno->bsno", self.shape, output)
 
     def response_adjoint(self, seeds: Tensor, points: Tensor | None = None) -> Tensor:
-        """Seeds by the trainable function's streams from those by the response's."""
+        """Return seeds by the trainable function's streams from those by the response's."""
         if self.shape is None:
             return seeds
         shape = self.shape if points is None else self.shape[:, points]
@@ -143,8 +143,8 @@ class Block:
         return other
 
 
-def exact_start(times: np.ndarray, told: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An ansatz that has the told start by construction: ``x(t) = (x0 + v0 t) g + (1 - g) n(t)``.
+def exact_start(times: np.ndarray, known: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Build a known initial state into an ansatz: ``x(t) = (x0 + v0 t) g + (1 - g) n(t)``.
 
     ``g = exp(-(omega t)²)`` and n is the trainable function. Returns the streams of the first part, (B, 3, n_points,
     n_dof), and the matrices that take those of n to the second's, (B, n_points, 3, 3), by the product rule.
@@ -152,7 +152,7 @@ def exact_start(times: np.ndarray, told: np.ndarray, omega: np.ndarray) -> tuple
     t, w2 = times, omega[:, None] ** 2
     g = np.exp(-w2 * t**2)
     g1, g2 = -2.0 * w2 * t * g, (4.0 * w2**2 * t**2 - 2.0 * w2) * g
-    x0, v0 = told[:, 0, None, :], told[:, 1, None, :]
+    x0, v0 = known[:, 0, None, :], known[:, 1, None, :]
     line = x0 + v0 * t[..., None]
     g_, g1_, g2_ = (part[..., None] for part in (g, g1, g2))
     lift = np.stack([line * g_, v0 * g_ + line * g1_, 2.0 * v0 * g1_ + line * g2_], 1)

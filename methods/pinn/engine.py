@@ -27,7 +27,7 @@ FIRST_NOISE = 0.1
 LEAST_NOISE = 1e-6
 """The least noise of a channel over its root mean square: what the ansatz and its collocation can resolve."""
 START = 0.1
-"""Standard deviation of a told start, over the noise: the start is told exactly, so this is small beside it."""
+"""Standard deviation of a known initial state, over the noise: it is known exactly, so this is small."""
 DAMPING = (1e-3, 1e-6, 1e-7, 1e-8)
 """First damping of the four stages, relative to the largest squared row of J. The later ones start near the
 minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
@@ -80,7 +80,7 @@ class Attempt:
         self._measure(degrees_of_freedom(first), guesses)
 
     def _forced_motions(self, k: int, guesses: Sequence[Guess]) -> list[ForcedMotion]:
-        """What the forces of record k alone would do, fit by fit; empty where there are none."""
+        """Return the motions under the forces of record k alone, fit by fit; empty where there are none."""
         if not forced_dofs(self.problems[0].records[k].forces):
             return []
         records = [problem.records[k] for problem in self.problems]
@@ -90,7 +90,7 @@ class Attempt:
         ]
 
     def _ansatz(self, k: int, block: Block) -> Ansatz:
-        """What represents the response in record k: with what its forces alone would do, where there are any."""
+        """Return what represents the response in record k, with the motion under its forces alone."""
         inner = self.settings.ansatz(block, self.resolution)
         if not self.forced[k]:
             return inner
@@ -102,11 +102,11 @@ class Attempt:
         return np.concatenate([own, np.zeros((len(own), self.n_paths * self._n_forced(k)))], 1)
 
     def _n_forced(self, k: int) -> int:
-        """Functions that the forces of record k add for each path."""
+        """Count the functions that the forces of record k add for each path."""
         return self.forced[k][0].sizes.size if self.forced[k] else 0
 
     def _measure(self, dof: float, guesses: Sequence[Guess]) -> None:
-        """Sizes of the channels, (B, n_channels), and the first noise."""
+        """Set the sizes of the channels, (B, n_channels), and the first noise."""
         channels = [channels_of(problem) for problem in self.problems]
         self.n = np.array([c.n for c in channels[0]])
         # a measured quantity is of the displacement's size times this power of the frequency
@@ -120,7 +120,7 @@ class Attempt:
         self.sigmas = np.clip(np.sqrt(left), FIRST_NOISE, 1.0)[:, None] * self.rms
 
     def spread(self, softness: float = 1.0) -> Spread:
-        """Standard deviations of the rows at the present noise.
+        """Return the standard deviations of the rows at the present noise.
 
         The physics is a nearly hard constraint: the equation of motion may be off by a white acceleration of standard
         deviation a at each of n collocation points. Over a record of duration T this moves an undamped mode of
@@ -135,7 +135,7 @@ class Attempt:
         return Spread(self.sigmas, soft, hard, START * noise, START * noise * self.omega)
 
     def errors(self, rows: Tensor, deviations: Tensor) -> np.ndarray:
-        """Sum of squared data residuals of each channel, (B, n_channels), in natural units."""
+        """Sum the squared data residuals of each channel, (B, n_channels), in natural units."""
         squares = np.asarray((rows * deviations).cpu()) ** 2
         kinds = self.residuals.kinds
         return np.stack([squares[:, kinds == i].sum(1) for i in range(self.residuals.n_channels)], 1)
@@ -158,7 +158,7 @@ class Attempt:
         tolerance: float,
         who: np.ndarray,
     ) -> np.ndarray:
-        """Levenberg-Marquardt at the present noise, then the noise from what it leaves; returns the noise's change."""
+        """Minimise at the present noise, then estimate the noise; returns its change."""
         deviations = residuals.deviations(self.spread(softness))
         self.walk.damping[who] = damping
         levenberg.minimise(residuals, self.walk, deviations, iterations, tolerance, who)
@@ -239,7 +239,7 @@ class Attempt:
                 break
 
     def adam_lbfgs(self, adam_steps: int, adam_rate: float, lbfgs_steps: int) -> None:
-        """The paper's training on the same residuals: Adam, then L-BFGS; the noise is estimated in between."""
+        """Train as the paper does, by Adam and then L-BFGS; the noise is estimated in between."""
         everyone = np.arange(len(self.problems))
         deviations = self.residuals.deviations(self.spread())
         descent.adam(self.residuals, self.walk, deviations, adam_steps, adam_rate)
@@ -257,7 +257,7 @@ class Attempt:
         self.walk.record(np.arange(len(self.problems)), state.rows * deviations)
 
     def results(self) -> list[Fit]:
-        """What was reached, fit by fit."""
+        """Return the fits as they stand."""
         residuals, walk = self.residuals, self.walk
         deviations = residuals.deviations(self.spread())
         state = residuals.evaluate(walk.z, deviations)
@@ -299,7 +299,7 @@ class Attempt:
         ]
 
     def _response(self, i: int, k: int, coefficients: np.ndarray) -> Function:
-        """The response of fit i in record k."""
+        """Return the response of fit i in record k."""
         block = self.residuals.blocks[k]
         duration, system = float(block.duration[i]), self.problems[i].system
         own = coefficients.size - self.n_paths * self._n_forced(k)
@@ -308,14 +308,14 @@ class Attempt:
             inner = Assisted(inner, self.forced[k][i], coefficients[own:].reshape(self.n_paths, -1))
         if system.n_hidden:
             inner = Displacements(inner, system.n_dof)
-        told = self.problems[i].records[k].initial_state
-        if told is None or self.settings.start != "exact":
+        known = self.problems[i].records[k].initial_state
+        if known is None or self.settings.start != "exact":
             return inner
-        return ExactStart(inner, told.displacement, told.velocity, float(self.omega[i]))
+        return ExactStart(inner, known.displacement, known.velocity, float(self.omega[i]))
 
 
 def _history(records: list[np.ndarray], deviations: np.ndarray, terms: np.ndarray) -> dict[str, np.ndarray]:
-    """The way to the minimum: evaluations, the loss at the weights of the end, mean squares in natural units.
+    """Return the path to the minimum: evaluations, the loss at the weights of the end, mean squares in natural units.
 
     ``deviations`` (n_rows,) are those of the end; ``terms`` (n_rows, 4) says which row belongs to which term.
     """
@@ -327,7 +327,7 @@ def _history(records: list[np.ndarray], deviations: np.ndarray, terms: np.ndarra
 
 @contextmanager
 def torch_threads(n: int) -> Iterator[None]:
-    """Torch on n threads."""
+    """Run torch on n threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(n)
     try:
@@ -343,7 +343,7 @@ def fit(
     rngs: Sequence[np.random.Generator],
     watch: Watch = lambda results: None,
 ) -> list[Fit]:
-    """One attempt at each problem from its starting guess; all are of one structure and one resolution.
+    """Fit each problem once from its starting guess; all are of one structure and one resolution.
 
     ``watch`` is called between stages, with a function that gives the fits as they stand.
     """
