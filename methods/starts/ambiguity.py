@@ -30,12 +30,11 @@ from bench import (
     estimate_at,
 )
 from methods.starts.band import are_even, natural_frequencies, values_of, with_band
-from methods.starts.candidates import MOST_DRAWN, screening
+from methods.starts.candidates import MOST_DRAWN, candidates, screening
 from methods.starts.evidence import Basins, basins
 from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
-from methods.starts.scan import scan
 from methods.starts.separate import APART
-from methods.starts.unresolved import best_draws, best_speeds, sped_up
+from methods.starts.unresolved import sped_up
 
 LEAST_WEIGHT = 0.01
 """Probability above which another basin is an alternative."""
@@ -126,13 +125,12 @@ def _with_basins(
 
 
 def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """The answer, its aliases, and the best of a scan or of draws from the prior."""
-    if model.system.n_dof > 1:
-        return [dict(values), *best_draws(screening(model))]
-    scanned = scan(model.problem, MOST_BASINS) if model.system.linear else best_speeds(screening(model), MOST_BASINS)
-    log_rate = float(_place(model.system, values)[0])
-    aliases = [sped_up(model.system, values, factor) for factor in _aliases(model.problem, log_rate)]
-    return [dict(values), *aliases, *scanned]
+    """The answer, its aliases, and the candidates that every search has."""
+    aliases = []
+    if model.system.n_dof == 1:
+        log_rate = float(_place(model.system, values)[0])
+        aliases = [sped_up(model.system, values, factor) for factor in _aliases(model.problem, log_rate)]
+    return [dict(values), *aliases, *candidates(model, MOST_BASINS)]
 
 
 def _answer(model: OutputError, found: Basins, i: int) -> Estimate:

@@ -112,7 +112,7 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
             quick = screening(model)
             if problem.system.n_dof == 1:
                 found = found + best_speeds(quick, n)
-            elif problem.system.n_dof <= MOST_DRAWN:
+            if problem.system.n_dof <= MOST_DRAWN:
                 found = found + best_draws(quick)
     if problem.prior is not None and (several or is_loaded(problem)):
         found.append(dict(problem.prior.nominal))
