@@ -24,7 +24,7 @@ from bench.systems import System
 IMAGINARY = 1e-30
 """Relative size of an imaginary step: its square is below rounding, so derivatives have no error of their own."""
 TERMS = 20
-"""Of the Taylor series at norm 1 at most: what it leaves out, 1/19!, is below rounding."""
+"""Terms of the Taylor series at a norm of at most 1; the remainder, 1/19!, is below rounding."""
 NEAR = 1e-2
 """Of ``|d| t²``, below which the derivative of ``sinh(√d t)/√d`` by d is summed as a series: it cancels otherwise."""
 MOST_AT_ONCE = 2**21

@@ -1,4 +1,4 @@
-"""How fast a system moves: the fastest rate of its equation of motion linearised, and the step that resolves it."""
+"""The fastest rate of a linearised equation of motion, and the step that resolves it."""
 
 from __future__ import annotations
 

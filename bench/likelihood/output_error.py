@@ -225,7 +225,7 @@ class OutputError:
 
     @property
     def exact_slopes(self) -> bool:
-        """Whether :meth:`readings_and_slopes` can be asked; derivatives are central differences otherwise."""
+        """Return True if :meth:`readings_and_slopes` is available; derivatives are central differences otherwise."""
         return self.system.linear
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

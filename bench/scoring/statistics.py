@@ -12,12 +12,12 @@ from scipy.special import bdtrc, ndtri
 RESAMPLES = 2000
 Z95 = float(ndtri(0.975))
 LEVEL = 0.05
-"""Of all tests here."""
+"""Level of all tests in this module."""
 MOST_LAGS = 10
 PER_LAG = 5
 """Samples for each lag: the advice of R. J. Hyndman, G. Athanasopoulos, Forecasting, 3rd ed. 2021, section 5.4."""
 DRAWS = 999
-"""Of white noise; with 999 the p-value is exact at 5 % (A. C. Davison, D. V. Hinkley, Bootstrap Methods, 1997, 4.2)."""
+"""Draws of white noise; 999 make the p-value exact at 5 % (Davison and Hinkley, Bootstrap Methods, 1997, 4.2)."""
 
 
 @lru_cache(maxsize=16)

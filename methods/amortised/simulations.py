@@ -25,7 +25,7 @@ RATIOS = (1e-3, 2.0)
 DECIBELS = (0.0, 50.0)
 """Signal-to-noise ratios."""
 FREQUENCIES, DECAYS = 64, (0.2, 1.0, 3.0, 8.0)
-"""Of the bank: their number, and decay rates times the record."""
+"""Number of members of the bank, and their decay rates times the duration of the record."""
 NEIGHBOURS = 3
 """Frequencies on either side of the anchor that are shown by their place relative to it."""
 LEAST_LEFT = 1e-6

@@ -190,7 +190,7 @@ def update_root(
 
 
 class SpreadForm(NamedTuple):
-    """How the spread of a belief is carried: prediction, update, the spread of a covariance, the covariance of it."""
+    """Form in which a belief carries its spread: prediction, update, and conversion from and to a covariance."""
 
     predict: Callable[..., tuple[Array, Array]]
     update: Callable[..., Any]

@@ -113,7 +113,7 @@ class IteratedSmoother(SearchingIdentifier):
     @property
     @abstractmethod
     def rule(self) -> Rule:
-        """How the maps become affine."""
+        """Rule by which the maps become affine."""
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where the scale is not identifiable. Uses no randomness."""

@@ -114,7 +114,7 @@ class Nodes:
 
     @property
     def readings(self) -> np.ndarray:
-        """What each channel gave at the times of each node, (K, n C), NaN where nothing."""
+        """Return the values of each channel at the times of each node, (K, n C); NaN where there is none."""
         return np.where(self.there[..., None], self.values[self.samples], np.nan).reshape(len(self.samples), -1)
 
     @property
@@ -229,7 +229,7 @@ class Joint:
     def observe(
         self, path: np.ndarray, p: dict[str, np.ndarray], points: np.ndarray, forces: np.ndarray, rig: System
     ) -> np.ndarray:
-        """What every channel gives along motions (states, L, S, n) under forces (L, n, n_dof), (L, S, n C)."""
+        """Return readings (L, S, n C) of all channels along motions (states, L, S, n) under forces (L, n, n_dof)."""
         n, at, offsets = rig.n_dof, self.log_places.stop, self.model.offset_channels
         shown = {"displacement": path[:n], "velocity": path[n : 2 * n]}
         if any(c.measures == "acceleration" for _, c in self.model.channels):

@@ -97,7 +97,7 @@ def _followed(points: np.ndarray, joint: Joint, nodes: Nodes, which: np.ndarray,
 
 
 def _measurements(observed: Affine, variances: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What :func:`methods.kalman.core.update` takes behind the belief; no more rows than unknowns."""
+    """Return the arguments of :func:`methods.kalman.core.update` after the belief; no more rows than unknowns."""
     here, d = np.isfinite(values), observed.slopes.shape[-1]
     values = np.where(here, values, 0.0)[:, None]
     if values.shape[-1] <= d:

@@ -1,4 +1,4 @@
-"""What the methods share that read k/m and c/m of one mass off its free decay, without a search.
+"""The common frame of methods that read k/m and c/m of one mass off its free decay, without a search.
 
 A method brings one function, from displacements to (k/m, c/m) of many data sets at once. The rest is here: which
 problems are a free decay, the covariance, and the answer. An initial state is not used even where it is known: that is

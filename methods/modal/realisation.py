@@ -15,7 +15,7 @@ MAX_SAMPLES = 600
 BATCH = 2_000_000
 """Matrix entries decomposed at once."""
 CLEAR = 1e-3
-"""Of the largest singular value. One above this part of it is found from products to 1e-10, at half the cost."""
+"""Part of the largest singular value; those above it follow from products to 1e-10, at half the cost."""
 
 
 def step_of(times: np.ndarray) -> float:

@@ -29,7 +29,7 @@ LEAST_SPREAD = 1e-6
 WIDE = 4.0
 """A member that expects a value with so many times the variance of the surest may not explain it."""
 Outcome = np.void
-"""What a step gives beside the new state, by the names of :attr:`Bank.outcome`."""
+"""Results of a step beside the new state, by the names of :attr:`Bank.outcome`."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Bank:
 
     @property
     def form(self) -> SpreadForm:
-        """How a belief is carried: by its covariance, or a root of it."""
+        """Return the form of the spread: a covariance or a root of it."""
         return ROOT if self.rule == "square_root" else COVARIANCE
 
     def _affine(self, function: Any, means: Any, spreads: Any) -> Affine:

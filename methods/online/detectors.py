@@ -28,7 +28,7 @@ from methods.online.filtering import FilterIdentifier, FilterTracker
 LARGEST_MOVE = 5.0
 """Standard deviations of a sample's move that count at most."""
 LARGEST_GAIN = 8.0
-"""What one sample adds to the alarm at most, of a logarithm of a ratio: a spike alone does not ring."""
+"""Largest contribution of one sample to the alarm, a log-likelihood ratio: a spike alone raises none."""
 OLDEST = 999_999
 """Age of a place that no hypothesis holds."""
 

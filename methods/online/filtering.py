@@ -215,7 +215,7 @@ class FilterTracker(Tracker):
 
     @property
     def _kinds(self) -> list[str]:
-        """What each of the free parameters is: a mass, a damping, a stiffness."""
+        """Return the kind of each free parameter: mass, damping or stiffness."""
         kinds = {p.name: p.kind for p in self.layout.system.parameters}
         return [kinds[name] for name in self.layout.free]
 

@@ -49,6 +49,6 @@ class LeastSquaresTracker(Tracker):
 
     @property
     def variance(self) -> float | None:
-        """Of the noise; None where the equations do not determine it."""
+        """Return the variance of the noise; None where the equations do not determine it."""
         spare = self.weight - self.theta.size
         return self.power / spare if spare >= 2 and self.power > 0 else None

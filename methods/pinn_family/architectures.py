@@ -309,7 +309,7 @@ class FeatureAnsatz(Ansatz):
 
 @dataclass(frozen=True, eq=False)
 class FeatureFunction:
-    """What represents the response by features; as :class:`methods.pinn.settings.PhysicsSettings` has it."""
+    """Return the representation of the response by features; see :class:`methods.pinn.settings.PhysicsSettings`."""
 
     features: Features
 

@@ -69,7 +69,7 @@ class SmoothingSpline:
 
     MAX_KNOTS = 300
     LEAST_DIAGONAL = 1e-13
-    """Of T over its largest: below, some times lie too near to each other for the rest."""
+    """Smallest ratio of singular values of T; below it some times lie too near to each other for the others."""
 
     def __init__(self, times: np.ndarray, order: int) -> None:
         self.times, self.order, self.n = times, order, times.size

@@ -1,4 +1,4 @@
-"""Whether a regression's answer can be trusted: it is compared with the most likely one of the same equation.
+"""A test of a regression's answer against the most likely one of the same equation.
 
 A regression on differentiated samples has a bias that its bootstrap's spread does not show: of coarse sampling, of
 noise that differentiation amplifies (at a step h its part of a second difference grows as 1/h², so a fast sampler makes
@@ -22,7 +22,7 @@ from methods.regression.smoothing import SplineFits
 ROUNDS, NONLINEAR_ROUNDS = 8, 3
 """Steps of the search, from the estimate on splines, which is near; fewer where each is integrated."""
 RELATIVE_STEP = 1e-4
-"""Of an unknown's first size, to differentiate the response by it."""
+"""Step of an unknown, relative to its first size, for differentiating the response."""
 LARGEST_STEP, LARGEST = 0.9, 100.0
 """Relative change of an unknown in one step, and of all steps."""
 LEVEL = 0.975

@@ -1,4 +1,4 @@
-"""How much to smooth: the regression on splines of many smoothing weights, judged by the responses of their estimates.
+"""The choice of smoothing: regressions on splines of many weights, judged by the responses of their estimates.
 
 How much to smooth cannot be seen from the samples alone where a cycle has few of them: the likelihood of a spline
 without a system takes such a vibration for noise. The system decides: each smoother and weight gives an estimate, each

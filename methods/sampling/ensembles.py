@@ -16,7 +16,7 @@ import numpy as np
 from methods.sampling.mixture import Mixture
 
 SNOOKER_EVERY = 5
-"""Of the moves that are not independent, one in so many is a snooker move, the others differential evolution."""
+"""One in so many of the dependent moves is a snooker move; the others are differential evolution."""
 REACH = 1.7
 """Of a snooker move, as recommended there."""
 

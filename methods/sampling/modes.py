@@ -14,7 +14,7 @@ from methods.trajectory.student import NormalErrors, StudentErrors, searched, st
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
 """Modes that are kept, rounds of fit and noise in turn, and steps of a fit."""
 RECOLOURED = 2
-"""How often the colour is taken from the residuals of the best mode: of white errors, then of coloured ones."""
+"""Rounds in which the colour is estimated from the residuals of the best mode."""
 
 Modes = list[tuple[float, np.ndarray]]
 """Minus twice the log-posterior and theta of each mode, best first."""

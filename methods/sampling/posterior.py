@@ -103,14 +103,14 @@ class Compiled(OutputError):
     radians: float = RADIANS
 
     def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
-        """As above; not finite where the response diverges."""
+        """Return the readings; not finite where the response diverges."""
         if np.prod(np.broadcast_shapes(*(np.shape(value) for value in p.values()))) < COMPILED_SETS:
             return super().readings(p, start, record)
         return rough_readings(self.system, p, start, record, self.radians, compiled_path)
 
 
 def compiled(model: OutputError) -> OutputError:
-    """The same model, integrated as finely, by compiled steps where the system is not linear."""
+    """Return the model, integrated as finely, by compiled steps where the system is not linear."""
     if model.system.linear:
         return model
     return Compiled(model.problem, radians=model.radians if isinstance(model, Stepped) else RADIANS)

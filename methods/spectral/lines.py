@@ -108,7 +108,7 @@ class HarmonicLayout:
 
     @property
     def forced(self) -> bool:
-        """Whether a force acts."""
+        """Return True if a force acts."""
         return self.harmonics.size > 0
 
 

@@ -23,7 +23,7 @@ LONG = 3 * MOST_SAMPLES
 FIRST_CYCLES = 40.0
 """Of the strongest oscillation, in the first part."""
 LONGER, ITERATIONS = 4.0, 12
-"""How many times longer the next part is, and the steps of a fit to it."""
+"""Ratio of the lengths of successive parts, and the steps of a fit to each."""
 STRONGEST_OF = 2**17
 """Samples in which the strongest oscillation is sought."""
 

@@ -20,7 +20,7 @@ from methods.starts.separate import aliased, separate
 
 @dataclass(frozen=True)
 class Rules:
-    """How guesses are chosen and when fit and noise have settled: the settings of the methods by the same names.
+    """Rules of the choice of guesses and of convergence: the settings of the methods by the same names.
 
     At most ``starts`` guesses are kept after ``screen_iterations`` steps, within ``margin`` of the best in minus twice
     the log-posterior. Fit and noise alternate at most ``sigma_rounds`` times, until the noise changes by less than

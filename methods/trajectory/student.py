@@ -106,7 +106,7 @@ class StudentOutputError(OutputError):
 
     @staticmethod
     def of(model: OutputError) -> StudentOutputError:
-        """The same problem with Student t errors."""
+        """Return the problem with Student t errors."""
         return StudentOutputError(model.problem, model.gauge, model=model)
 
     @cached_property
