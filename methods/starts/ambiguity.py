@@ -30,9 +30,9 @@ from bench import (
     estimate_at,
 )
 from methods.starts.band import are_even, natural_frequencies, values_of, with_band
-from methods.starts.candidates import MOST_DRAWN, candidates, screening
+from methods.starts.candidates import candidates, screening
 from methods.starts.evidence import Basins, basins
-from methods.starts.reach import UP, expected_rate, is_unresolved, resolved_cycles
+from methods.starts.reach import MOST_MODES, UP, expected_rate, is_unresolved, resolved_cycles
 from methods.starts.separate import APART
 from methods.starts.unresolved import sped_up
 
@@ -62,7 +62,7 @@ class SearchingIdentifier(Identifier):
                 continue
             if problem.system.n_hidden:
                 answers[i] = _with_warning(problem, estimate)
-            elif problem.prior is None or problem.system.n_dof > MOST_DRAWN:
+            elif problem.prior is None or problem.system.n_dof > MOST_MODES:
                 answers[i] = with_band(problem, estimate)
             elif _may_be_ambiguous(problem, estimate):
                 ambiguous.append(i)

@@ -17,7 +17,7 @@ import numpy as np
 from bench import Channel, OutputError, Problem, Record, Start
 from methods.starts.equation_error import regression_starts
 from methods.starts.long_records import is_long, starts_of_long
-from methods.starts.reach import is_unresolved
+from methods.starts.reach import MOST_MODES, is_unresolved
 from methods.starts.rough import RADIANS_A_STEP, rough_readings
 from methods.starts.scan import is_loaded, scan
 from methods.starts.separate import separate
@@ -31,9 +31,6 @@ STIFFER = (1.0, 0.6, 1.6)
 """Stiffnesses of the starts of a system with hidden states, over what is stated of it."""
 MOST_SCANNED = 2
 """Degrees of freedom up to which a scan is made beside a regression, which sees each stiffness by itself."""
-MOST_DRAWN = 3
-"""Degrees of freedom up to which modes that the sampling does not resolve are looked for in draws from the prior."""
-
 LONGEST = 300
 """Samples of each channel on which initial guesses of a nonlinear system are compared; a longer record is solved
 alone."""
@@ -112,7 +109,7 @@ def candidates(model: OutputError, n: int) -> list[dict[str, float]]:
             quick = screening(model)
             if problem.system.n_dof == 1:
                 found = found + best_speeds(quick, n)
-            if problem.system.n_dof <= MOST_DRAWN:
+            if problem.system.n_dof <= MOST_MODES:
                 found = found + best_draws(quick)
     if problem.prior is not None and (several or is_loaded(problem)):
         found.append(dict(problem.prior.nominal))

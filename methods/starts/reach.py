@@ -15,6 +15,8 @@ from bench import LOG_LIMIT, Problem, Record, System, state_matrix
 
 UP = 3.0
 """Standard deviations of the prior up to which a motion is expected."""
+MOST_MODES = 3
+"""Degrees of freedom up to which modes that the sampling does not resolve are looked for, in draws from the prior."""
 FEW = 0.1
 """Spacing of the samples of a record without two in a channel, in natural units."""
 EVEN = 1e-3
@@ -72,7 +74,7 @@ def most_cycles(problem: Problem, limit: float = np.inf) -> float:
 
 
 def is_unresolved(problem: Problem) -> bool:
-    """Decide whether the prior expects motion, of any mode, beyond half the sampling rate; in any units."""
+    """Decide whether the prior expects motion beyond half the sampling rate, of any of a few modes; in any units."""
     expected = expected_rate(problem)
     if expected is None:
         return False
@@ -82,9 +84,9 @@ def is_unresolved(problem: Problem) -> bool:
 
 
 def _fastest_rate(problem: Problem, rate: float) -> float:
-    """Logarithm of the rate of the fastest mode at the prior's nominal values; ``rate`` where that is not linear."""
+    """Return the logarithm of the rate of the fastest mode at the prior's nominal values; of others ``rate``."""
     assert problem.prior is not None
-    if problem.system.n_dof == 1 or not problem.system.linear:
+    if not 1 < problem.system.n_dof <= MOST_MODES or not problem.system.linear:
         return rate
     return float(np.log(max(oscillations(problem.system, problem.prior.nominal)[-1], np.exp(rate))))
 
