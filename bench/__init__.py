@@ -49,7 +49,8 @@ from bench.likelihood.least_squares import (
     minimise,
 )
 from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
-from bench.systems import SDOF, Components, Dimension, Ops, Parameter, Quantity, System
+from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
+from bench.systems.linear import SDOF
 
 if TYPE_CHECKING:
     from bench.face.identification import Identification, identify
