@@ -152,7 +152,8 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]
     if is_unresolved(short.problem):  # a few steps do not yet order the basins of several degrees of freedom
-        kept = most_probable(short, list(thetas[np.isfinite(values)]) if short.system.n_dof > 1 else kept)
+        ends = most_probable(short, list(thetas[np.isfinite(values)]) if short.system.n_dof > 1 else kept)
+        kept = ends if len(ends) == 1 else kept  # several where no basin has a covariance
     return sets[0], np.stack(kept)
 
 

@@ -86,7 +86,9 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
     }
     ends = basins([models[i] for i in compared], [settled.theta[places] for places in compared.values()])
     for (i, considered), end in zip(compared.items(), ends, strict=True):
-        place = end.first(models[i]) if end.evidence.size else 0
+        if not end.evidence.size:  # no basin has a covariance
+            continue
+        place = end.first(models[i])
         if place or len(considered) > len(kept[i]):  # else the best fit stands first anyway
             kept[i] = kept[i][:1]
             settled.theta[kept[i][0]] = end.thetas[place]

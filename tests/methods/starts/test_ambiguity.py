@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bench import Channel, Estimate, Identifier, InitialState, Normal, Prior, Problem, Record
+from bench import Channel, Estimate, Identifier, InitialState, Normal, OutputError, Prior, Problem, Record, Status
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, BoucWen, Chain
 from methods.starts.band import natural_frequencies
+from methods.starts.evidence import Basins
+from methods.trajectory import screening
 
 RATE, DECAY, MASS = 2 * np.pi * 1.3, 0.08, 2.0
 """Damped rate (rad/s) and decay (1/s) of the motion that is sampled."""
@@ -168,3 +172,11 @@ def test_several_modes_beyond_the_band_are_found_or_the_answer_names_them(method
         estimate = answer(method, problem)
         parts = (estimate, *estimate.alternatives)
         assert any(natural_frequencies(problem, part) == pytest.approx(true, rel=0.02) for part in parts), seed
+
+
+def test_basins_without_a_covariance_leave_the_best_fit_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[Basins]:
+        return [Basins(start[:0], np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0)) for start in starts]
+
+    monkeypatch.setattr(screening, "basins", none)
+    assert answer("shooting", chain_sampled_rarely(0)[0]).status is Status.OK
