@@ -36,7 +36,7 @@ def rooms(folder: str, *names: str) -> tuple[str, ...]:
     return tuple(f"{folder}/{name}{ending}" for name in names for ending in ("/", ".py"))
 
 
-ENGINES = ("bench/atlas/run.py", "bench/online/paths.py", "bench/measured/track.py")
+ENGINES = ("bench/atlas/run.py", "bench/online/paths.py", "bench/records/track.py")
 OUTSIDE = (
     "store",
     "config",

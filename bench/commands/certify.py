@@ -39,9 +39,9 @@ def certify(
         import matplotlib  # noqa: F401
 
         from bench.face.results import nulls
-        from bench.measured.certificate import certify as certificate_of
-        from bench.measured.record import read_measured
-        from bench.measured.trust import Trust
+        from bench.records.certificate import certify as certificate_of
+        from bench.records.record import read_measured
+        from bench.records.trust import Trust
         from bench.reporting.certificate.contents import contents, listed
         from bench.reporting.certificate.page import page
         from bench.reporting.whole_file import check_folder, write
@@ -63,7 +63,7 @@ def _request(data: str, system: str, method: Sequence[str], record: Sequence[str
     from bench.config.choices import check_choice, choices
     from bench.config.overrides import read_overrides
     from bench.config.records import certificate_methods
-    from bench.measured.request import ALL, request_of
+    from bench.records.request import ALL, request_of
 
     if method == ("fast",):
         method = [name for name in certificate_methods() if name in choices("method")]

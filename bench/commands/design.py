@@ -44,7 +44,7 @@ def uncertain(text: str) -> Uncertain:
 
 def length(text: str) -> float:
     """Read a length with its unit, in metres."""
-    from bench.measured.reading.units import unit_of
+    from bench.records.reading.units import unit_of
 
     parts = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\d\s].*)", text)
     unit = unit_of(parts[2]) if parts else None

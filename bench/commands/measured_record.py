@@ -16,9 +16,9 @@ from bench.reporting.whole_file import check_file, write
 def identify_records(overrides: Overrides) -> int:
     """Print what methods find in measured records; 1 where no method's answer is to be trusted."""
     from bench.face.identification import found_by, identified
-    from bench.measured.record import read_measured
-    from bench.measured.request import request_of
-    from bench.measured.response import best_of, response_of
+    from bench.records.record import read_measured
+    from bench.records.request import request_of
+    from bench.records.response import best_of, response_of
     from bench.reporting.record_page import methods_page
     from bench.reporting.terminal import wrapped
     from bench.reporting.terminal_plot import plotted, wanted

@@ -11,11 +11,11 @@ from bench.commands.declaration import OneOf, Within, folder
 from bench.commands.work import DryRun, Fit, Work
 from bench.config.choices import check_choice
 from bench.config.records import track_methods
-from bench.measured.sets import set_names
+from bench.records.sets import set_names
 from bench.reporting.whole_file import check_file, write
 
 if TYPE_CHECKING:
-    from bench.measured.track import MeasuredFit, TrackFit
+    from bench.records.track import MeasuredFit, TrackFit
     from bench.reporting.tables.track_table import FreeRun, Track, TrackPanel
 
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
@@ -40,8 +40,8 @@ def measured(
     that says so.
     """
     from bench.engine.pool import Limits
-    from bench.measured.sets import measured_set
-    from bench.measured.track import read_fit, tasks
+    from bench.records.sets import measured_set
+    from bench.records.track import read_fit, tasks
     from bench.reporting.tables.track_table import Track
 
     root, names = data_root and folder("data_root", data_root), set or set_names()
@@ -67,7 +67,7 @@ def measured(
 
 def _panels(name: str, own: Sequence[MeasuredFit], fits: Sequence[TrackFit], root: Path | None) -> list[TrackPanel]:
     """A panel a system of a set; one that says so where its files are not there."""
-    from bench.measured.sets import measured_set
+    from bench.records.sets import measured_set
     from bench.reporting.tables.track_table import TrackPanel
 
     of = measured_set(name)
@@ -83,7 +83,7 @@ def _free_runs(panel: TrackPanel, root: Path | None) -> Iterator[FreeRun]:
     import numpy as np
 
     from bench.config.records import primary_method
-    from bench.measured.free_run import free_run_error, part_problem
+    from bench.records.free_run import free_run_error, part_problem
     from bench.reporting.tables.track_table import FreeRun
 
     place = panel.of.place(root)

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from bench.config.overrides import overrides_of
 from bench.errors import InputError
 from bench.face.results import nulls
-from bench.measured.find import find
-from bench.measured.finding import Finding
-from bench.measured.intervals import StatedInterval
-from bench.measured.reading import Recording, prepared
-from bench.measured.record import Measured, of_arrays, read_measured
-from bench.measured.request import AUTO, Request, request_of
-from bench.measured.trust import lag_one, part_of_signal, whiteness_level
+from bench.records.find import find
+from bench.records.finding import Finding
+from bench.records.intervals import StatedInterval
+from bench.records.reading import Recording, prepared
+from bench.records.record import Measured, of_arrays, read_measured
+from bench.records.request import AUTO, Request, request_of
+from bench.records.trust import lag_one, part_of_signal, whiteness_level
 from bench.reporting.record_page import record_page
 
 
@@ -220,7 +220,7 @@ def _records(
 def found_by(request: Request, measured: Measured) -> list[Finding]:
     """What every method of the request finds in the records, in their order; raises InputError."""
     if request.system == AUTO:
-        from bench.measured.classes import best_class
+        from bench.records.classes import best_class
 
         measured = best_class(measured)
     return [find(job, measured) for job in request.jobs]

@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from bench.errors import InputError
-from bench.measured.find import find
-from bench.measured.finding import Finding
-from bench.measured.intervals import HALF
-from bench.measured.record import read_measured
-from bench.measured.request import Overrides, request_of
-from bench.measured.trust import Trust
 from bench.planning.free_decay import QUANTITIES, Oscillator
 from bench.planning.longer import Taken, start_of
+from bench.records.find import find
+from bench.records.finding import Finding
+from bench.records.intervals import HALF
+from bench.records.record import read_measured
+from bench.records.request import Overrides, request_of
+from bench.records.trust import Trust
 
 
 def taken(overrides: Overrides) -> Taken:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.measured.response import Response
+from bench.records.response import Response
 from bench.reporting.certificate.figures import SIZE, draw_record
 from bench.reporting.inline_svg import RC, pyplot, svg_file
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from malformed_files import FILES, mat, npy, parquet
 
 from bench.errors import InputError, line_of
-from bench.measured.reading import Recording, read_recording
-from bench.measured.reading.options import ReadOptions
+from bench.records.reading import Recording, read_recording
+from bench.records.reading.options import ReadOptions
 
 SEEDS = {
     "text": FILES["good.csv"](),

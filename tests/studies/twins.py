@@ -16,11 +16,11 @@ from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
 from bench.likelihood.autoregression import Autoregression
-from bench.measured.finding import Finding, judged
-from bench.measured.fit import Outcome
-from bench.measured.intervals import StatedInterval
-from bench.measured.record import Measured
-from bench.measured.twins import Answers, corrected_by, drawn, stated_on, stretch_of, stretched, told_quantities
+from bench.records.finding import Finding, judged
+from bench.records.fit import Outcome
+from bench.records.intervals import StatedInterval
+from bench.records.record import Measured
+from bench.records.twins import Answers, corrected_by, drawn, stated_on, stretch_of, stretched, told_quantities
 from bench.reporting.tables.common import markdown_table
 from bench.scenario.truth import closed_form
 from bench.scoring.statistics import wilson_interval
@@ -71,7 +71,7 @@ def found(problem: Problem, seed: int) -> Finding | None:
 
 
 def answered(finding: Finding, twins: int, seed: int) -> Answers:
-    """Return the answers to twins, in this process, for speed; else as :mod:`bench.measured.twins`."""
+    """Return the answers to twins, in this process, for speed; else as :mod:`bench.records.twins`."""
     assert finding.at is not None
     made = drawn(finding.at, finding.problem, twins, seed)
     rngs = [np.random.default_rng([seed, i, 1]) for i in range(twins)]

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from bench.likelihood.autoregression import autoregression, even_times
-from bench.measured.certificate import Certificate
-from bench.measured.colour import autocorrelation
-from bench.measured.finding import Finding
-from bench.measured.intervals import StatedInterval
-from bench.measured.linearised import Linearised
-from bench.measured.record import summary_of
-from bench.measured.request import AUTO
-from bench.measured.trust import Trust, lag_one, natural_frequency, part_of_signal, whiteness_level
-from bench.measured.zeros import unit_over_mass
+from bench.records.certificate import Certificate
+from bench.records.colour import autocorrelation
+from bench.records.finding import Finding
+from bench.records.intervals import StatedInterval
+from bench.records.linearised import Linearised
+from bench.records.record import summary_of
+from bench.records.request import AUTO
+from bench.records.trust import Trust, lag_one, natural_frequency, part_of_signal, whiteness_level
+from bench.records.zeros import unit_over_mass
 from bench.reporting.rounding import number, readable, rounded
 
 PACKAGES = ("vibration-bench", "numpy", "scipy", "jax", "casadi", "emcee", "torch")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.measured.intervals import HALF
+from bench.records.intervals import HALF
 from bench.reporting.certificate.figures import pictures
 from bench.reporting.grid import Grid, rendered, style
 from bench.reporting.page.words import joined, number, seconds

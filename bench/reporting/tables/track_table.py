@@ -12,9 +12,9 @@ import numpy as np
 
 from bench.config.records import primary_method
 from bench.contract.belief import standard_quantile
-from bench.measured.sets import Known, MeasuredSet
-from bench.measured.siblings import SiblingAgreement, Stated, Total, agreement, total
-from bench.measured.track import TrackFit
+from bench.records.sets import Known, MeasuredSet
+from bench.records.siblings import SiblingAgreement, Stated, Total, agreement, total
+from bench.records.track import TrackFit
 from bench.reporting.rounding import number, readable
 from bench.reporting.tables.common import csv, markdown_table
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.measured.siblings import Stated
+from bench.records.siblings import Stated
 from bench.reporting.inline_svg import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
 from bench.reporting.rounding import readable
 from bench.reporting.tables.track_table import MAIN, Track, TrackPanel

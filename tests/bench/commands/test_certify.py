@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bench.commands.main import main
-from bench.measured import certificate
+from bench.records import certificate
 
 
 @pytest.fixture(scope="module", autouse=True)

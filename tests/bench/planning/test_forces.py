@@ -9,14 +9,14 @@ from bench.commands.main import main
 from bench.config.overrides import read_overrides
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
-from bench.measured.record import read_measured
-from bench.measured.request import request_of
 from bench.planning.forced import FORCED_QUANTITIES, ForcedTest, displacement, forced_errors
 from bench.planning.forces import Forces, half_sine, told_by
 from bench.planning.free_decay import Oscillator
 from bench.planning.multisine import ALL, wanted_columns
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
+from bench.records.record import read_measured
+from bench.records.request import request_of
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario
 

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.measured import certificate as gathering
-from bench.measured import classes
-from bench.measured.certificate import Certificate, _ranked, certify, prediction_of, standing_of
-from bench.measured.classes import ModelClass
-from bench.measured.continued import NAME
-from bench.measured.held_out import held_out_fit
-from bench.measured.intervals import StatedInterval
-from bench.measured.record import Measured, of_arrays, read_measured
-from bench.measured.request import Request, request_of
+from bench.records import certificate as gathering
+from bench.records import classes
+from bench.records.certificate import Certificate, _ranked, certify, prediction_of, standing_of
+from bench.records.classes import ModelClass
+from bench.records.continued import NAME
+from bench.records.held_out import held_out_fit
+from bench.records.intervals import StatedInterval
+from bench.records.record import Measured, of_arrays, read_measured
+from bench.records.request import Request, request_of
 from bench.reporting.certificate.contents import contents, listed
 from bench.reporting.certificate.figures import power_of_ten, thinned
 from bench.reporting.certificate.page import fit_text, page

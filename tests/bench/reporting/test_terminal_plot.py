@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.measured.response import ChannelResponse, Response
-from bench.measured.trust import Trust
+from bench.records.response import ChannelResponse, Response
+from bench.records.trust import Trust
 from bench.reporting.terminal_plot import holds_braille, plotted, round_numbers, wanted
 
 

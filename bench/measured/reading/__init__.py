@@ -1,7 +1,0 @@
-"""Reading measured records: :func:`read_recording` makes signals of a file, and refuses what it would have to guess."""
-
-from bench.measured.reading.options import ReadOptions
-from bench.measured.reading.recording import prepared, read_recording
-from bench.measured.reading.signals import Recording, Signal
-
-__all__ = ["ReadOptions", "Recording", "Signal", "prepared", "read_recording"]

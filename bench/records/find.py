@@ -1,0 +1,150 @@
+"""Identify measured records: by the method asked for, again without needless terms, and by one robust to outliers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from bench.config.records import coloured_settings, robust_method
+from bench.config.schema import Job
+from bench.contract.estimate import Status
+from bench.contract.problem import Problem
+from bench.engine.pool import Limits
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import make_method, missing_package
+from bench.errors import InputError
+from bench.isolation.processes import Died
+from bench.records.apart import apart
+from bench.records.classes import fitted_class
+from bench.records.finding import Finding, judged
+from bench.records.fit import Outcome, fit_alone
+from bench.records.intervals import StatedInterval
+from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
+from bench.records.trust import OUTLIERS, Doubt, Trust
+from bench.records.zeros import unit_over_mass, without
+from bench.systems.sums import Sum
+
+
+def find(job: Job, measured: Measured) -> Finding:
+    """Identify the records with the job's method, in a process of its own; raises InputError.
+
+    Where a search fails on many samples a cycle it is tried again on fewer, filtered; where a parameter is left open,
+    without the terms of a sum that the record does not need.
+    """
+    found = _with_fewer_samples(_found(job, measured), job)
+    if not _leaves_open(found):
+        return found
+    system = measured.problem.system
+    if not isinstance(system, Sum):
+        return found
+    most = _needless(measured, job.config.timeout_s)
+    if not most:
+        return found
+    return _with_zeros(_found(job, with_system(found.measured, without(system, most))), system, most)
+
+
+def _found(job: Job, measured: Measured) -> Finding:
+    name = job.config.method["name"]
+    if name in REFERENCES:
+        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
+    lacking_package = missing_package(name)
+    if lacking_package:
+        outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
+    else:
+        outcome = _fitted(name, job.settings(), measured.problem, job)
+    return _with_robust(_coloured(judged(job.label, measured, outcome), job), job)
+
+
+def _coloured(finding: Finding, job: Job) -> Finding:
+    """Where the residuals are coloured, what the method finds when it is told so, if it can be."""
+    name, settings = job.config.method["name"], job.settings()
+    more = coloured_settings(name)
+    noises = () if finding.at is None else finding.at.noises
+    coloured = any(noise is not None and noise.order for noise in noises)
+    if not (more and coloured) or "method.likelihood" in job.explicit:
+        return finding
+    outcome = _fitted(name, {**settings, **more}, finding.problem, job)
+    return finding if outcome.status is not Status.OK else judged(job.label, finding.measured, outcome, finding)
+
+
+def _fitted(name: str, settings: dict[str, Any], problem: Problem, job: Job) -> Outcome:
+    """A method's outcome within the job's limits."""
+    method, rng = make_method(name, settings), np.random.default_rng(job.config.seed)
+    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
+    return fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
+
+
+def _with_fewer_samples(finding: Finding, job: Job) -> Finding:
+    """Where the method found no answer: what it finds in the decimated record, where that describes the motion too.
+
+    Misfits of the phase have the more minima the longer the record and the denser its samples; and the fit is quicker.
+    """
+    factor = spare_factor(finding.problem)
+    if finding.outcome.status is not Status.DIVERGED or factor == 1:
+        return finding
+    try:
+        measured = with_fewer_samples(finding.measured, factor, job)
+    except InputError:
+        return finding
+    said = f"{finding.method} found no answer in all samples: {finding.outcome.message}"
+    return _found(job, replace(measured, notes=(*measured.notes, said)))
+
+
+def _leaves_open(found: Finding) -> bool:
+    """Whether the method ended without an answer, or with a quantity that has no finite interval above zero."""
+    if found.outcome.status is Status.DIVERGED:
+        return True
+    stated = {**found.withdrawn, **found.intervals}.values()
+    return found.outcome.status is Status.OK and not all(own.low >= 0.0 and math.isfinite(own.high) for own in stated)
+
+
+@lru_cache(maxsize=4)
+def _needless(measured: Measured, limit_s: float) -> Mapping[str, float]:
+    """The parameters of terms that the records do not need, and the most that they allow of each, over the mass."""
+    try:
+        fitted = apart(fitted_class, measured, limit_s)
+    except Died:
+        return {}
+    return {} if fitted is None else fitted.zero
+
+
+def _with_zeros(finding: Finding, system: Sum, most: Mapping[str, float]) -> Finding:
+    """A finding with the parameters of a system at zero that it was made without."""
+    if finding.outcome.status is not Status.OK:
+        return finding
+    units = {name: unit_over_mass(system, name) for name in most}
+    said = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
+    doubts = (*finding.doubts, *(Doubt(Trust.CARE, reason) for reason in said))
+    if not finding.intervals:
+        return replace(finding, doubts=doubts)
+    zeros = {f"{n}_over_m": StatedInterval(0.0, 0.0, limit, 0.0, limit, units[n]) for n, limit in most.items()}
+    return replace(finding, doubts=doubts, intervals={**finding.intervals, **zeros})
+
+
+def _with_robust(finding: Finding, job: Job) -> Finding:
+    """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
+    far = any(doubt.reason.endswith(OUTLIERS) for doubt in finding.doubts)
+    robust_name, settings = robust_method()
+    already = settings.items() <= job.settings().items()
+    if not far or already or missing_package(robust_name):
+        return finding
+    robust = _fitted(robust_name, settings, finding.problem, job)
+    own, system = finding.intervals or finding.withdrawn, finding.problem.system
+    name = next(iter(own), "")
+    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(system.quantity(name))
+    if marginal is None:
+        reason = f"a fit that expects outliers gave no answer: {robust.message}"
+        return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))
+    inside = own[name].low <= marginal.value <= own[name].high
+    reason = f"a fit that expects outliers (Student's t) gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
+    if not inside:
+        reason += ", outside of this interval: believe that one"
+    doubts = (*finding.doubts, Doubt(Trust.CARE if inside else Trust.NO, reason))
+    if inside:
+        return replace(finding, doubts=doubts)
+    return replace(finding, doubts=doubts, intervals={}, withdrawn=own)

@@ -1,0 +1,185 @@
+"""What a method found in measured records: values, stated intervals, residuals, and how far to trust them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bench.contract.estimate import Estimate, Status
+from bench.contract.problem import Problem, Units
+from bench.likelihood.autoregression import Whitened
+from bench.likelihood.output_error import OutputError
+from bench.records.fit import Outcome
+from bench.records.grown import first_guess
+from bench.records.intervals import StatedInterval, stated_intervals
+from bench.records.linearised import Linearised, at_theta, linearised
+from bench.records.model_error import NOTHING_LACKING, ModelError, model_error
+from bench.records.parts import parts_of
+from bench.records.record import Measured, spare_factor
+from bench.records.strongest import strongest_frequency
+from bench.records.trust import (
+    MOST_LEFT,
+    Doubt,
+    Trust,
+    doubts_about,
+    natural_frequency,
+    part_of_signal,
+    verdict,
+)
+from bench.scoring.combination import combine_with_prior
+from bench.systems import MEASURED
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """The answer of one method to measured records.
+
+    ``intervals`` hold what the data tell, by name of the quantity; none where the answer is withdrawn or failed.
+    ``withdrawn`` keeps what the method itself says of an answer that is not to be trusted. ``at`` is the likelihood
+    there, in the problem's natural units.
+    """
+
+    method: str
+    measured: Measured
+    outcome: Outcome
+    intervals: Mapping[str, StatedInterval] = field(default_factory=dict)
+    withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
+    doubts: tuple[Doubt, ...] = ()
+    at: Linearised | None = None
+    lacking: ModelError = NOTHING_LACKING
+    by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def trust(self) -> Trust:
+        """The verdict."""
+        return verdict(self.doubts)
+
+    @property
+    def problem(self) -> Problem:
+        return self.measured.problem
+
+    @property
+    def units(self) -> Units:
+        """The natural units in which ``at`` is, in the user's."""
+        return self.problem.natural_units()
+
+    @property
+    def channel_size(self) -> float:
+        """How much one unit of the first channel in ``at`` is in the channel's own unit."""
+        return self.units.of(MEASURED[self.problem.records[0].channels[0].measures])
+
+
+def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | None = None) -> Finding:
+    """A method's outcome with the intervals that the records support, and the verdict.
+
+    ``white``: where the outcome takes account of the noise's colour, the method's finding that takes it for white.
+    """
+    if outcome.estimate is None or outcome.status is not Status.OK:
+        reason = f"no answer ({outcome.status.value}): {outcome.message}{_fewer_samples(measured, outcome)}"
+        return Finding(method, measured, outcome, doubts=(Doubt(Trust.NO, reason),))
+    estimate = combine_with_prior(outcome.estimate, measured.problem.prior)
+    with np.errstate(all="ignore"):
+        at = linearised(measured.problem, estimate)
+        parts = parts_of(at, _frequency(at)) if at is not None else []
+        lacking = model_error(at) if at is not None else NOTHING_LACKING
+        noise = at if white is None or at is None else _whitened(at)
+        intervals = _beside_white(stated_intervals(estimate, noise, parts, lacking), white)
+        intervals = _with_mass(intervals, estimate, measured)
+    doubts = (*doubts_about(at, intervals, lacking, outcome.message), *_turned_force(at))
+    finding = Finding(method, measured, outcome, intervals, {}, doubts, at, lacking, _by_part(parts, measured))
+    if finding.trust is Trust.NO:
+        return replace(finding, intervals={}, withdrawn=intervals)
+    return finding
+
+
+def _fewer_samples(measured: Measured, outcome: Outcome) -> str:
+    """Of a fit that ended at its limits: which decimation would still describe the motion, where one would."""
+    factor = spare_factor(measured.problem) if outcome.status in (Status.TIMEOUT, Status.OOM) else 1
+    return f"; decimate={factor} keeps one sample in {factor}, filtered" if factor > 1 else ""
+
+
+def _frequency(at: Linearised) -> float:
+    channel = at.model.channels[0][1]
+    return natural_frequency(at) or strongest_frequency(channel.times, channel.values)
+
+
+def _by_part(parts: list[Linearised], measured: Measured) -> dict[str, tuple[float, ...]]:
+    """Values by part or repeat, in the user's units."""
+    system, units = measured.problem.system, measured.problem.natural_units()
+    found = {}
+    for quantity in system.quantities:
+        gradients = [part.gradient(quantity)[: len(part.model.free)] for part in parts]
+        if parts and np.any(gradients[0]) and set(quantity.exponents) - {system.gauge} <= set(parts[0].model.free):
+            gauge = quantity.exponents.get(system.gauge, 0.0) if system.gauge not in parts[0].model.free else 0.0
+            scale = units.of(system.dimension(quantity)) * quantity.coefficient * parts[0].model.gauge ** gauge
+            logs = [float(g @ part.theta[: g.size]) for g, part in zip(gradients, parts, strict=True)]
+            found[quantity.name] = tuple(scale * math.exp(log) for log in logs)
+    return found
+
+
+def _whitened(at: Linearised) -> Linearised | None:
+    """The likelihood with the colour of its own residuals taken account of."""
+    return at_theta(Whitened(at.model.problem, at.model.gauge, model=at.model, noises=at.noises), at.theta)
+
+
+def _beside_white(intervals: dict[str, StatedInterval], white: Finding | None) -> dict[str, StatedInterval]:
+    """Intervals of coloured noise, beside those of the same method that take it for white."""
+    if white is None:
+        return intervals
+    found = {}
+    for name, one in intervals.items():
+        own = white.intervals.get(name) or white.withdrawn.get(name, one)
+        width = own.white_high - own.white_low
+        colour = one.colour * ((one.white_high - one.white_low) / width if width > 0 else 1.0)
+        found[name] = replace(one, white_low=own.white_low, white_high=own.white_high, colour=colour)
+    return found
+
+
+def _with_mass(
+    intervals: dict[str, StatedInterval], estimate: Estimate, measured: Measured
+) -> dict[str, StatedInterval]:
+    """The parameters themselves too, where their ratios were found and the mass is told."""
+    mass, system = measured.told_mass, estimate.system
+    if mass is None:
+        return intervals
+    found = dict(intervals)
+    for parameter in system.parameters:
+        ratio = intervals.get(f"{parameter.name}_over_{system.gauge}")
+        if ratio is not None:
+            ends = {end: mass * getattr(ratio, end) for end in ("value", "low", "high", "white_low", "white_high")}
+            found[parameter.name] = replace(ratio, unit=parameter.unit, **ends)
+    return found
+
+
+def _turned_force(at: Linearised | None) -> tuple[Doubt, ...]:
+    """Where a forced fit leaves most of the signal: whether the force turned round would leave much less."""
+    if at is None or not at.model.problem.forced or part_of_signal(at) <= MOST_LEFT:
+        return ()
+    records = tuple(
+        replace(r, forces=tuple(replace(f, values=-f.values) for f in r.forces)) for r in at.model.problem.records
+    )
+    turned = replace(at.model, problem=replace(at.model.problem, records=records))
+    theta = min(turned.settle(_forced_starts(turned, at.theta), 2, 20), key=turned.profile)
+    left = turned.data - turned.predict(theta)
+    if not np.all(np.isfinite(left)) or np.std(left) > 0.5 * np.std(at.residuals):
+        return ()
+    return (Doubt(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1"),)
+
+
+def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Vectors from which to search a forced motion: the given one, and at rest with natural frequencies on a grid."""
+    duration = max(record.duration for record in model.problem.records)
+    size, found = float(np.std(model.data)) or 1.0, [theta]
+    for cycles in np.geomspace(0.5, max(model.data.size / 4.0, 2.0), 16):
+        p = first_guess(model.system, 2 * np.pi * cycles / duration, size)
+        start = np.zeros(theta.size)
+        start[: len(model.free)] = np.log([p[name] for name in model.free])
+        heavier = float(np.std(model.predict(start))) / size
+        massive = [bool(q.dimension.mass) for q in model.system.parameters if q.name in model.free]
+        if np.isfinite(heavier) and heavier > 0:
+            start[: len(model.free)] += np.where(massive, np.log(heavier), 0.0)
+            found.append(start)
+    return np.stack(found)

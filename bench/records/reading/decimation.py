@@ -1,0 +1,78 @@
+"""Fewer samples without aliasing: every n-th of a signal that was low-pass filtered before.
+
+Thinning alone folds what lies above half of the new rate onto the vibration, and keeps the noise of each sample.
+Here a linear-phase filter (SciPy's ``resample_poly``: Kaiser window, ten new samples to either side) goes first, so the
+noise falls with the band. Motion and force pass the same filter, which leaves a linear equation of motion as it is;
+samples nearer to an end than the filter reaches are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import resample_poly
+
+from bench.contract.problem import MIN_SAMPLES
+from bench.errors import InputError
+from bench.records.reading.signals import Recording, Signal
+from bench.records.strongest import strongest_frequency
+
+REACH = 10
+"""New samples that the filter reaches to either side."""
+PASSED = 0.8
+"""Part of the new Nyquist frequency up to which the filter leaves a signal as it is, to 1 %."""
+UNEVEN = 0.01
+"""Largest departure of a sampling interval from their mean, over that mean."""
+
+
+def decimated(recording: Recording, factor: int) -> Recording:
+    """Every ``factor``-th sample of the filtered signals, from a common start at time 0; the notes say what was done.
+
+    Raises:
+        InputError: uneven samples, too few of them, or a vibration that the filter would take away.
+    """
+    if factor == 1:
+        return recording
+    path = recording.source
+    made, notes = zip(*(_decimated(signal, factor, path) for signal in recording.signals), strict=True)
+    first = max(float(signal.times[0]) for signal in made)
+    last = min(float(signal.times[-1]) for signal in made)
+    room = 1e-9 * (last - first)
+    found = []
+    for signal in made:
+        kept = (signal.times >= first - room) & (signal.times <= last + room)
+        if np.sum(kept) < MIN_SAMPLES:
+            raise InputError("decimate", factor, f"{path} keeps {np.sum(kept)} samples of {signal.role}; a smaller one")
+        found.append(replace(signal, times=signal.times[kept] - first, values=signal.values[kept]))
+    return replace(recording, signals=tuple(found), notes=(*recording.notes, *notes))
+
+
+def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
+    n, step = signal.values.size, float(np.mean(np.diff(signal.times)))
+    if np.max(np.abs(np.diff(signal.times) - step)) > UNEVEN * step:
+        raise InputError("decimate", factor, f"{signal.role} of {path} has gaps or uneven times")
+    if n // factor < 2 * REACH + MIN_SAMPLES:
+        most = max(n // (2 * REACH + MIN_SAMPLES), 1)
+        raise InputError("decimate", factor, f"{path} has {n} samples of {signal.role}: at most {most}")
+    passed = PASSED / (2.0 * factor * step)
+    strongest = strongest_frequency(signal.times, signal.values)
+    if signal.measures != "force" and strongest > passed:
+        remedy = f"the motion is strongest at {strongest:.4g} Hz and only {passed:.4g} Hz would pass; a smaller one"
+        raise InputError("decimate", factor, remedy)
+    mean = float(np.mean(signal.values))
+    values = resample_poly(signal.values - mean, 1, factor) + mean
+    inner = slice(REACH, (n - 1) // factor + 1 - REACH)
+    kept = replace(signal, times=signal.times[::factor][inner], values=values[inner])
+    taken = 100.0 * _power_above(signal.values - mean, PASSED / factor)
+    return kept, (
+        f"{signal.role}: one in {factor} of {n} samples after a low-pass filter, so {kept.values.size} are left; "
+        f"{taken:.2g} % of its power was above the {passed:.4g} Hz that pass unchanged"
+    )
+
+
+def _power_above(values: np.ndarray, part: float) -> float:
+    """Share of the power of values (n,) without a mean above a part of their Nyquist frequency."""
+    power = np.abs(np.fft.rfft(values)) ** 2
+    total = float(np.sum(power))
+    return float(np.sum(power[int(part * (power.size - 1)) + 1 :])) / total if total > 0 else 0.0

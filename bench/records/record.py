@@ -1,0 +1,241 @@
+"""Measured records as a Problem: their signals, the system that was asked for, and what is told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.config.schema import Job
+from bench.contract.prior import Prior
+from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
+from bench.errors import InputError
+from bench.records.models import smoothing_velocity
+from bench.records.reading import Recording, Signal, read_recording
+from bench.records.reading.decimation import decimated
+from bench.records.request import AUTO, Request
+from bench.records.strongest import strongest_frequency
+from bench.systems import System, make_system
+from bench.systems.sums import Sum, sum_from
+
+MAX_SAMPLES = 100_000
+ANGLE = "rad"
+CYCLE_SAMPLES, FEWEST = 10, 200
+"""Samples of a cycle, and of a record, that a decimation that is not asked for leaves at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Recordings and the problem that they pose; ``notes`` say what was done to them.
+
+    ``told`` values, of parameters that the data cannot tell and the user has told, scale what is found.
+    """
+
+    recordings: tuple[Recording, ...]
+    problem: Problem
+    notes: tuple[str, ...]
+    told_mass: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """Of the first channel."""
+        return self.problem.records[0].channels[0].unit
+
+    @property
+    def angle(self) -> bool:
+        """Whether it is turned, not moved."""
+        return self.unit.startswith(ANGLE)
+
+
+def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Measured:
+    """The records of a request, read from its files unless they are given; raises InputError."""
+    recordings = tuple(recordings) or tuple(read_recording(path, request.options) for path in request.files)
+    job = request.job
+    system = _system(request, recordings[0])
+    start = _start(job)
+    records = tuple(_record(recording, system, start, job) for recording in recordings)
+    for name, value in (("force_gain", job.config.force_gain), ("hold", job.config.hold)):
+        if name in job.explicit and not any(record.forces for record in records):
+            raise InputError(name, value, "there is no force in the record; leave it out, or name its column: columns=")
+    names, prior = ", ".join(Path(recording.source).name for recording in recordings), _prior(job, system)
+    try:
+        problem = Problem(system, records, prior, name=names)
+    except InputError as error:
+        raise InputError("data", f"{names} ({error.field} {error.value})", error.remedy) from None
+    mass = job.config.fixed.get("m")
+    _check_scale(problem, mass)
+    notes = tuple(note for recording in recordings for note in recording.notes)
+    return Measured(recordings, problem, notes, mass)
+
+
+def of_arrays(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None = None) -> Recording:
+    """A recording of arrays in SI units, of one length; raises InputError."""
+    given = {"times": times, "displacement": displacement, **({} if force is None else {"force": force})}
+    columns = {}
+    for name, values in given.items():
+        try:
+            columns[name] = np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(name, "array", "numbers are needed") from None
+        if not np.all(np.isfinite(columns[name])):
+            raise InputError(
+                name, "array", f"sample {np.argmin(np.isfinite(columns[name]))} is not finite; leave it out"
+            )
+        if columns[name].ndim != 1 or columns[name].size != columns["times"].size:
+            remedy = "one-dimensional, with a number for each of the times"
+            raise InputError(name, f"array of shape {columns[name].shape}", remedy)
+    if columns["times"].size < MIN_SAMPLES:
+        raise InputError("data", "arrays", f"{columns['times'].size} samples; at least {MIN_SAMPLES} are needed")
+    clock = columns["times"] - columns["times"][0]
+    signals = [Signal("x", "displacement", 0, columns["displacement"], "m", clock)]
+    if "force" in columns:
+        signals.append(Signal("f", "force", 0, columns["force"], "N", clock))
+    return Recording(tuple(signals), (), "arrays", "")
+
+
+def _system(request: Request, recording: Recording) -> System:
+    """The system that was asked for, with what is told of it; a pendulum's length is 1 where angles are measured."""
+    job, motion = request.job, _motion(recording)
+    fixed = {name: value for name, value in job.config.fixed.items() if name != "m"}
+    if request.system == AUTO:
+        if fixed:
+            raise InputError("fixed", fixed, "with system=auto nothing is told; name the system")
+        return sum_from("sdof")
+    if "system" in job.explicit:
+        if fixed:
+            raise InputError("fixed", fixed, "it is for sums of terms, as system=sdof+coulomb fixed.k=0")
+        physics = job.config.system
+        return make_system(physics["kind"], physics["options"])
+    velocity = 0.01
+    if motion is not None:
+        velocity = smoothing_velocity(motion.times, motion.values)
+    words = request.system.split("+")
+    if motion is not None and motion.unit == ANGLE and "pendulum" in words and "l" not in fixed:
+        fixed["l"] = 1.0
+    try:
+        system = sum_from(request.system, smoothing_velocity=velocity, fixed=tuple(fixed.items()))
+    except InputError as error:
+        raise InputError(error.field.removeprefix("system.options."), error.value, error.remedy) from None
+    if system.needs_scale and not any(s.measures == "force" for s in recording.signals) and "prior" not in job.explicit:
+        raise InputError("fixed", fixed, "without a force or a prior only ratios to the mass can be told; give one")
+    return system
+
+
+def _motion(recording: Recording) -> Signal | None:
+    """The first displacement of a recording."""
+    return next((signal for signal in recording.signals if signal.measures == "displacement"), None)
+
+
+def _record(recording: Recording, system: System, start: InitialState | None, job: Job) -> Record:
+    name = Path(recording.source).name
+    tells_offset = start is None and getattr(system, "tells_offset", True)
+    channels, forces = [], []
+    for signal in recording.signals:
+        if signal.dof >= system.n_dof:
+            remedy = f"the system has {system.n_dof} DOF; choose one with more masses, or columns="
+            raise InputError("data", f"{name} ({signal.role})", remedy)
+        if signal.times.size > MAX_SAMPLES:
+            remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to=, or fewer samples by decimate="
+            raise InputError("data", f"{name}, {signal.times.size} samples", remedy)
+        if signal.measures == "force":
+            values = job.config.force_gain * signal.values
+            forces.append(Force(signal.times, values, hold=job.config.hold, dof=signal.dof))
+        else:
+            offset = tells_offset and signal.measures == "displacement"
+            channels.append(
+                Channel(signal.times, signal.values, signal.measures, signal.dof, unit=signal.unit, offset=offset)
+            )
+    if not channels:
+        raise InputError("data", name, "no column of it is a motion; name one by columns=x:<number>")
+    try:
+        return Record(tuple(channels), tuple(forces), start)
+    except InputError as error:
+        raise InputError("data", f"{name} ({error.field} {error.value})", error.remedy) from None
+
+
+def _start(job: Job) -> InitialState | None:
+    config = job.config
+    if "initial_state" not in job.explicit or config.initial_state == "unknown":
+        if config.start is not None:
+            raise InputError("start", config.start, "with initial_state=known; or leave it out")
+        return None
+    if config.start is None or len(config.start) % 2 or not config.start:
+        raise InputError("start", config.start, "initial_state=known needs start=[displacement,velocity] at time 0")
+    half = len(config.start) // 2
+    return InitialState(np.array(config.start[:half]), np.array(config.start[half:]))
+
+
+def _prior(job: Job, system: System) -> Prior | None:
+    spec = job.prior_spec() if "prior" in job.explicit else None
+    if spec is None:
+        return None
+    nominal = job.config.nominal
+    if set(nominal) != set(system.names):
+        needed = " ".join(f"nominal.{name}=…" for name in system.names)
+        raise InputError("nominal", dict(nominal), f"a prior on a measured record needs nominal values: {needed}")
+    return Prior(
+        {name: nominal[name] for name in system.names},
+        {p.name: spec.sd_by_kind[p.kind] for p in system.parameters},
+    )
+
+
+def _check_scale(problem: Problem, mass: float | None) -> None:
+    if mass is None:
+        return
+    if mass <= 0:
+        raise InputError("fixed.m", mass, "a positive mass (kg)")
+    if problem.prior is not None or problem.scale_told:
+        raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
+
+
+def spare_factor(problem: Problem) -> int:
+    """By how much the samples of every channel can be decimated and still describe its motion; 1: not at all."""
+    factors = []
+    for channel in (channel for record in problem.records for channel in record.channels):
+        per_cycle = (channel.n - 1) / float(np.ptp(channel.times)) / strongest_frequency(channel.times, channel.values)
+        factors.append(min(per_cycle / CYCLE_SAMPLES, channel.n / FEWEST))
+    return max(int(min(factors)), 1)
+
+
+def with_fewer_samples(measured: Measured, factor: int, job: Job) -> Measured:
+    """The same records decimated, with what was done as a note; raises InputError where that cannot be."""
+    if any(record.initial_state is not None for record in measured.problem.records):
+        raise InputError("decimate", factor, "the start is told, and decimation leaves the first samples out")
+    recordings = tuple(decimated(recording, factor) for recording in measured.recordings)
+    system = measured.problem.system
+    records = tuple(_record(recording, system, None, job) for recording in recordings)
+    notes = (*measured.notes, *(note for r in recordings for note in r.notes if note not in measured.notes))
+    return replace(measured, recordings=recordings, problem=replace(measured.problem, records=records), notes=notes)
+
+
+def with_system(measured: Measured, system: Sum) -> Measured:
+    """The same records, of another system."""
+    return replace(measured, problem=of_system(measured.problem, system))
+
+
+def of_system(problem: Problem, system: Sum) -> Problem:
+    """The problem with another system; an offset that it cannot tell from the motion is estimated no more."""
+    records = tuple(
+        replace(r, channels=tuple(replace(c, offset=c.offset and system.tells_offset) for c in r.channels))
+        for r in problem.records
+    )
+    return replace(problem, system=system, records=records)
+
+
+def summary_of(measured: Measured) -> dict[str, Any]:
+    """What the records are, for a page."""
+    record = measured.problem.records[0]
+    channel = record.channels[0]
+    return {
+        "files": [recording.source for recording in measured.recordings],
+        "sha256": [recording.sha256 for recording in measured.recordings],
+        "samples": measured.problem.n,
+        "seconds": record.duration,
+        "rate": (channel.n - 1) / (float(channel.times[-1] - channel.times[0]) or 1.0),
+        "unit": channel.unit,
+        "forced": measured.problem.forced,
+    }

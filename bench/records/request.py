@@ -1,0 +1,117 @@
+"""What is asked of measured records: the files, how to read them, the system, and the methods."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.config.choices import choices, own_file
+from bench.config.experiment import sweep
+from bench.config.overrides import Overrides
+from bench.config.schema import Job
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import method_names
+from bench.errors import InputError
+from bench.records.reading import ReadOptions
+from bench.systems.sums import FIRST, SYSTEMS, TERMS
+
+LISTS = ("data", "columns", "units")
+"""Fields in which a comma separates the parts of one value."""
+AUTO = "auto"
+ALL = "all"
+VISCOUS = "sdof"
+
+
+@dataclass(frozen=True)
+class Request:
+    """Files of one rig, how to read them, and a job for each method; ``system`` as it was written."""
+
+    files: tuple[Path, ...]
+    options: ReadOptions
+    system: str
+    jobs: tuple[Job, ...]
+
+    @property
+    def job(self) -> Job:
+        """What all methods share."""
+        return self.jobs[0]
+
+
+def request_of(overrides: Overrides) -> Request:
+    """The request that overrides make.
+
+    Raises:
+        InputError: For what makes no sense, before any file is read.
+    """
+    given = {key: [",".join(map(str, values))] if key in LISTS else list(values) for key, values in overrides.items()}
+    _check(given)
+    system = str(given.pop("system", [VISCOUS])[0])
+    if _of_configuration(system):
+        given["system"] = [system]
+    elif any(key.startswith("system.") for key in given):
+        raise InputError("system", system, "its terms have no further fields; leave system.<field> out")
+    if given.get("method") == [ALL]:
+        given["method"] = [name for name in method_names() if name not in REFERENCES]
+    jobs = sweep(given, measured=True)
+    config = jobs[0].config
+    options = ReadOptions(
+        _pairs("columns", config.columns),
+        _pairs("units", config.units),
+        config.rate,
+        config.from_,
+        config.to,
+        config.decimate,
+        config.detrend,
+    )
+    if options.decimate > 1 and config.start is not None:
+        raise InputError("start", config.start, "decimate= leaves the first samples out; leave start= out, too")
+    files = tuple(Path(os.path.expanduser(part.strip())) for part in str(config.data).split(",") if part.strip())
+    if not files:
+        raise InputError("data", config.data, "name a file, or several with a comma between two")
+    spec = jobs[0].prior_spec() if "prior" in given else None
+    if spec is not None and (spec.wrong or spec.draws != "nominal"):
+        field, value = ("prior.draws", spec.draws) if spec.draws != "nominal" else ("prior", spec.name)
+        raise InputError(field, value, "it is of simulated data; nominal.<p>= states your values")
+    return Request(files, options, system, tuple(jobs))
+
+
+def _check(given: Mapping[str, Sequence[Any]]) -> None:
+    """Raise InputError for several values where one is meant, and for what belongs to a prior that is not there."""
+    for key, values in given.items():
+        if len(values) > 1 and key != "method":
+            raise InputError(key, ",".join(map(str, values)), "one value at a time for a measured record")
+    nominal = [key for key in given if key.startswith("nominal.")]
+    if nominal and "prior" not in given:
+        raise InputError(nominal[0], given[nominal[0]][0], "a nominal value says nothing without prior=; add it")
+    if given.get("disturbance", ["none"]) != ["none"]:
+        raise InputError("disturbance", given["disturbance"][0], "a measured record is taken as it is; leave it out")
+    for key in ("snr", "replicates", "experiment"):
+        if given.get(key, [None]) != [None]:
+            raise InputError(key, given[key][0], "it is of simulated data; leave it out for a measured record")
+
+
+def _of_configuration(system: str) -> bool:
+    """Whether a system is one of the files of the configuration, not auto or a sum of terms; raises InputError."""
+    words = [word.strip().lower() for word in system.split("+")]
+    if system == AUTO or len(words) > 1 or words[0] in {*TERMS, *SYSTEMS, *FIRST}:
+        return False
+    if system not in choices("system") and not own_file("system", system):
+        known = ", ".join([AUTO, *dict.fromkeys([*SYSTEMS, *TERMS])])
+        raise InputError("system", system, f"auto, a file of conf/system, or a sum by + of {known}")
+    return True
+
+
+def _pairs(field: str, text: str | None) -> dict[str, Any]:
+    """``t:0,x:3`` as a mapping; a whole number is one."""
+    found: dict[str, Any] = {}
+    for part in (text or "").split(",") if text else []:
+        role, colon, value = (piece.strip() for piece in part.partition(":"))
+        if not (role and colon and value):
+            raise InputError(field, text, f"write role:value, as {'t:0,x:3' if field == 'columns' else 't:ms,x:mm'}")
+        if role in found:
+            raise InputError(field, text, f"{role} is there twice; give it once")
+        found[role] = int(value) if field == "columns" and value.isdigit() else value
+    return found

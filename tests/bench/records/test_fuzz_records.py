@@ -1,0 +1,25 @@
+"""A few seconds of the fuzzer of records; ``python -m tests.fuzz`` goes on for minutes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fuzz.records import AS_SEEDS, OPTIONS, RECORDS, SEEDS, check_record
+from hypothesis import HealthCheck, given, settings
+
+from bench.records.reading import read_recording
+from bench.records.reading.options import ReadOptions
+
+
+@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=RECORDS, options=OPTIONS)
+def test_a_record_is_read_or_refused_in_one_line(data: bytes, options: ReadOptions, tmp_path: Path) -> None:
+    check_record(data, options, tmp_path / "record")
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_the_records_that_are_damaged_are_read_as_they_are(name: str, tmp_path: Path) -> None:
+    """So that the fuzzer's damage meets what is behind the first checks."""
+    (tmp_path / "record").write_bytes(SEEDS[name])
+    assert read_recording(tmp_path / "record", AS_SEEDS).signals[0].values.size == 60

@@ -1,0 +1,831 @@
+"""Reading measured records: awkward files are read rightly, or refused in one line that says what to add."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+
+from bench.errors import InputError
+from bench.records.reading import ReadOptions, Recording, read_recording
+from bench.records.reading.headings import heading_of
+from bench.records.reading.table import Column
+from bench.records.reading.times import rebuilt
+from bench.records.reading.units import unit_of
+
+SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "data"
+DEGREE = math.pi / 180
+T = [0.0, 0.5, 1.0, 2.5]
+X = [1.0, -2.25, 3.5, 0.125]
+GRID = np.arange(200) / 100
+"""A clock of 100 Hz."""
+
+
+def read(path: Path, **options: Any) -> Recording:
+    return read_recording(path, ReadOptions(**options))
+
+
+def write(folder: Path, content: str | bytes, encoding: str = "utf-8", name: str = "record.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode(encoding))
+    return path
+
+
+def rows(separator: str = ",", decimal: str = ".", times: list[float] = T, values: list[float] = X) -> str:
+    lines = [f"{t!r}{separator}{x!r}" for t, x in zip(times, values, strict=True)]
+    return "\n".join(line.replace(".", decimal) for line in lines) + "\n"
+
+
+def check(recording: Recording, signals: dict[str, tuple[list[float], str]], times: list[float] = T) -> None:
+    """Every signal has these values and this unit, at these times."""
+    assert [signal.role for signal in recording.signals] == list(signals)
+    for signal in recording.signals:
+        values, unit = signals[signal.role]
+        assert signal.unit == unit
+        np.testing.assert_allclose(signal.values, values, rtol=1e-12)
+        np.testing.assert_allclose(signal.times, times, rtol=1e-12, atol=1e-12)
+
+
+# texts that say what they are, of the record T, X in metres
+
+HEAD = "t [s],x [m]\n"
+SAME: dict[str, str | bytes] = {
+    "commas": HEAD + rows(),
+    "semicolons": "t [s];x [m]\n" + rows(";"),
+    "tabs": "t [s]\tx [m]\n" + rows("\t"),
+    "blanks": "t [s]  x [m]\n" + rows("   "),
+    "blanks, and single blanks in the header": "t [s] x [m]\n" + rows(" "),
+    "commas and blanks": "t [s], x [m]\n" + rows(",  "),
+    "decimal commas after semicolons": "t [s];x [m]\n" + rows(";", ","),
+    "decimal commas after tabs": "t [s]\tx [m]\n" + rows("\t", ","),
+    "decimal commas after blanks": "t [s]  x [m]\n" + rows("  ", ","),
+    "decimal commas in quotes": HEAD + '"0,0","1,0"\n"0,5","-2,25"\n"1,0","3,5"\n"2,5","0,125"\n',
+    "a quoted header": '"t [s]","x [m]"\n' + rows(),
+    "quoted numbers": HEAD + "\n".join(f'"{t}","{x}"' for t, x in zip(T, X, strict=True)),
+    "a comma inside a quoted header": '"time, s","position, m"\n' + rows(),
+    "separators at the end of lines": "t [s],x [m],\n" + rows().replace("\n", ",\n"),
+    "separators at the end of rows alone": HEAD + rows().replace("\n", ",,\n"),
+    "a byte order mark": "\ufeff" + HEAD + rows(),
+    "UTF-16 with a mark": ("t [s]\tx [m]\n" + rows("\t")).encode("utf-16"),
+    "UTF-16 without a mark": ("t [s]\tx [m]\n" + rows("\t")).encode("utf-16-le"),
+    "UTF-16 of the other end": ("t [s]\tx [m]\n" + rows("\t")).encode("utf-16-be"),
+    "Latin-1": f"Prüfstand, 20 °C\n{HEAD}{rows()}".encode("latin-1"),
+    "zeros at the end of the file": HEAD + rows() + 20 * "\x00",
+    "Windows lines": (HEAD + rows()).replace("\n", "\r\n"),
+    "old Macintosh lines": (HEAD + rows()).replace("\n", "\r"),
+    "blank lines": (HEAD + rows()).replace("\n", "\n\n"),
+    "comments": "# rig 3\n% Monday\n" + HEAD + "! begun\n" + rows() + "# done\n",
+    "a header in a comment": "# rig 3\n# t [s], x [m]\n" + rows(),
+    "a header in a comment, of other separators": "# t [s], x [m]\n" + rows(" "),
+    "a comment between rows": HEAD + rows().replace("\n", "\n# pause\n", 2),
+    "a preamble of names and numbers": "Rate,2\nOperator,none,really\nDate: Monday\n\n" + HEAD + rows(),
+    "a preamble with its own table": "gain,1\noffset,0\n" + HEAD + rows(),
+    "a line of units": "time,position\n(s),(m)\n" + rows(),
+    "a line of bare units": "time\tposition\ns\tm\n" + rows("\t"),
+    "a ruling below the header": "t [s]   x [m]\n-----   -----\n" + rows("   "),
+    "seconds in words": "Time (sec),Displacement (metres)\n" + rows(),
+    "milliseconds": "time_ms,x_mm\n" + rows(times=[1000 * t for t in T], values=[1000 * x for x in X]),
+    "suffixes": "t_s,x_m\n" + rows(),
+    "strokes": "Time/s,Position/m\n" + rows(),
+    "capitals": "TIME (S),X (MM)\n" + rows(values=[1000 * x for x in X]),
+    "micrometres in Greek": "t [µs];x [μm]\n" + rows(";", times=[1e6 * t for t in T], values=[1e6 * x for x in X]),
+    "Fortran exponents": "t [s] x [m]\n0.0D0 1.0D+00\n5.0D-01 -2.25d0\n.1D1 3.5\n2.5 1.25D-1\n",
+    "a minus sign of print": HEAD + rows().replace("-", "−"),
+    "columns in the other order": "x [m],t [s]\n" + rows(times=X, values=T),
+    "an index without a name": ",t [s],x [m]\n" + "".join(f"{i},{row}\n" for i, row in enumerate(rows().split())),
+    "a column of words": "t [s],x [m],state\n" + rows().replace("\n", ",on\n"),
+    "a column of the time of day": "clock,t [s],x [m]\n"
+    + "".join(f"12:00:0{i},{row}\n" for i, row in enumerate(rows().split())),
+    "words below the table": HEAD + rows() + "end of record\n",
+    "a last row that is cut short": HEAD + rows() + "2.",
+    "a clock that does not start at zero": HEAD + rows(times=[100 + t for t in T]),
+    "a row written twice": HEAD + rows().replace("0.5,-2.25\n", "0.5,-2.25\n0.5,-2.25\n"),
+    "a trial column with one trial": "trial,t [s],x [m]\n" + "".join(f"3,{row}\n" for row in rows().split()),
+}
+
+
+@pytest.mark.parametrize("what", SAME)
+def test_texts_that_hold_the_same_record(what: str, tmp_path: Path) -> None:
+    check(read(write(tmp_path, SAME[what])), {"x": (X, "m")})
+
+
+def test_blanks_for_missing_values_in_fixed_width(tmp_path: Path) -> None:
+    text = " t [s]   x [mm]   f [N]\n  0.00    1.000     2.5\n  0.01              3.5\n  0.02   -3.000\n"
+    text += "  0.03    4.000     5.5\n  0.04    5.000     6.5\n"
+    x, f = read(write(tmp_path, text)).signals
+    np.testing.assert_allclose(x.values, [1e-3, -3e-3, 4e-3, 5e-3])
+    np.testing.assert_allclose(x.times, [0.0, 0.02, 0.03, 0.04])
+    np.testing.assert_allclose(f.values, [2.5, 3.5, 5.5, 6.5])
+    np.testing.assert_allclose(f.times, [0.0, 0.01, 0.03, 0.04])
+
+
+@pytest.mark.parametrize("missing", ["", "nan", "NaN", "NA", "-", "n/a", "inf"])
+def test_missing_values_are_left_out_with_a_note(missing: str, tmp_path: Path) -> None:
+    recording = read(write(tmp_path, f"t [s],x [m],f [kN]\n0,1,1\n1,{missing},2\n2,3,3\n3,4,4\n{missing},9,9\n"))
+    x, f = recording.signals
+    np.testing.assert_allclose(x.times, [0, 2, 3])
+    np.testing.assert_allclose(x.values, [1, 3, 4])
+    np.testing.assert_allclose(f.values, [1000, 2000, 3000, 4000])
+    assert any("x: 1 of 4 values are missing" in note for note in recording.notes)
+    assert any("rows without a time are left out: 1 of 5" in note for note in recording.notes)
+
+
+# units and roles
+
+SIGNALS: dict[str, tuple[str, str, str, float, str]] = {
+    "velocity": ("v [m/s]", "v", "velocity", 1.0, "m/s"),
+    "velocity in mm": ("Velocity (mm/s)", "v", "velocity", 1e-3, "m/s"),
+    "velocity as a suffix": ("speed_m_per_s", "v", "velocity", 1.0, "m/s"),
+    "acceleration in g": ("Acceleration (g)", "a", "acceleration", 9.80665, "m/s²"),
+    "g without a word for it": ("Channel 1 (g)", "a", "acceleration", 9.80665, "m/s²"),
+    "acceleration in print": ("a (m/s²)", "a", "acceleration", 1.0, "m/s²"),
+    "acceleration in ASCII": ("Linear Acceleration x (m/s^2)", "a", "acceleration", 1.0, "m/s²"),
+    "acceleration with a second bracket": ("acc (mm/(s^2))", "a", "acceleration", 1e-3, "m/s²"),
+    "acceleration as a suffix": ("acc_m_s2", "a", "acceleration", 1.0, "m/s²"),
+    "gal": ("a [gal]", "a", "acceleration", 0.01, "m/s²"),
+    "force": ("Force/N", "f", "force", 1.0, "N"),
+    "millinewtons": ("force [mN]", "f", "force", 1e-3, "N"),
+    "meganewtons": ("force [MN]", "f", "force", 1e6, "N"),
+    "pounds": ("load (lbf)", "f", "force", 4.4482216152605, "N"),
+    "torque": ("Torque [Nm]", "f", "force", 1.0, "N·m"),
+    "torque in print": ("torque (N·m)", "f", "force", 1.0, "N·m"),
+    "nanometres": ("x [nm]", "x", "displacement", 1e-9, "m"),
+    "inches": ("position_in", "x", "displacement", 0.0254, "m"),
+    "degrees": ('"Angle, deg"', "x", "displacement", DEGREE, "rad"),
+    "degrees in print": ("angle (°)", "x", "displacement", DEGREE, "rad"),
+    "radians as a suffix": ("theta_rad", "x", "displacement", 1.0, "rad"),
+    "radians inside a name": ("theta_rad_from_hanging_rest", "x", "displacement", 1.0, "rad"),
+    "revolutions": ("x [rev]", "x", "displacement", 2 * math.pi, "rad"),
+    "turning speed": ("omega (rpm)", "v", "velocity", math.pi / 30, "rad/s"),
+    "degrees a second": ("gyro [deg/s]", "v", "velocity", DEGREE, "rad/s"),
+    "the second DOF": ("x2 [mm]", "x2", "displacement", 1e-3, "m"),
+}
+
+
+@pytest.mark.parametrize("what", SIGNALS)
+def test_the_unit_of_a_header_says_what_is_measured(what: str, tmp_path: Path) -> None:
+    header, role, measures, size, unit = SIGNALS[what]
+    beside, nine = ("x [m],", "9,") if role == "f" else ("", "")  # a force alone is no record
+    lines = [f"{t},{nine}{x}" for t, x in zip(T, X, strict=True)]
+    signal = read(write(tmp_path, f"t [s],{beside}{header}\n" + "\n".join(lines))).signals[-1]
+    assert (signal.role, signal.measures, signal.unit) == (role, measures, unit)
+    assert signal.dof == (1 if role == "x2" else 0)
+    np.testing.assert_allclose(signal.values, [size * x for x in X], rtol=1e-12)
+    np.testing.assert_allclose(signal.times, T)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("q_m", ""),
+        ("V_in", ""),
+        ("x_in", ""),
+        ("t_min", ""),
+        ("dac_rev", ""),
+        ("Input/Output", ""),
+        ("force [mn]", "mn"),
+        ("x [M]", "M"),
+        ("x [NM]", "NM"),
+        ("valid (yes)", "yes"),
+        ("theta_deg_s", ""),
+    ],
+)
+def test_what_may_be_no_unit_is_not_taken_for_one(header: str, unit: str) -> None:
+    heading = heading_of(Column(header, np.zeros(1)))
+    assert heading.unit is None
+    assert heading.label == unit
+
+
+@pytest.mark.parametrize("header", ["Mass (g)", "velocity [mm]", "Force (m/s²)", "temp (°)"])
+def test_a_name_that_contradicts_its_unit_is_not_certain(header: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"add e\.g\. columns=t:0,x:1"):
+        read(write(tmp_path, f"t [s],{header}\n" + rows()))
+
+
+def test_units_of_every_measure_come_in_many_spellings() -> None:
+    for text in ("m/s²", "m/s^2", "m/s2", "m / s**2", "m·s⁻²", "m/s/s", "m/sec^2"):
+        unit = unit_of(text)
+        assert unit is not None
+        assert (unit.measures, unit.size) == ("acceleration", 1.0)
+    for text in ("V", "counts", "px", "", "m/s3", "kg", "1/s", "Hz"):
+        assert unit_of(text) is None
+
+
+def test_all_columns_of_certain_units_are_read(tmp_path: Path) -> None:
+    text = "t [ms],x [mm],v [m/s],Accel (g),F [kN],valid\n0,1,2,3,4,1\n500,2,3,4,5,1\n1500,-3,4,5,6,0\n"
+    recording = read(write(tmp_path, text))
+    g = 9.80665
+    expected = {
+        "x": ([1e-3, 2e-3, -3e-3], "m"), "v": ([2.0, 3.0, 4.0], "m/s"), "a": ([3 * g, 4 * g, 5 * g], "m/s²"),
+        "f": ([4e3, 5e3, 6e3], "N"),
+    }  # fmt: skip
+    check(recording, expected, [0.0, 0.5, 1.5])
+    assert [note for note in recording.notes if "5 'valid'" in note]
+
+
+@pytest.mark.parametrize("names", [("x1", "x2"), ("ch1", "ch2"), ("Channel 1", "Channel 2"), ("theta_1", "theta_2")])
+def test_columns_that_the_headers_count_are_of_several_dofs(names: tuple[str, str], tmp_path: Path) -> None:
+    first, second = names
+    text = f"t [s],{second} [mm],{first} [mm]\n0,20,10\n1,21,11\n2,22,12\n"
+    recording = read(write(tmp_path, text))
+    found = {signal.role: (signal.dof, signal.values.tolist()) for signal in recording.signals}
+    assert found == {"x1": (0, [0.01, 0.011, 0.012]), "x2": (1, [0.02, 0.021, 0.022])}
+
+
+def test_named_columns_are_taken_and_nothing_else(tmp_path: Path) -> None:
+    path = write(
+        tmp_path, "trial,t,x,v,y [px]\n" + "".join(f"0,{t},{x},9,{2 * x}\n" for t, x in zip(T, X, strict=True))
+    )
+    options = {"columns": {"t": 1, "x": 2}, "units": {"t": "s", "x": "mm"}}
+    check(read(path, **options), {"x": ([1e-3 * x for x in X], "m")})
+    check(read(path, columns={"t": "t", "x": "y"}, units={"t": "s"}), {"x": ([2 * x for x in X], "px")})
+    check(read(path, columns={"t": "t", "a": "y [px]"}, units={"t": "s"}), {"a": ([2 * x for x in X], "px")})
+    check(read(path, columns={"x": 2}, units={"x": "counts"}, rate=4), {"x": (X, "counts")}, [0, 0.25, 0.5, 0.75])
+
+
+def test_units_may_be_said_where_the_names_are_clear(tmp_path: Path) -> None:
+    path = write(tmp_path, "t,x\n" + rows())
+    check(read(path, units={"t": "s", "x": "cm"}), {"x": ([0.01 * x for x in X], "m")})
+    check(read(path, units={"t": "ms", "x1": "deg"}), {"x": ([DEGREE * x for x in X], "rad")}, [1e-3 * t for t in T])
+
+
+def test_a_unit_that_differs_from_the_header_is_noted(tmp_path: Path) -> None:
+    recording = read(write(tmp_path, "t [s],x [V]\n" + rows()), units={"x": "mm"})
+    check(recording, {"x": ([1e-3 * x for x in X], "m")})
+    assert "x is taken in mm, as units= says; its header says V" in recording.notes
+
+
+def test_a_single_column_needs_a_rate_and_a_unit(tmp_path: Path) -> None:
+    path = write(tmp_path, "trigger_deg, rate, duration\n90, 1000, 5 \n-90.36\n-90.64\n-90.91\n-91.18\n")
+    recording = read(path, rate=1000, units={"x": "deg"})
+    values = [DEGREE * x for x in (-90.36, -90.64, -90.91, -91.18)]
+    check(recording, {"x": (values, "rad")}, [0, 0.001, 0.002, 0.003])
+    assert recording.notes == ("numbers above the table are left out: row 2, 90, 1000, 5",)
+
+
+# times
+
+
+def test_stamps_rounded_to_milliseconds_are_rebuilt(tmp_path: Path) -> None:
+    true = 0.467 + np.arange(757) / 119.944
+    recording = read(write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t:.3f},{i}\n" for i, t in enumerate(true))))
+    np.testing.assert_allclose(recording.signals[0].times, true - true[0], atol=1e-4)
+    assert "rounded to 0.001 s: times are rebuilt from 119.9" in recording.notes[0]
+
+
+@pytest.mark.parametrize("decimals", [1, 2])
+def test_stamps_that_repeat_are_rebuilt(decimals: int, tmp_path: Path) -> None:
+    true = np.arange(900) / (300 if decimals == 2 else 30)
+    lines = [f"{t:.{decimals}f},{math.sin(7 * t):.6f}" for t in true]
+    recording = read(write(tmp_path, "t [s],x [mm]\n" + "\n".join(lines)))
+    x = recording.signals[0]
+    assert x.times.size == 900
+    np.testing.assert_allclose(np.diff(x.times), true[1], rtol=1e-3)
+    assert f"of 900 time stamps repeat: times are rebuilt from {'300' if decimals == 2 else '30'}" in recording.notes[0]
+
+
+def test_a_stamp_that_lags_now_and_then_is_set_right() -> None:
+    true = np.arange(870) / 30
+    stamps = np.round(true, 3)
+    late = np.arange(40, 860, 51)
+    stamps[late] = stamps[late - 1]
+    times, notes = rebuilt(stamps, 1.0)
+    np.testing.assert_allclose(times, true, atol=1e-3)
+    assert notes == ["17 of 870 time stamps repeat: times are rebuilt from 30 Hz"]
+
+
+def test_dropped_frames_stay_a_gap(tmp_path: Path) -> None:
+    true = np.delete(np.arange(300) / 30, [50, 51, 52, 200])
+    recording = read(write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t:.3f},1\n" for t in true)))
+    np.testing.assert_allclose(recording.signals[0].times, true, atol=2e-4)
+    assert "gaps in time are kept: 2, where 4 samples 0.03333 s apart are missing" in recording.notes
+    exact = write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t!r},1\n" for t in np.delete(GRID, [5, 6]).tolist()))
+    np.testing.assert_array_equal(read(exact).signals[0].times, np.delete(GRID, [5, 6]))
+
+
+def test_uneven_sampling_is_left_as_it_is(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    times = np.round(np.sort(rng.uniform(0, 10, 300)), 3)
+    times = np.unique(times)
+    recording = read(write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t:.3f},1\n" for t in times)))
+    np.testing.assert_allclose(recording.signals[0].times, times - times[0], atol=1e-12)
+    assert recording.notes == ()
+
+
+def test_even_sampling_is_not_touched() -> None:
+    for stamps in (GRID, GRID + 1e6, np.arange(1000) / 1024, np.arange(50.0)):
+        times, notes = rebuilt(stamps, 1.0)
+        np.testing.assert_array_equal(times, stamps)
+        assert notes == []
+
+
+def test_stamps_of_the_days_since_1970_are_rebuilt() -> None:
+    true = np.arange(500) / 120
+    stamps = 1_700_000_000_000 + np.round(1000 * true)
+    times, notes = rebuilt(stamps, 1e-3)
+    np.testing.assert_allclose(times - times[0], true, atol=1e-4)
+    assert notes == ["time stamps are rounded to 0.001 s: times are rebuilt from 120 Hz"]
+
+
+def test_times_of_32_bits_are_rebuilt() -> None:
+    true = 1000 + np.arange(5000) / 2000
+    times, notes = rebuilt(true.astype(np.float32).astype(float), 1.0)
+    np.testing.assert_allclose(times, true, atol=1e-5)
+    assert len(notes) == 1
+
+
+def test_a_part_is_cut_out_on_the_clock_of_the_record(tmp_path: Path) -> None:
+    path = write(tmp_path, "t [ms],x [mm]\n" + "".join(f"{t},{t}\n" for t in range(1000, 1100)))
+    x = read(path, start=1.01, end=1.05).signals[0]
+    np.testing.assert_allclose(x.values, np.arange(1010, 1051) / 1000)
+    np.testing.assert_allclose(x.times, np.arange(41) / 1000, atol=1e-12)
+    for options, part in [({"start": 0.5}, "from=0.5"), ({"end": 2.0}, "to=2.0"), ({"start": 7.0}, "from=7.0")]:
+        with pytest.raises(InputError, match=r"runs from 1 to 1\.099 s") as error:
+            read(path, **options)
+        assert str(error.value).startswith(part)
+
+
+# what is refused, and what it says
+
+REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
+    "an empty file": ("", {}, "the file is empty"),
+    "blank lines alone": ("\n\n \n", {}, "the file is empty"),
+    "a header alone": (HEAD, {}, "no rows of numbers"),
+    "prose": ("Dear all,\nplease find attached\n", {}, "no rows of numbers"),
+    "a binary file": (bytes(range(256)) * 4, {}, "binary file"),
+    "a picture": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00", {}, "binary file"),
+    "an old workbook": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100), {}, "save it as xlsx or csv"),
+    "a damaged gzip": (b"\x1f\x8b\x08\x00abc", {}, "gzip file is damaged"),
+    "a damaged zip": (b"PK\x03\x04abc", {}, "damaged"),
+    "a damaged Parquet": (b"PAR1abcPAR1", {}, "damaged"),
+    "a damaged npy": (b"\x93NUMPY\x01\x00abc", {}, "damaged"),
+    "MATLAB 7.3": (b"MATLAB 7.3 MAT-file" + bytes(200), {}, "save it with save(…, '-v7')"),
+    "no units": ("t,x\n" + rows(), {}, "add units=t:s,x:mm"),
+    "no unit of time": ("time,x [mm]\n" + rows(), {}, "no unit is known of t (column 0 'time'); add units=t:s"),
+    "no unit of x": ("t [s],displacement\n" + rows(), {}, "add units=x:mm"),
+    "no header": (rows(), {}, "add e.g. columns=t:0,x:1"),
+    "no header, and units only": (rows(), {"units": {"t": "s", "x": "m"}}, "add e.g. columns=t:0,x:1"),
+    "named without units": (rows(), {"columns": {"t": 0, "x": 1}}, "add units=t:s,x:mm"),
+    "no time": ("x [mm],f [N]\n" + rows(), {}, "add rate= (Hz)"),
+    "named without a time": ("t [s],x [mm]\n" + rows(), {"columns": {"x": 1}}, "add rate= (Hz), or t:"),
+    "a time alone": ("t [s]\n0\n1\n2\n3\n", {}, "a column of displacement, velocity or acceleration is needed"),
+    "a rate beside a time": (HEAD + rows(), {"rate": 100}, "column 0 't [s]' gives the times; leave out rate="),
+    "two displacements": (
+        "t [s],X (mm),Y (mm)\n0,1,2\n1,2,3\n2,3,4\n",
+        {},
+        "1 'X (mm)', 2 'Y (mm)'; add e.g. columns=t:0,x:1",
+    ),
+    "two times": ("t [s],time [ms],x [m]\n0,0,2\n1,1000,3\n2,2000,4\n", {}, "which column is the time"),
+    "an angle and a way": ("t [s],angle (deg),v (mm/s)\n0,1,2\n1,2,3\n2,3,4\n", {}, "not of one DOF"),
+    "an unknown unit": ("t [s],x [px]\n" + rows(), {}, "or keep it as it is with columns=t:0,x:1"),
+    "an unknown unit of time": ("t [fortnight],x [m]\n" + rows(), {}, "add units=t:s"),
+    "a label of the user without columns=": (
+        "t [s],x\n" + rows(),
+        {"units": {"x": "px"}},
+        "name the column, e.g. columns=t:0,x:1",
+    ),
+    "a label of the time": (
+        rows(),
+        {"columns": {"t": 0, "x": 1}, "units": {"t": "frames", "x": "m"}},
+        "known are s, ms",
+    ),
+    "velocity as a force": (
+        "t [s],v [m/s]\n" + rows(),
+        {"columns": {"t": 0, "f": 1}},
+        "measures velocity, not force; take it as v",
+    ),
+    "g as a displacement": (
+        "t [s],Accel (g)\n" + rows(),
+        {"columns": {"t": 0, "x": 1}, "units": {"x": "mm"}},
+        "measures acceleration",
+    ),
+    "a velocity in mm": (
+        "t [s],y\n" + rows(),
+        {"columns": {"t": 0, "v": 1}, "units": {"v": "mm"}},
+        "no unit of velocity; known are m/s",
+    ),
+    "a column that is not there": (
+        HEAD + rows(),
+        {"columns": {"t": 0, "x": 2}},
+        "no such column; it has columns 0 't [s]', 1 'x [m]'",
+    ),
+    "a name that is not there": (HEAD + rows(), {"columns": {"t": "t", "x": "pos"}}, "columns=x:pos: no such column"),
+    "one column twice": (HEAD + rows(), {"columns": {"x": 1, "v": 1}}, "has another role"),
+    "a column of words by number": (
+        HEAD.replace("\n", ",s\n") + rows().replace("\n", ",on\n"),
+        {"columns": {"t": 0, "x": 2}},
+        "not numbers: on",
+    ),
+    "a unit for no column": (
+        HEAD + rows(),
+        {"units": {"f": "N"}},
+        "no column is known to be f; add e.g. columns=t:0,f:1",
+    ),
+    "a trial column": (
+        "trial,t [s],x [m]\n" + "".join(f"{i % 2},{i},1\n" for i in range(6)),
+        {},
+        "counts several records",
+    ),
+    "unsorted times": (HEAD + rows(times=[0.0, 2.0, 1.0, 3.0]), {}, "row 4: time goes back from 2 to 1; sort the rows"),
+    "a clock that wraps": (HEAD + rows(times=[8.0, 9.0, 0.0, 1.0]), {}, "time goes back from 9 to 0"),
+    "one time for all": (HEAD + rows(times=[1.0] * 4), {}, "row 3: time 1 repeats"),
+    "stamps that no rate explains": (HEAD + "0,1\n0.1,2\n0.5,3\n0.5,4\n3.1,5\n3.2,6\n9,7\n", {}, "give rate="),
+    "a word in a row": (HEAD + "0,1\n1,2\n2,two\n3,3\n4,4\n5,5\n6,6\n", {}, "row 4: 2 numbers are needed"),
+    "a short row": (
+        HEAD + "0.5,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n7.5,7\n",
+        {},
+        "row 5: 2 numbers are needed as in the rest",
+    ),
+    "a short row of whole numbers": (HEAD + "0,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n", {}, "row 5: 2 numbers are needed"),
+    "a bad row near the top": (HEAD + "0.5,1\n1,2\n2,2x\n3,3\n4,4\n5,5\n", {}, "row 4"),
+    "a row without quotes": (
+        HEAD + '"0,5","1,5"\n"1,5","2,5"\n"2,5","3,5"\n3,5,4,5\n',
+        {},
+        "row 5: 2 numbers are needed",
+    ),
+    "two tables": (HEAD + rows() + "\nsecond\n" + HEAD + rows(), {}, "mend or remove it"),
+    "two samples": (HEAD + "0,1\n1,2\n", {}, "2 samples of x; at least 3"),
+    "nothing but missing values": (
+        "t [s],x [m],f [N]\n0,nan,1\n1,nan,2\n2,nan,3\n",
+        {},
+        "a column of displacement, velocity or acceleration is needed",
+    ),
+    "thousands": ("t [s];x [mm]\n1;1,234\n2;2,345\n3;3,456\n", {}, "may mean thousands or decimals"),
+    "thousands in quotes": ('t [s],x [mm]\n1,"1,234.5"\n2,"2,345.5"\n3,"3,456.5"\n', {}, "x"),
+    "a force alone": ("t [s],f [N]\n" + rows(), {}, "a column of displacement, velocity or acceleration is needed"),
+    "one column with decimal commas": ("x [mm]\n0,5\n1,5\n-1,25\n", {"rate": 10}, "half as many with decimal commas"),
+    "commas that separate and divide": (
+        "t [s],x [mm]\n0,0,1,5\n0,5,2,5\n1,0,3,5\n",
+        {},
+        "half as many with decimal commas",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_is_refused_says_what_to_add(what: str, tmp_path: Path) -> None:
+    content, options, part = REFUSED[what]
+    with pytest.raises(InputError) as error:
+        read(write(tmp_path, content), **options)
+    assert part in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_not_there_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        read(tmp_path / "nowhere.csv")
+    with pytest.raises(InputError, match="cannot be read"):
+        read(tmp_path)
+
+
+def test_a_file_that_is_too_large_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path, HEAD + rows())
+    monkeypatch.setattr("bench.records.reading.files.MAX_BYTES", 10)
+    with pytest.raises(InputError, match="thin or cut it"):
+        read(path)
+    monkeypatch.undo()
+    monkeypatch.setattr("bench.records.reading.table.MAX_ROWS", 3)
+    with pytest.raises(InputError, match="4 rows; at most 3"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"columns": {"y": 0}}, "columns=y: roles are t, x, v, a, f"),
+        ({"units": {"x0": "m"}}, "units=x0: roles are"),
+        ({"columns": {"x": 0, "x1": 1}}, "the same role"),
+        ({"rate": 0.0}, "rate=0.0: a positive number"),
+        ({"rate": math.nan}, "a positive number"),
+        ({"start": 2.0, "end": 1.0}, "from=2.0: it must be before to=1"),
+        ({"end": math.inf}, "to=inf"),
+        ({"decimate": 0}, "decimate=0: a whole number from 1 on"),
+    ],
+)
+def test_options_that_cannot_be_meant(options: dict[str, Any], part: str) -> None:
+    with pytest.raises(InputError, match="=") as error:
+        ReadOptions(**options)
+    assert part in str(error.value)
+
+
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyuff", None)
+    with pytest.raises(InputError, match=r'pip install "vibration-bench\[files\]"'):
+        read(write(tmp_path, "    -1\n    58\nNONE\n    -1\n"))
+
+
+def test_where_a_recording_is_from_is_kept(tmp_path: Path) -> None:
+    path = write(tmp_path, HEAD + rows())
+    recording = read(path)
+    assert recording.source == str(path)
+    assert recording.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# other kinds of file, written by their own libraries
+
+
+def test_gzip_of_a_text(tmp_path: Path) -> None:
+    check(read(write(tmp_path, gzip.compress((HEAD + rows()).encode()), name="r.csv.gz")), {"x": (X, "m")})
+
+
+def test_a_workbook(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.title = "about"
+    book.active.append(["Rig 3", "Monday"])
+    sheet = book.create_sheet("data")
+    for line in (["made by", "nobody"], [], [None, "Time", "Position", "Force", "State"], [None, "(s)", "(mm)", "(N)"]):
+        sheet.append(line)
+    for i, (t, x) in enumerate(zip(T, X, strict=True)):
+        sheet.append([None, t, x, None if i == 1 else 10 * x, "on"])
+    path = tmp_path / "record.xlsx"
+    book.save(path)
+    recording = read(path)
+    x, f = recording.signals
+    np.testing.assert_allclose(x.values, [1e-3 * value for value in X])
+    np.testing.assert_allclose(x.times, T)
+    np.testing.assert_allclose(f.values, [10.0, 35.0, 1.25])
+    np.testing.assert_allclose(f.times, [0.0, 1.0, 2.5])
+    assert "the workbook has 2 sheets; 'data' is read" in recording.notes
+
+
+def test_a_workbook_without_numbers(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    openpyxl.Workbook().save(tmp_path / "empty.xlsx")
+    with pytest.raises(InputError, match="no sheet has rows of numbers"):
+        read(tmp_path / "empty.xlsx")
+
+
+def test_matlab_variables_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "record.mat"
+    inner = {"time": np.array([T]).T, "pair": np.array([X, [2 * x for x in X]])}
+    scipy.io.savemat(
+        path, {"t": T, "qm": np.array([X]).T, "fs": 2.0, "log": inner, "name": "rig", "long": np.arange(9)}
+    )
+    units = {"t": "s", "x": "mm"}
+    check(read(path, columns={"t": "t", "x": "qm"}, units=units), {"x": ([1e-3 * x for x in X], "m")})
+    check(read(path, columns={"t": "log.time", "x": "log.pair[1]"}, units=units), {"x": ([2e-3 * x for x in X], "m")})
+    for options, part in [
+        ({}, "t (4,), qm (4,), fs (), log.time (4,), log.pair (2, 4), name (no numbers), long (9,)"),
+        ({"columns": {"t": "t", "x": "qg"}}, "no such column; it has variables t (4,)"),
+        ({"columns": {"t": "t", "x": "long"}}, "columns of one length are needed, but t has 4, x has 9"),
+    ]:
+        with pytest.raises(InputError) as error:
+            read(path, **options)
+        assert part in str(error.value)
+
+
+def test_matlab_names_may_hold_units(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_mm": X, "fs": 2.0})
+    check(read(tmp_path / "r.mat"), {"x": ([1e-3 * x for x in X], "m")})
+
+
+def test_numpy_files(tmp_path: Path) -> None:
+    np.savez(tmp_path / "r.npz", t_s=T, theta_deg=X, note="swing")
+    check(read(tmp_path / "r.npz"), {"x": ([DEGREE * x for x in X], "rad")})
+    np.save(tmp_path / "r.npy", np.array([T, X]).T)
+    options = {"columns": {"t": 0, "x": 1}, "units": {"t": "s", "x": "m"}}
+    check(read(tmp_path / "r.npy", **options), {"x": (X, "m")})
+    np.save(tmp_path / "wide.npy", np.asfortranarray(np.array([T, X])))
+    check(read(tmp_path / "wide.npy", **options), {"x": (X, "m")})
+    fields = np.array(list(zip(T, X, strict=True)), dtype=[("t_s", "f8"), ("x_m", "f4")])
+    np.save(tmp_path / "fields.npy", fields)
+    check(read(tmp_path / "fields.npy"), {"x": (X, "m")})
+
+
+def test_pickles_are_never_opened(tmp_path: Path) -> None:
+    np.save(tmp_path / "r.npy", np.array([{"t": 1}], dtype=object), allow_pickle=True)
+    np.savez(tmp_path / "r.npz", t=np.array([{"t": 1}], dtype=object))
+    for name in ("r.npy", "r.npz"):
+        with pytest.raises(InputError, match="Python objects, which are never loaded"):
+            read(tmp_path / name)
+
+
+def test_an_array_that_claims_to_be_huge_is_refused(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"shape": (10**12,), "fortran_order": False, "descr": "<f8"})
+    with pytest.raises(InputError, match="at most 1000000"):
+        read(write(tmp_path, buffer.getvalue(), name="r.npy"))
+
+
+def test_parquet(tmp_path: Path) -> None:
+    schema = pa.schema(
+        [pa.field("t [ms]", pa.int64()), pa.field("pos", pa.float32(), metadata={"unit": "mm"}), ("w", pa.string())]
+    )
+    table = pa.table([[0, 500, 1000, 2500], [1.0, -2.25, None, 0.125], ["a", "b", "c", "d"]], schema)
+    pq.write_table(table, tmp_path / "r.parquet")
+    recording = read(tmp_path / "r.parquet")
+    check(recording, {"x": ([1e-3, -2.25e-3, 0.125e-3], "m")}, [0.0, 0.5, 2.5])
+    assert "x: 1 of 4 values are missing and left out" in recording.notes
+
+
+def universal_set(values: np.ndarray, **other: Any) -> dict[str, Any]:
+    given = {
+        "type": 58, "binary": 0, "func_type": 1, "rsp_node": 3, "rsp_dir": 1, "ref_dir": 0, "ref_node": 0,
+        "data": values, "x": GRID[: values.size], "id1": "rig", "rsp_ent_name": "NONE", "ref_ent_name": "NONE",
+        "abscissa_spacing": 1, "abscissa_spec_data_type": 17, "ordinate_spec_data_type": 12,
+        "ordinate_axis_units_lab": "g", "orddenom_spec_data_type": 0,
+    }  # fmt: skip
+    return {**given, **other}
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves what it writes open
+@pytest.mark.parametrize("binary", [0, 1])
+def test_universal_files(binary: int, tmp_path: Path) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    values = np.sin(np.arange(200.0))
+    path = tmp_path / "r.uff"
+    force = universal_set(2 * values, binary=binary, ordinate_spec_data_type=13, ordinate_axis_units_lab="N")
+    pyuff.UFF(str(path)).write_sets([universal_set(values, binary=binary), force], "add")
+    recording = read(path)
+    a, f = recording.signals
+    assert (a.role, a.measures, a.unit) == ("a", "acceleration", "m/s²")
+    np.testing.assert_allclose(a.values, 9.80665 * values, rtol=1e-10)
+    np.testing.assert_allclose(a.times, GRID, atol=1e-12)
+    np.testing.assert_allclose(f.values, 2 * values, rtol=1e-10)
+    only = read(path, columns={"f": 1})
+    assert [signal.role for signal in only.signals] == ["f"]
+
+
+def test_universal_files_without_units_or_with_two_sensors(tmp_path: Path) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    values = np.sin(np.arange(200.0))
+    path = tmp_path / "r.uff"
+    pyuff.UFF(str(path)).write_sets([universal_set(values, ordinate_axis_units_lab="NONE")], "add")
+    with pytest.raises(InputError, match="add units=a:g"):
+        read(path)
+    np.testing.assert_allclose(read(path, units={"a": "m/s²"}).signals[0].values, values, rtol=1e-10)
+    path.unlink()
+    pyuff.UFF(str(path)).write_sets([universal_set(values), universal_set(2 * values, rsp_node=4)], "add")
+    with pytest.raises(InputError, match=r"measure acceleration: 0 'node 3', 1 'node 4'; add e\.g\. columns=a:0"):
+        read(path)
+    np.testing.assert_allclose(read(path, columns={"a2": 1}).signals[0].values, 2 * 9.80665 * values, rtol=1e-10)
+
+
+def test_frequency_responses_are_refused(tmp_path: Path) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "r.uff"
+    pyuff.UFF(str(path)).write_sets([universal_set(np.ones(50) * 1j, func_type=4, abscissa_spec_data_type=18)], "add")
+    with pytest.raises(InputError, match="no data set is a record in time"):
+        read(path)
+
+
+def test_tdms(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    path = tmp_path / "r.tdms"
+    wave = {"wf_increment": 0.01, "wf_start_offset": 2.0, "unit_string": "g"}
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment([nptdms.ChannelObject("run", "Acc", np.arange(200.0), wave)])
+    a = read(path).signals[0]
+    assert (a.role, a.unit) == ("a", "m/s²")
+    np.testing.assert_allclose(a.values, 9.80665 * np.arange(200.0))
+    np.testing.assert_allclose(a.times, GRID, atol=1e-12)
+
+
+# bytes at random
+
+STARTS = [
+    b"", b"\x1f\x8b", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"PAR1", b"MATLAB 5.0 MAT-file", b"TDSm",
+    b"\x89HDF\r\n\x1a\n", b"    -1\n    58\n", b"\xff\xfe", b"\xef\xbb\xbf", b"t [s],x [m]\n0,1\n1,2\n2,3\n",
+]  # fmt: skip
+
+
+def refusal(path: Path, **options: Any) -> str:
+    """What is said of a file; "" where it is read."""
+    try:
+        read(path, **options)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_bytes_at_random_raise_nothing_else(start: bytes, tmp_path: Path) -> None:
+    rng = np.random.default_rng(len(start))
+    cells = np.frombuffer(b'0123456789.,;\t\n -eE"x[s]#', np.uint8)
+    for n in (1, 7, 64, 300, 3000):
+        for noise in (rng.choice(cells, n), rng.integers(0, 256, n, np.uint8)):
+            for name in ("r.csv", "r.mat"):
+                path = write(tmp_path, start + noise.tobytes(), name=name)
+                assert "\n" not in refusal(path, columns={"t": 0, "x": 1}, units={"t": "s"})
+
+
+def test_whole_files_with_a_byte_changed_raise_nothing_else(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "r.npz", t_s=T, x_m=X)
+    scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_m": X}, do_compression=True)
+    pq.write_table(pa.table({"t_s": T, "x_m": X}), tmp_path / "r.parquet")
+    rng = np.random.default_rng(0)
+    for name in ("r.npz", "r.mat", "r.parquet"):
+        whole = (tmp_path / name).read_bytes()
+        assert refusal(tmp_path / name) == ""
+        for place in rng.integers(0, len(whole), 60).tolist():
+            changed = whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :]
+            assert "\n" not in refusal(write(tmp_path, changed, name=f"bad{name[1:]}"))
+
+
+# real records, where they are at hand
+
+real = pytest.mark.skipif(not SHARED.exists(), reason="the shared records are not there")
+
+
+@real
+def test_a_tracked_sphere() -> None:
+    recording = read(SHARED / "sphere_in_water" / "sphere_in_water.csv", start=1.2)
+    x = recording.signals[0]
+    assert (x.unit, x.role) == ("m", "x")
+    assert x.values[0] == pytest.approx(0.172877)
+    np.testing.assert_allclose(np.diff(x.times), 1 / 119.944, rtol=1e-5)
+
+
+@real
+def test_a_pendulum_with_units_in_its_names() -> None:
+    x = read(SHARED / "multiarm_single_pendulum" / "free_decay_theta_100hz.csv").signals[0]
+    assert (x.unit, x.times.size, x.values[0]) == ("rad", 5501, -1.6184289)
+    assert x.times[-1] == pytest.approx(55.0)
+
+
+@real
+def test_a_furuta_pendulum() -> None:
+    path = SHARED / "furuta_free_swing" / "pendulum_free_swing_data_03.txt"
+    x = read(path, columns={"x": 0}, units={"x": "deg"}, rate=1000).signals[0]
+    assert x.times.size == 5000
+    assert x.values[0] == pytest.approx(-45.27 * DEGREE)
+    with pytest.raises(InputError, match="columns=x:0 rate="):
+        read(path)
+
+
+@real
+def test_air_track_gliders() -> None:
+    path = SHARED / "schmidt_lipson_airtrack" / "real_double_linear_h_1.txt"
+    columns = {"t": 1, "x1": 2, "x2": 3}
+    recording = read(path, columns=columns, units={"t": "s", "x1": "units", "x2": "units"}, end=16.2)
+    assert [(signal.dof, signal.unit, signal.values[0]) for signal in recording.signals] == [
+        (0, "units", 0.0),
+        (1, "units", -143.0),
+    ]
+    np.testing.assert_allclose(np.diff(recording.signals[0].times), 1 / 29.96, rtol=1e-4)
+    with pytest.raises(InputError, match="columns="):
+        read(path)
+
+
+@real
+def test_a_pendulum_with_dropped_frames() -> None:
+    path = SHARED / "schmidt_lipson_pendulum" / "real_pend_h_1.txt"
+    recording = read(path, columns={"t": 1, "x": 2}, units={"t": "s", "x": "rad"})
+    assert recording.notes[-1].startswith("gaps in time are kept: 10, where 12 samples")
+    assert recording.signals[0].times[5] == pytest.approx(1.0)
+
+
+@real
+def test_a_beam_from_labview() -> None:
+    path = SHARED / "dropbear_slow" / "ten_steps.txt"
+    a = read(path, columns={"t": "Time", "a": 1}).signals[0]
+    assert (a.unit, a.values.size, a.values[0]) == ("Voltage (unscaled)", 70000, 6.71387e-2)
+    assert a.times[-1] == pytest.approx(13.9998)
+
+
+@real
+def test_the_silverbox() -> None:
+    path = SHARED / "silverbox" / "SNLS80mV.csv.gz"
+    options = {"columns": {"x": "V2", "f": "V1"}, "units": {"x": "V", "f": "V"}, "rate": 1e7 / 2**14}
+    x, f = read(path, **options).signals
+    assert (x.values.size, x.values[0], f.values[0]) == (131072, 0.0093978, 0.0057756)
+
+
+@real
+def test_a_driven_axis_in_matlab() -> None:
+    path = SHARED / "emps" / "DATA_EMPS.mat"
+    raw = scipy.io.loadmat(path)
+    options = {"columns": {"t": "t", "x": "qm", "f": "vir"}, "units": {"t": "s", "x": "m", "f": "V"}}
+    x, f = read(path, **options).signals
+    np.testing.assert_array_equal(x.values, raw["qm"][:, 0])
+    np.testing.assert_array_equal(f.values, raw["vir"][:, 0])
+    with pytest.raises(InputError, match=r"variables gtau .*, qm \(24841,\)"):
+        read(path)
+
+
+@real
+@pytest.mark.parametrize("name", ["Sample_UFF58_ascii.uff", "Sample_UFF58b_bin.uff"])
+def test_universal_samples(name: str) -> None:
+    pytest.importorskip("pyuff")
+    x = read(SHARED / "uff58" / name, columns={"x": 0}).signals[0]
+    assert (x.unit, x.values.size) == ("Pa", 79292)
+    assert x.values[0] == pytest.approx(-1.47553e-2, abs=1e-7)
+    assert x.times[1] == pytest.approx(1.52588e-5)
+
+
+@real
+def test_certified_data() -> None:
+    x = read(SHARED / "nist_mgh17" / "MGH17.dat", columns={"x": 0, "t": 1}, units={"t": "s", "x": "m"}).signals[0]
+    np.testing.assert_allclose(x.values[:3], [0.844, 0.908, 0.932])
+    np.testing.assert_allclose(x.times, 10 * np.arange(33))

@@ -1,0 +1,74 @@
+"""What a picture of a fit shows, against a decay that is written down here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.face.identification import found_by
+from bench.records.finding import Finding
+from bench.records.record import of_arrays, read_measured
+from bench.records.request import request_of
+from bench.records.response import best_of, response_of
+from bench.records.trust import Trust
+
+NOISE = 0.02
+GAP = (3.0, 5.0)
+
+
+def decay(times: np.ndarray) -> np.ndarray:
+    """2 Hz with a damping ratio of about 2 %, on an offset."""
+    return np.asarray(np.exp(-0.25 * times) * np.cos(4 * np.pi * times) + 0.1)
+
+
+@pytest.fixture(scope="module")
+def findings() -> list[Finding]:
+    """A good method and a poor one on samples at 4.3 to a cycle, without those in a gap."""
+    times = np.arange(0.0, 8.0, 0.1163)
+    times = times[(times < GAP[0]) | (times > GAP[1])]
+    values = decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size)
+    request = request_of({"data": ["arrays"], "method": ["ls", "shooting"]})
+    return found_by(request, read_measured(request, (of_arrays(times, values),)))
+
+
+def test_the_curve_runs_between_the_samples_and_through_a_gap(findings: list[Finding]) -> None:
+    """Five unknowns of 52 samples: the root mean square error is a third of the noise, and three times that is rare.
+
+    Samples that are joined by lines miss the motion in the gap by its own size.
+    """
+    response = response_of(findings[1])
+    assert response.frequency == pytest.approx(2.0, abs=0.1)
+    fit = response.fit
+    assert fit is not None
+    assert (fit.times[0], fit.times[-1]) == (response.times[0], response.times[-1])
+    assert np.max(np.diff(fit.times)) < 0.5 / 16  # of a cycle, 16 points at least
+    assert rms(fit.values - decay(fit.times)) < NOISE
+    assert rms(np.interp(fit.times, response.times, response.values) - decay(fit.times)) > 5 * NOISE
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_the_residuals_are_the_noise(findings: list[Finding]) -> None:
+    fit = response_of(findings[1]).fit
+    assert fit is not None
+    assert fit.rms == pytest.approx(NOISE, rel=0.35)
+    assert fit.part == pytest.approx(fit.rms / np.std(response_of(findings[1]).values), rel=1e-6)
+
+
+def test_the_best_is_trusted_most_then_leaves_least(findings: list[Finding]) -> None:
+    poor, good = findings
+    assert (poor.trust, good.trust) == (Trust.NO, Trust.TRUST)
+    assert best_of([poor, good]) is good
+    assert best_of([good, poor]) is good
+
+
+def test_without_a_fit_there_are_the_samples_alone() -> None:
+    times = np.arange(0.0, 5.0, 0.05)
+    request = request_of({"data": ["arrays"], "method": ["shooting"]})
+    (finding,) = found_by(request, read_measured(request, (of_arrays(times, np.ones(times.size)),)))
+    response = response_of(finding)
+    assert response.fit is None
+    assert best_of([finding]) is finding
+    assert np.array_equal(response.values, np.ones(times.size))

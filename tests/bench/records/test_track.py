@@ -1,0 +1,219 @@
+"""The measured track: scores of siblings with known answers, fits that are made once, and records that are absent."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench import InputError
+from bench.commands.declaration import read_arguments
+from bench.commands.measured_track import measured
+from bench.engine import pool
+from bench.records.free_run import free_run_error, part_problem
+from bench.records.reading import Recording, Signal
+from bench.records.sets import MeasuredSet, measured_set, set_names
+from bench.records.siblings import Stated, agreement, pieces, total
+from bench.records.track import TrackFit, tasks
+from bench.reporting.tables.track_table import Track, TrackPanel, certified_ratio, digits, lines, markdown
+from bench.reporting.track.page import page
+from bench.store.results import write_result
+
+HALF = 1.959964
+TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files": ["x.csv"], "systems": ["sdof"]}
+
+
+def stated(value: float, error: float, white: float) -> Stated:
+    return Stated(value, value - HALF * error, value + HALF * error, value - HALF * white, value + HALF * white)
+
+
+def fit(sibling: str, one: Stated, trust: str = "trust") -> TrackFit:
+    where = "withdrawn" if trust == "do not trust" else "estimates"
+    found = {where: {"k_over_m": one}}
+    return TrackFit(sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **found, held_out=90.0)
+
+
+def test_siblings_that_scatter_as_stated() -> None:
+    """Values 9, 10, 11: standard deviation 1. The others' means are 10.5, 10, 9.5."""
+    found = agreement([stated(v, 1.0, 0.25) for v in (9.0, 10.0, 11.0)], known=8.0)
+    assert found.ratio == pytest.approx(1.0, rel=1e-6)
+    assert found.ratio_white == pytest.approx(4.0, rel=1e-6)
+    assert (found.covered, found.covered_white, found.counted) == (3, 1, 3)
+    assert (found.median, found.error) == (10.0, pytest.approx(25.0))
+
+
+def test_one_sibling_alone_is_not_compared() -> None:
+    found = agreement([stated(9.0, 1.0, 1.0)])
+    assert found.counted == 0
+    assert math.isnan(found.ratio)
+    assert math.isnan(found.error)
+
+
+def test_an_answer_without_an_interval_states_nothing() -> None:
+    nothing = Stated(100.0, math.nan, math.nan, math.nan, math.nan)
+    found = agreement([stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing])
+    assert (found.n, found.counted, found.covered) == (3, 2, 2)
+
+
+def test_totals_add_counts_and_take_the_median_of_the_ratios() -> None:
+    good = agreement([stated(v, 1.0, 1.0) for v in (9.0, 10.0, 11.0)])
+    bad = agreement([stated(v, 0.1, 0.1) for v in (9.0, 10.9)])
+    found = total([good, bad, agreement([])])
+    assert (found.covered, found.counted, found.coverage) == (3, 5, 0.6)
+    assert found.ratio == pytest.approx((1.0 + 1.9 / np.sqrt(2) / 0.1) / 2.0, rel=1e-6)
+
+
+def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
+    of = MeasuredSet(**TINY)
+    fits = [fit(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
+    panel = TrackPanel("s", of, "sdof", fits)
+    assert panel.agreement("ls", "k_over_m").counted == 2
+    text = markdown(Track([panel]), "again")
+    assert "2 / 0 / 1" in text
+    assert "2 trust, 0 with care, 1 do not trust (withdrawn)" in text
+    assert [line["withdrawn"] for line in lines(Track([panel])) if line["sibling"] == "all"] == [1]
+
+
+def test_digits_and_widths_against_certified_values() -> None:
+    known = measured_set("mgh17").known["k_over_m"]
+    assert known.sd is not None
+    half = 2.0484071 * known.sd  # Student's t, 28 degrees of freedom
+    value = known.value * (1 + 1e-5)
+    one = Stated(value, 0.0, 1.0, value - half, value + half)
+    assert digits(one, known) == pytest.approx(5.0, abs=1e-4)
+    assert certified_ratio(one, known) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_recording_is_cut_scaled_and_thinned() -> None:
+    times = np.arange(12) * 0.5
+    x = Signal("x", "displacement", 0, np.arange(12.0), "m", times)
+    f = Signal("f", "force", 0, np.arange(12.0), "N", times)
+    of = MeasuredSet(**TINY, parts=2, thin=3, thin_force=2, time_scale=0.2)
+    first, second = pieces(Recording((x, f), (), "x.csv", ""), of)
+    assert first.signals[0].values.tolist() == [0.0, 3.0]
+    assert first.signals[0].times == pytest.approx([0.0, 0.3])
+    assert second.signals[0].values.tolist() == [6.0, 9.0]
+    assert second.signals[0].times == pytest.approx([0.0, 0.3])
+    assert second.signals[1].values.tolist() == [6.0, 6.5, 8.5, 10.5, 11.0]
+    assert second.signals[1].times == pytest.approx([0.0, 0.05, 0.25, 0.45, 0.5])
+
+
+def test_a_fit_comes_back_as_it_was() -> None:
+    one = fit("1", Stated(1.0, math.nan, 2.0, 0.5, 1.5))
+    again = TrackFit.of_json(one.as_json())
+    assert again.estimates["k_over_m"].value == 1.0
+    assert math.isnan(again.estimates["k_over_m"].low)
+    assert again.as_json() == one.as_json()
+
+
+@pytest.mark.parametrize("name", set_names())
+def test_sets_are_whole(name: str) -> None:
+    """Every definition reads; a packaged one's files are there, with where they are from, and pose problems."""
+    of = measured_set(name)
+    if not of.packaged:
+        assert list(tasks(name, of, ["ls"], None, 60.0)) == []
+        return
+    place = of.place(None)
+    assert place is not None
+    assert (place / "PROVENANCE.md").is_file()
+    every = list(tasks(name, of, ["ls"], None, 60.0))
+    assert len(every) == len(of.files) * of.parts * len(of.systems)
+    assert len({task.key for task in every}) == len(every)
+    assert all(20 < task.measured().problem.records[0].channels[0].n <= 1001 for task in every)
+
+
+def test_packaged_records_are_small() -> None:
+    place = measured_set("mgh17").place(None)
+    assert place is not None
+    assert sum(path.stat().st_size for path in place.parent.rglob("*")) < 500_000
+
+
+def test_an_unknown_set_is_said() -> None:
+    with pytest.raises(InputError, match="known sets: airtrack"):
+        measured_set("nowhere")
+
+
+def tracked(arguments: Sequence[str]) -> int:
+    """Run the experiment with the fields of a command line."""
+    return measured(**read_arguments(measured, arguments))
+
+
+def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = [f"store={tmp_path / 'kept'}", f"out={tmp_path}", "set=mgh17,silverbox", "method=output_error"]
+    asked.append(f"page={tmp_path / 'page.html'}")
+    assert tracked(asked) == 0
+    assert "Table 11" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    text = (tmp_path / "table11.md").read_text(encoding="utf-8")
+    assert "not found under data_root=: silverbox/SNLS80mV.csv.gz" in text
+    assert "the same to three digits" in text
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "table11.csv").read_text(encoding="utf-8"))))
+    absent = [r["status"] for r in rows if r["set"] == "silverbox"]
+    assert absent == ["not found under data_root=: silverbox/SNLS80mV.csv.gz"] * 2
+    own = [r for r in rows if r["quantity"] == "k_over_m" and r["sibling"] == "all"]
+    assert float(own[0]["error_pct"]) < 1e-3
+
+    assert tracked([*asked, "data_root=.", "dry_run=true"]) == 0
+    assert tracked([a.replace("output_error", "ls") for a in asked] + ["fit=false"]) == 0
+    assert "1 fits are not made yet" in (tmp_path / "table11.md").read_text(encoding="utf-8")
+
+    monkeypatch.setattr(pool, "Children", lambda preload: pytest.fail("it fits again"))
+    assert tracked(asked) == 0
+    assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
+
+
+def test_the_page_holds_every_set_and_needs_nothing_else() -> None:
+    of = MeasuredSet(**{**TINY, "title": "a < b", "known": {"k_over_m": {"value": 9.5, "source": "scales & ruler"}}})
+    found = [fit(str(i), stated(v, 1.0, 0.25)) for i, v in enumerate((9.0, 10.0, 11.0))]
+    text = page(
+        Track([TrackPanel("s", of, "sdof", found), TrackPanel("gone", of, "sdof", absent="not found: x.csv")]),
+        "make it",
+    )
+    for part in ("a &lt; b", "scales &amp; ruler", 'id="s-sdof"', 'href="#gone-sdof"', "not found: x.csv", "make it"):
+        assert part in text
+    assert text.count("<svg") == 2  # coverage, and the siblings of the set that is there
+    assert not re.search(r'(?:src|href)="(?!#|data:)', text)
+
+
+def test_the_page_draws_no_more_than_there_is() -> None:
+    """No answer at all, one sibling, an interval without ends."""
+    of = MeasuredSet(**TINY)
+    silent = TrackFit("1", "s", "sdof", "1", "ls", "diverged", "", "do not trust", (), 1.0, 60.0, 10)
+    assert page(Track([TrackPanel("s", of, "sdof", [silent])]), "").count("<svg") == 0
+    alone = fit("1", Stated(10.0, 9.0, math.inf, 9.5, 10.5))
+    assert page(Track([TrackPanel("s", of, "sdof", [alone])]), "").count("<svg") == 1
+
+
+def test_what_makes_a_fit_new(tmp_path: Path) -> None:
+    """Another definition, or a method's other settings; not the title, and not a longer limit unless it ran out."""
+    of = measured_set("mgh17")
+    (one,) = tasks("mgh17", of, ["ls"], None, 60.0)
+    (titled,) = tasks("mgh17", of.model_copy(update={"title": "other"}), ["ls"], None, 60.0)
+    (thinned,) = tasks("mgh17", of.model_copy(update={"thin": 2}), ["ls"], None, 60.0)
+    (weak,) = tasks("mgh17", of, ["ls_weak"], None, 60.0)
+    assert one.key == titled.key
+    assert len({one.key, thinned.key, weak.key}) == 3
+    late = TrackFit(one.key, "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0)
+    write_result(tmp_path, one.key, late.as_json().encode())
+    assert one.stored(tmp_path)
+    assert not replace(one, timeout_s=120.0).stored(tmp_path)
+    assert not weak.stored(tmp_path)
+
+
+def test_a_free_run_of_the_right_model_has_no_error(tmp_path: Path) -> None:
+    """m x'' + c x' = f with f = m a constant: from rest x = a t²/2 without damping."""
+    times = np.arange(200) * 0.01
+    rows = "".join(f"{t:.17g},{0.5 * t * t:.17g},2.0\n" for t in times)
+    (tmp_path / "x.csv").write_text("t (s),x (m),f (N)\n" + rows, encoding="utf-8")
+    of = MeasuredSet(**{**TINY, "systems": ["viscous"], "columns": "t:0,x:1,f:2", "tests": {"all": {"file": "x.csv"}}})
+    system, record = part_problem(of, "viscous", of.tests["all"], tmp_path)
+    assert free_run_error(system, {"m": 2.0, "c": 1e-9}, record) < 1e-8
+    assert free_run_error(system, {"m": 1.0, "c": 1e-9}, record) == pytest.approx(
+        float(np.sqrt(np.mean((0.5 * times**2) ** 2))), rel=1e-6
+    )
