@@ -15,7 +15,8 @@ from bench.reporting.whole_file import check_file, write
 
 def identify_records(overrides: Overrides) -> int:
     """Print what methods find in measured records; 1 where no method's answer is to be trusted."""
-    from bench.face.identification import found_by, identified
+    from bench.face.identification import identified
+    from bench.records.find import find_all
     from bench.records.record import read_measured
     from bench.records.request import request_of
     from bench.records.response import best_of, response_of
@@ -26,7 +27,7 @@ def identify_records(overrides: Overrides) -> int:
     request = request_of(overrides)
     config = request.job.config
     table, picture = config.format == "table", _picture(config)
-    findings = found_by(request, read_measured(request))
+    findings = find_all(request, read_measured(request))
     results = [identified(finding) for finding in findings]
     plot = table and wanted(config.plot, sys.stdout)
     response = response_of(best_of(findings)) if plot or picture else None

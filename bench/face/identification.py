@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from bench.config.overrides import overrides_of
 from bench.errors import InputError
 from bench.face.results import nulls
-from bench.records.find import find
+from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.reading import Recording, prepared
-from bench.records.record import Measured, of_arrays, read_measured
-from bench.records.request import AUTO, Request, request_of
+from bench.records.record import of_arrays, read_measured
+from bench.records.request import request_of
 from bench.records.trust import lag_one, part_of_signal, whiteness_level
 from bench.reporting.record_page import record_page
 
@@ -194,7 +194,7 @@ def identify(
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
     recordings = tuple(prepared(recording, request.options) for recording in recordings)
-    return identified(found_by(request, read_measured(request, recordings))[0])
+    return identified(find_all(request, read_measured(request, recordings))[0])
 
 
 def _written(field: str, pairs: Mapping[str, Any] | None, example: str) -> str | None:
@@ -215,15 +215,6 @@ def _records(
     if displacement is None:
         raise InputError("displacement", None, "times need displacements; or give the path of a file")
     return (of_arrays(data, displacement, force),), []  # type: ignore[arg-type]
-
-
-def found_by(request: Request, measured: Measured) -> list[Finding]:
-    """What every method of the request finds in the records, in their order; raises InputError."""
-    if request.system == AUTO:
-        from bench.records.classes import best_class
-
-        measured = best_class(measured)
-    return [find(job, measured) for job in request.jobs]
 
 
 def identified(finding: Finding) -> Identification:

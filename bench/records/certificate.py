@@ -19,11 +19,11 @@ from bench.dynamics.simulate import simulate
 from bench.entrants.registry import registered
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.records.apart import apart
 from bench.records.classes import ModelClass, best_class, ranked_classes, simplest
 from bench.records.continued import NAME, continued_fit
 from bench.records.find import find
 from bench.records.finding import Finding, judged
+from bench.records.fit import within_time
 from bench.records.held_out import early_fit
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
@@ -184,7 +184,7 @@ def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
 def _ranked(measured: Measured, missing: dict[str, str], limit_s: float) -> list[ModelClass]:
     """The ranked classes, or why there are none: a fit of friction to pure noise may take minutes."""
     try:
-        found = apart(ranked_classes, measured, limit_s)
+        found = within_time(ranked_classes, measured, limit_s)
     except Died as died:
         missing["classes"] = died.message
         return []

@@ -6,28 +6,33 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
-
-import numpy as np
 
 from bench.config.records import coloured_settings, robust_method
 from bench.config.schema import Job
 from bench.contract.estimate import Status
-from bench.contract.problem import Problem
-from bench.engine.pool import Limits
-from bench.entrants.reference import REFERENCES
-from bench.entrants.registry import make_method, missing_package
+from bench.entrants.registry import missing_package
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.records.apart import apart
-from bench.records.classes import fitted_class
+from bench.records.classes import best_class, fitted_class
 from bench.records.finding import Finding, judged
-from bench.records.fit import Outcome, fit_alone
+from bench.records.fit import fit, within_time
 from bench.records.intervals import StatedInterval
 from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
+from bench.records.request import AUTO, Request
 from bench.records.trust import OUTLIERS, Doubt, Trust
 from bench.records.zeros import unit_over_mass, without
 from bench.systems.sums import Sum
+
+
+def find_all(request: Request, measured: Measured) -> list[Finding]:
+    """Identify the records with each method of a request, of one class that is chosen first with ``system=auto``.
+
+    Raises:
+        InputError: A method cannot take a measured record.
+    """
+    if request.system == AUTO:
+        measured = best_class(measured)
+    return [find(job, measured) for job in request.jobs]
 
 
 def find(job: Job, measured: Measured) -> Finding:
@@ -36,7 +41,7 @@ def find(job: Job, measured: Measured) -> Finding:
     Where a search fails on many samples a cycle it is tried again on fewer, filtered; where a parameter is left open,
     without the terms of a sum that the record does not need.
     """
-    found = _with_fewer_samples(_found(job, measured), job)
+    found = _with_fewer_samples(_answer(job, measured), job)
     if not _leaves_open(found):
         return found
     system = measured.problem.system
@@ -45,38 +50,23 @@ def find(job: Job, measured: Measured) -> Finding:
     most = _needless(measured, job.config.timeout_s)
     if not most:
         return found
-    return _with_zeros(_found(job, with_system(found.measured, without(system, most))), system, most)
+    return _with_zeros(_answer(job, with_system(found.measured, without(system, most))), system, most)
 
 
-def _found(job: Job, measured: Measured) -> Finding:
-    name = job.config.method["name"]
-    if name in REFERENCES:
-        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
-    lacking_package = missing_package(name)
-    if lacking_package:
-        outcome = Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
-    else:
-        outcome = _fitted(name, job.settings(), measured.problem, job)
-    return _with_robust(_coloured(judged(job.label, measured, outcome), job), job)
+def _answer(job: Job, measured: Measured) -> Finding:
+    """Judge the method's answer, with the colour of the noise where it can be given and outliers looked into."""
+    return _with_robust(_coloured(judged(job.label, measured, fit(job, measured.problem)), job), job)
 
 
 def _coloured(finding: Finding, job: Job) -> Finding:
     """Where the residuals are coloured, what the method finds when it is told so, if it can be."""
-    name, settings = job.config.method["name"], job.settings()
-    more = coloured_settings(name)
+    more = coloured_settings(job.config.method["name"])
     noises = () if finding.at is None else finding.at.noises
     coloured = any(noise is not None and noise.order for noise in noises)
     if not (more and coloured) or "method.likelihood" in job.explicit:
         return finding
-    outcome = _fitted(name, {**settings, **more}, finding.problem, job)
+    outcome = fit(job, finding.problem, settings={**job.settings(), **more})
     return finding if outcome.status is not Status.OK else judged(job.label, finding.measured, outcome, finding)
-
-
-def _fitted(name: str, settings: dict[str, Any], problem: Problem, job: Job) -> Outcome:
-    """A method's outcome within the job's limits."""
-    method, rng = make_method(name, settings), np.random.default_rng(job.config.seed)
-    limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
-    return fit_alone(method, problem, problem.records[0].channels[0].times, rng, limits)
 
 
 def _with_fewer_samples(finding: Finding, job: Job) -> Finding:
@@ -92,7 +82,7 @@ def _with_fewer_samples(finding: Finding, job: Job) -> Finding:
     except InputError:
         return finding
     said = f"{finding.method} found no answer in all samples: {finding.outcome.message}"
-    return _found(job, replace(measured, notes=(*measured.notes, said)))
+    return _answer(job, replace(measured, notes=(*measured.notes, said)))
 
 
 def _leaves_open(found: Finding) -> bool:
@@ -107,7 +97,7 @@ def _leaves_open(found: Finding) -> bool:
 def _needless(measured: Measured, limit_s: float) -> Mapping[str, float]:
     """The parameters of terms that the records do not need, and the most that they allow of each, over the mass."""
     try:
-        fitted = apart(fitted_class, measured, limit_s)
+        fitted = within_time(fitted_class, measured, limit_s)
     except Died:
         return {}
     return {} if fitted is None else fitted.zero
@@ -133,7 +123,7 @@ def _with_robust(finding: Finding, job: Job) -> Finding:
     already = settings.items() <= job.settings().items()
     if not far or already or missing_package(robust_name):
         return finding
-    robust = _fitted(robust_name, settings, finding.problem, job)
+    robust = fit(job, finding.problem, robust_name, settings)
     own, system = finding.intervals or finding.withdrawn, finding.problem.system
     name = next(iter(own), "")
     marginal = None if robust.estimate is None or not name else robust.estimate.marginal(system.quantity(name))

@@ -1,19 +1,28 @@
-"""One problem and one method in a process of its own, without a store or a truth: a measured record."""
+"""The fit step: a method, or other long work on records, in a process of its own within limits of time and memory."""
 
 from __future__ import annotations
 
 import pickle
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
+from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
 from bench.engine import method_process as fitter
 from bench.engine.pool import Limits
+from bench.entrants.reference import REFERENCES
+from bench.entrants.registry import make_method, missing_package
+from bench.errors import InputError
 from bench.isolation.processes import Children, Died
+from bench.records.record import Measured
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +33,21 @@ class Outcome:
     status: Status
     message: str
     wall_s: float = float("nan")
+
+
+def fit(job: Job, problem: Problem, name: str = "", settings: dict[str, Any] | None = None) -> Outcome:
+    """Fit a problem with the method of a job, or with another one by its name and settings, within the job's limits.
+
+    Raises:
+        InputError: The method needs the true values, which a measured record does not have.
+    """
+    name, settings = (name, settings or {}) if name else (job.config.method["name"], settings or job.settings())
+    if name in REFERENCES:
+        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
+    if lacking_package := missing_package(name):
+        return Outcome(None, Status.MISSING_DEPENDENCY, lacking_package)
+    rng, limits = np.random.default_rng(job.config.seed), Limits(1, job.config.timeout_s, job.config.memory_mb)
+    return fit_alone(make_method(name, settings), problem, problem.records[0].channels[0].times, rng, limits)
 
 
 def fit_alone(
@@ -45,3 +69,18 @@ def fit_alone(
         return Outcome(None, Status(outcome["status"]), outcome["message"])
     estimate = replace(outcome["answer"], system=problem.system).checked()
     return Outcome(estimate, estimate.status, estimate.message, outcome["wall_s"])
+
+
+def within_time(work: Callable[[Measured], Result], measured: Measured, limit_s: float) -> Result:
+    """Return what a function of a module makes of records; raises ``Died`` where it takes longer than the limit."""
+    children = Children()
+    try:
+        child = children.start(_send, pickle.dumps((work, measured)))
+        return pickle.loads(child.receive(limit_s))  # type: ignore[no-any-return]
+    finally:
+        children.close()
+
+
+def _send(connection: Any, packed: bytes) -> None:
+    work, measured = pickle.loads(packed)
+    connection.send_bytes(pickle.dumps(work(measured)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.face.identification import found_by
+from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.record import of_arrays, read_measured
 from bench.records.request import request_of
@@ -28,7 +28,7 @@ def findings() -> list[Finding]:
     times = times[(times < GAP[0]) | (times > GAP[1])]
     values = decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size)
     request = request_of({"data": ["arrays"], "method": ["ls", "shooting"]})
-    return found_by(request, read_measured(request, (of_arrays(times, values),)))
+    return find_all(request, read_measured(request, (of_arrays(times, values),)))
 
 
 def test_the_curve_runs_between_the_samples_and_through_a_gap(findings: list[Finding]) -> None:
@@ -67,7 +67,7 @@ def test_the_best_is_trusted_most_then_leaves_least(findings: list[Finding]) -> 
 def test_without_a_fit_there_are_the_samples_alone() -> None:
     times = np.arange(0.0, 5.0, 0.05)
     request = request_of({"data": ["arrays"], "method": ["shooting"]})
-    (finding,) = found_by(request, read_measured(request, (of_arrays(times, np.ones(times.size)),)))
+    (finding,) = find_all(request, read_measured(request, (of_arrays(times, np.ones(times.size)),)))
     response = response_of(finding)
     assert response.fit is None
     assert best_of([finding]) is finding
