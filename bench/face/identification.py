@@ -148,7 +148,7 @@ def identify(
         fixed: parameters that are told: ``{"l": 1.0}``.
         prior: how well the nominal values are known; by default nothing is.
         nominal: with a prior, what is stated of each parameter: ``{"m": 1.2, "c": 0.3, "k": 8.0}`` in SI units.
-        start: displacement and velocity at time 0, where they are known; else they, and an offset, are estimated.
+        start: displacement and velocity at time 0, where they are known; else they, and offsets, are estimated.
         seed: of the method's random stream.
         settings: settings of the method by their dotted names: ``{"method.width": 32}``.
         timeout_s: limit of the fit, in seconds.

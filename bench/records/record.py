@@ -145,9 +145,8 @@ def _record(recording: Recording, system: System, start: InitialState | None, jo
             values = job.config.force_gain * signal.values
             forces.append(Force(signal.times, values, hold=job.config.hold, dof=signal.dof))
         else:
-            offset = tells_offset and signal.measures == "displacement"
             channels.append(
-                Channel(signal.times, signal.values, signal.measures, signal.dof, unit=signal.unit, offset=offset)
+                Channel(signal.times, signal.values, signal.measures, signal.dof, unit=signal.unit, offset=tells_offset)
             )
     if not channels:
         raise InputError("data", name, "no column of it is a motion; name one by columns=x:<number>")
