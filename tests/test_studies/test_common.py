@@ -17,7 +17,7 @@ NAMES = sorted(
 
 
 def test_all_studies_are_here() -> None:
-    assert len(NAMES) == 10
+    assert len(NAMES) == 11
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,0 +1,145 @@
+"""Records that real ones resemble, drawn by a seed with the truth known: right, honest, or wrong and trusted.
+
+An answer is *right* where every stated interval holds the true value and can be printed (its ends within a factor of
+three of the value), *wide* where one cannot be, *missed* where the true value lies outside but within three
+half-widths (5 % of intervals of 95 % do), *wrong* beyond that. A record that is refused, or whose answer is withdrawn,
+is *honest* where this is allowed and the right reason is given, *refused* else. *Unsaid* is a right answer without the
+sentence that the kind asks for.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+import bench
+from bench.commands.declaration import OneOf, Within
+from bench.errors import InputError
+from bench.reporting.tables.common import markdown_table
+from tests.studies.cases.kinds import KINDS, Case
+from tests.studies.common import Count, study, tracked
+
+OUTCOMES = ("right", "honest", "unsaid", "missed", "wide", "refused", "crashed", "wrong", "WRONG AND TRUSTED")
+FACTOR, HALF_WIDTHS = 3.0, 3.0
+NEAR = {"k_over_m": 0.1, "c_over_m": 0.7}
+"""Largest error of a logarithm that is not wrong, however wide the interval."""
+NAMED = 0.03
+SECONDS = 30.0
+
+
+@dataclass(frozen=True)
+class Judgment:
+    """An outcome, the verdict of the answer, and why."""
+
+    outcome: str
+    verdict: str
+    why: str
+
+
+def answer(case: Case) -> Any:
+    """What :func:`bench.identify` says of a case: an Identification, or the sentence of the refusal."""
+    data = case.data if isinstance(case.data, tuple) else (case.data,)
+    try:
+        return bench.identify(*data, method="shooting", timeout_s=SECONDS, **case.fields)
+    except InputError as error:
+        return str(error)
+    except Exception as error:
+        return error
+
+
+def judged(case: Case, found: Any) -> Judgment:
+    """Judge an answer, a refusal or an exception."""
+    if isinstance(found, Exception):
+        return Judgment("crashed", "-", "".join(traceback.format_exception_only(found)).strip())
+    if isinstance(found, str):
+        return _refusal(case, "refused", found)
+    said = "; ".join([*found.notes, *found.reasons, found.message])
+    if found.trust == "do not trust" or not found.estimates:
+        return _refusal(case, found.trust, said)
+    named = _named(case.frequencies, said)
+    faults = [_fault(name, true, found.estimates.get(name)) for name, true in case.truth.items()]
+    worst, why = max(faults, key=lambda fault: OUTCOMES.index(fault[0]), default=("right", ""))
+    if case.frequencies and not named and (worst != "right" or not case.truth):
+        worst, why = "wrong", f"{case.frequencies} Hz not named; {why}"
+    elif case.frequencies and named:
+        worst, why = "honest", ""
+    if (worst == "wrong" or case.never) and found.trust == "trust":
+        worst, why = "WRONG AND TRUSTED", why or "must not be trusted"
+    if worst == "right" and not re.search(case.says, said, re.IGNORECASE):
+        worst, why = "unsaid", f"nothing like {case.says!r} in: {said[:160]}"
+    return Judgment(worst, found.trust, why or said[:100])
+
+
+def _refusal(case: Case, verdict: str, said: str) -> Judgment:
+    right = case.refusal and re.search(case.says, said, re.IGNORECASE)
+    honest = bool(right) and (not case.frequencies or case.never)
+    return Judgment("honest" if honest else "refused", verdict, said[:200])
+
+
+def _fault(name: str, true: float | None, own: Any) -> tuple[str, str]:
+    """What is wrong with a stated interval, and how it is said."""
+    if own is None:
+        return ("wide", f"{name} is not stated") if true is not None else ("right", "")
+    limit = getattr(own, "limit", "")
+    low, high = (-math.inf if limit == "at most" else own.low), (math.inf if limit == "at least" else own.high)
+    said = f"{name} {own.value:.4g} [{own.low:.4g}, {own.high:.4g}] {limit}, true {true or math.nan:.4g}"
+    printable = limit or (own.low > 0 and max(own.high / own.value, own.value / own.low) <= FACTOR)
+    if true is None or low <= true <= high:
+        if true is not None and not limit and abs(math.log(max(own.value, 1e-300) / true)) > NEAR.get(name, 1.0):
+            return "wide", said
+        return ("right", "") if printable else ("wide", said)
+    half = (own.high - own.low) / 2 if not limit else abs(own.high if limit == "at most" else own.low) / 2
+    if abs(own.value - true) <= HALF_WIDTHS * half and (limit or abs(math.log(own.value / true)) <= NEAR.get(name, 1)):
+        return "missed", said
+    return "wrong", said
+
+
+def _named(frequencies: tuple[float, ...], said: str) -> bool:
+    """Whether the text names all of some frequencies in Hz."""
+    there = [float(number) for number in re.findall(r"(\d+(?:\.\d+)?)(?= (?:Hz|and|or|\())", said)]
+    return all(any(abs(value / f - 1) < NAMED for value in there) for f in frequencies)
+
+
+def cases(
+    seed: Annotated[int, Within(ge=0), "seed of the draw, chosen on the day"],
+    each: Annotated[Count, "records of each kind"] = 10,
+    kinds: Annotated[tuple[str, ...], OneOf(tuple(KINDS)), "kinds that are drawn"] = tuple(KINDS),
+    keep: Annotated[Path | None, "folder in which the records are left"] = None,
+    detail: Annotated[bool, "a line for each record that is neither right nor honest"] = True,
+) -> int:
+    """Count what is said of records of each kind; exit status 1 where an answer is wrong and trusted."""
+    counts: dict[str, Counter[str]] = {kind: Counter() for kind in kinds}
+    spent = dict.fromkeys(kinds, 0.0)
+    with tempfile.TemporaryDirectory() as scratch:
+        for kind, i in tracked([(kind, i) for kind in kinds for i in range(each)], "record"):
+            folder = (keep or Path(scratch)) / kind / str(i)
+            folder.mkdir(parents=True, exist_ok=True)
+            case = KINDS[kind](np.random.default_rng([seed, list(KINDS).index(kind), i]), folder)
+            started = time.perf_counter()
+            judgment = judged(case, answer(case))
+            spent[kind] += time.perf_counter() - started
+            counts[kind][judgment.outcome] += 1
+            if detail and judgment.outcome not in ("right", "honest"):
+                print(f"{kind} #{i}: {judgment.outcome} ({judgment.verdict}): {judgment.why}", flush=True)
+    rows = [[kind, *(str(counts[kind][o] or "") for o in OUTCOMES), f"{spent[kind] / each:.1f}"] for kind in kinds]
+    totals = [sum(counts[kind][o] for kind in kinds) for o in OUTCOMES]
+    rows.append(["all", *map(str, totals), f"{sum(spent.values()) / each / len(kinds):.1f}"])
+    print(markdown_table(rows, ("kind", *OUTCOMES, "s each")))
+    return int(totals[-1] > 0)
+
+
+main = partial(study, cases, "tests.studies.cases")
+
+if __name__ == "__main__":
+    sys.exit(main())
