@@ -708,7 +708,7 @@ def test_certificate(record: Path, tmp_path: Path) -> None:
     """intervals, verdict with reasons; certificate with classes, methods, replicas, what would help"""
     line = verb("certify", f"data={record}", "out=certificate", "method=shooting,ls", "system=sdof", "twins=5")
     text = run(line, tmp_path).stdout
-    assert re.match("trust|with care", text)
+    assert re.match("trust|use with caution", text)
     said = json.loads((tmp_path / "certificate" / "certificate.json").read_text())
     assert "k/m" in json.dumps(said) or "k_over_m" in json.dumps(said)
     assert "<html" in (tmp_path / "certificate" / "certificate.html").read_text()

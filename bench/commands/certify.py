@@ -41,7 +41,7 @@ def certify(
         from bench.face.results import nulls
         from bench.records.certificate import certify as certificate_of
         from bench.records.record import read_measured
-        from bench.records.trust import Trust
+        from bench.records.verdict import Trust
         from bench.reporting.certificate.contents import contents, listed
         from bench.reporting.certificate.page import page
         from bench.reporting.whole_file import check_folder, write

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from bench.config.overrides import overrides_of
 from bench.errors import InputError
 from bench.face.results import nulls
+from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
 from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.reading import Recording, prepared
 from bench.records.record import of_arrays, read_measured
 from bench.records.request import request_of
-from bench.records.trust import lag_one, part_of_signal, whiteness_level
 from bench.reporting.record_page import record_page
 
 
@@ -43,7 +43,7 @@ class ChannelResiduals:
 class Identification:
     """What a method found in measured records.
 
-    ``trust`` is ``trust``, ``with care`` or ``do not trust``, and ``reasons`` say why. ``estimates`` hold the
+    ``trust`` is ``trust``, ``use with caution`` or ``do not trust``, and ``reasons`` say why. ``estimates`` hold the
     quantities that the data tell, by name, each with the interval that the records support (``low``, ``high``) and the
     method's own, which takes the noise for white (``white_low``, ``white_high``); there are none where the answer is
     not to be trusted, and ``withdrawn`` keeps what the method said. ``status`` is ``ok``, or says with ``message`` why
@@ -228,7 +228,7 @@ def identified(finding: Finding) -> Identification:
         message=outcome.message,
         wall_s=outcome.wall_s,
         trust=finding.trust.value,
-        reasons=tuple(doubt.reason for doubt in finding.doubts),
+        reasons=tuple(reason.text for reason in finding.reasons),
         notes=finding.measured.notes,
         estimates=finding.intervals,
         withdrawn=finding.withdrawn,

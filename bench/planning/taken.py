@@ -14,7 +14,7 @@ from bench.records.finding import Finding
 from bench.records.intervals import HALF
 from bench.records.record import read_measured
 from bench.records.request import Overrides, request_of
-from bench.records.trust import Trust
+from bench.records.verdict import Trust
 
 
 def taken(overrides: Overrides) -> Taken:
@@ -26,7 +26,7 @@ def taken(overrides: Overrides) -> Taken:
         raise InputError("given", request.files[0], "one record of one displacement, without a force")
     finding = find(request.job, measured)
     if finding.trust is Trust.NO or not set(QUANTITIES) <= set(finding.intervals):
-        why = "; ".join(doubt.reason for doubt in finding.doubts) or finding.outcome.message
+        why = "; ".join(reason.text for reason in finding.reasons) or finding.outcome.message
         raise InputError("given", request.files[0], f"a record whose answer can be trusted ({why})")
     return _taken(finding)
 

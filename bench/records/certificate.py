@@ -29,7 +29,7 @@ from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.record import Measured
 from bench.records.request import AUTO, Request
-from bench.records.trust import Doubt, Trust
+from bench.records.verdict import Reason, Trust
 from bench.systems import LENGTH, MEASURED
 
 Say = Callable[[str, int, int], None]
@@ -166,7 +166,7 @@ def _instead(
         return ()
     found = judged(NAME, measured, outcome)
     said = f"{primary.method} found no answer: {primary.outcome.message}; this is the class's own fit"
-    return (replace(found, doubts=(*found.doubts, Doubt(Trust.CARE, said))),)
+    return (replace(found, reasons=(*found.reasons, Reason(Trust.CAUTION, said))),)
 
 
 def _found(job: Any, measured: Measured, first: bool) -> Finding | None:

@@ -14,12 +14,13 @@ from bench.entrants.registry import missing_package
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.records.classes import best_class, fitted_class
+from bench.records.diagnostics import OUTLIERS
 from bench.records.finding import Finding, judged
 from bench.records.fit import fit, within_time
 from bench.records.intervals import StatedInterval
 from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
 from bench.records.request import AUTO, Request
-from bench.records.trust import OUTLIERS, Doubt, Trust
+from bench.records.verdict import Reason, Trust
 from bench.records.zeros import unit_over_mass, without
 from bench.systems.sums import Sum
 
@@ -109,16 +110,16 @@ def _with_zeros(finding: Finding, system: Sum, most: Mapping[str, float]) -> Fin
         return finding
     units = {name: unit_over_mass(system, name) for name in most}
     said = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
-    doubts = (*finding.doubts, *(Doubt(Trust.CARE, reason) for reason in said))
+    reasons = (*finding.reasons, *(Reason(Trust.CAUTION, sentence) for sentence in said))
     if not finding.intervals:
-        return replace(finding, doubts=doubts)
+        return replace(finding, reasons=reasons)
     zeros = {f"{n}_over_m": StatedInterval(0.0, 0.0, limit, 0.0, limit, units[n]) for n, limit in most.items()}
-    return replace(finding, doubts=doubts, intervals={**finding.intervals, **zeros})
+    return replace(finding, reasons=reasons, intervals={**finding.intervals, **zeros})
 
 
 def _with_robust(finding: Finding, job: Job) -> Finding:
     """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
-    far = any(doubt.reason.endswith(OUTLIERS) for doubt in finding.doubts)
+    far = any(reason.text.endswith(OUTLIERS) for reason in finding.reasons)
     robust_name, settings = robust_method()
     already = settings.items() <= job.settings().items()
     if not far or already or missing_package(robust_name):
@@ -129,12 +130,12 @@ def _with_robust(finding: Finding, job: Job) -> Finding:
     marginal = None if robust.estimate is None or not name else robust.estimate.marginal(system.quantity(name))
     if marginal is None:
         reason = f"a fit that expects outliers gave no answer: {robust.message}"
-        return replace(finding, doubts=(*finding.doubts, Doubt(Trust.CARE, reason)))
+        return replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, reason)))
     inside = own[name].low <= marginal.value <= own[name].high
     reason = f"a fit that expects outliers (Student's t) gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
     if not inside:
         reason += ", outside of this interval: believe that one"
-    doubts = (*finding.doubts, Doubt(Trust.CARE if inside else Trust.NO, reason))
+    reasons = (*finding.reasons, Reason(Trust.CAUTION if inside else Trust.NO, reason))
     if inside:
-        return replace(finding, doubts=doubts)
-    return replace(finding, doubts=doubts, intervals={}, withdrawn=own)
+        return replace(finding, reasons=reasons)
+    return replace(finding, reasons=reasons, intervals={}, withdrawn=own)

@@ -11,24 +11,15 @@ import numpy as np
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem, Units
 from bench.likelihood.autoregression import Whitened
-from bench.likelihood.output_error import OutputError
+from bench.records.diagnostics import natural_frequency, reasons_for_caution
 from bench.records.fit import Outcome
-from bench.records.grown import first_guess
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.model_error import NOTHING_LACKING, ModelError, model_error
 from bench.records.parts import parts_of
 from bench.records.record import Measured, spare_factor
 from bench.records.strongest import strongest_frequency
-from bench.records.trust import (
-    MOST_LEFT,
-    Doubt,
-    Trust,
-    doubts_about,
-    natural_frequency,
-    part_of_signal,
-    verdict,
-)
+from bench.records.verdict import Reason, Trust, verdict
 from bench.scoring.combination import combine_with_prior
 from bench.systems import MEASURED
 
@@ -47,7 +38,7 @@ class Finding:
     outcome: Outcome
     intervals: Mapping[str, StatedInterval] = field(default_factory=dict)
     withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
-    doubts: tuple[Doubt, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     at: Linearised | None = None
     lacking: ModelError = NOTHING_LACKING
     by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -55,7 +46,7 @@ class Finding:
     @property
     def trust(self) -> Trust:
         """The verdict."""
-        return verdict(self.doubts)
+        return verdict(self.reasons)
 
     @property
     def problem(self) -> Problem:
@@ -79,7 +70,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
     """
     if outcome.estimate is None or outcome.status is not Status.OK:
         reason = f"no answer ({outcome.status.value}): {outcome.message}{_fewer_samples(measured, outcome)}"
-        return Finding(method, measured, outcome, doubts=(Doubt(Trust.NO, reason),))
+        return Finding(method, measured, outcome, reasons=(Reason(Trust.NO, reason),))
     estimate = combine_with_prior(outcome.estimate, measured.problem.prior)
     with np.errstate(all="ignore"):
         at = linearised(measured.problem, estimate)
@@ -88,8 +79,8 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
         noise = at if white is None or at is None else _whitened(at)
         intervals = _beside_white(stated_intervals(estimate, noise, parts, lacking), white)
         intervals = _with_mass(intervals, estimate, measured)
-    doubts = (*doubts_about(at, intervals, lacking, outcome.message), *_turned_force(at))
-    finding = Finding(method, measured, outcome, intervals, {}, doubts, at, lacking, _by_part(parts, measured))
+    reasons = reasons_for_caution(at, intervals, lacking, outcome.message)
+    finding = Finding(method, measured, outcome, intervals, {}, reasons, at, lacking, _by_part(parts, measured))
     if finding.trust is Trust.NO:
         return replace(finding, intervals={}, withdrawn=intervals)
     return finding
@@ -152,34 +143,3 @@ def _with_mass(
             ends = {end: mass * getattr(ratio, end) for end in ("value", "low", "high", "white_low", "white_high")}
             found[parameter.name] = replace(ratio, unit=parameter.unit, **ends)
     return found
-
-
-def _turned_force(at: Linearised | None) -> tuple[Doubt, ...]:
-    """Where a forced fit leaves most of the signal: whether the force turned round would leave much less."""
-    if at is None or not at.model.problem.forced or part_of_signal(at) <= MOST_LEFT:
-        return ()
-    records = tuple(
-        replace(r, forces=tuple(replace(f, values=-f.values) for f in r.forces)) for r in at.model.problem.records
-    )
-    turned = replace(at.model, problem=replace(at.model.problem, records=records))
-    theta = min(turned.settle(_forced_starts(turned, at.theta), 2, 20), key=turned.profile)
-    left = turned.data - turned.predict(theta)
-    if not np.all(np.isfinite(left)) or np.std(left) > 0.5 * np.std(at.residuals):
-        return ()
-    return (Doubt(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1"),)
-
-
-def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
-    """Vectors from which to search a forced motion: the given one, and at rest with natural frequencies on a grid."""
-    duration = max(record.duration for record in model.problem.records)
-    size, found = float(np.std(model.data)) or 1.0, [theta]
-    for cycles in np.geomspace(0.5, max(model.data.size / 4.0, 2.0), 16):
-        p = first_guess(model.system, 2 * np.pi * cycles / duration, size)
-        start = np.zeros(theta.size)
-        start[: len(model.free)] = np.log([p[name] for name in model.free])
-        heavier = float(np.std(model.predict(start))) / size
-        massive = [bool(q.dimension.mass) for q in model.system.parameters if q.name in model.free]
-        if np.isfinite(heavier) and heavier > 0:
-            start[: len(model.free)] += np.where(massive, np.log(heavier), 0.0)
-            found.append(start)
-    return np.stack(found)

@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.likelihood.compiled import compiled_output_error
+from bench.records.diagnostics import part_of_signal
 from bench.records.finding import Finding
 from bench.records.linearised import Linearised
 from bench.records.strongest import strongest_frequency
-from bench.records.trust import Trust, part_of_signal
+from bench.records.verdict import Trust
 
 A_CYCLE, FEWEST, MOST = 32, 1000, 20_000
 """Points of the fitted response in a cycle, and on the whole curve at least and at most."""
-BEST_FIRST = (Trust.TRUST, Trust.CARE, Trust.NO)
+BEST_FIRST = (Trust.TRUST, Trust.CAUTION, Trust.NO)
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,7 +171,7 @@ def fitted(task: MeasuredFit) -> TrackFit:
         status=finding.outcome.status.value,
         message=finding.outcome.message,
         trust=finding.trust.value,
-        reasons=tuple(doubt.reason for doubt in finding.doubts),
+        reasons=tuple(reason.text for reason in finding.reasons),
         wall_s=finding.outcome.wall_s,
         samples=finding.problem.n,
         estimates=_stated(finding.intervals),

@@ -23,12 +23,12 @@ from bench.engine import method_process as fitter
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.isolation.processes import Children, Died
+from bench.records.diagnostics import natural_frequency
 from bench.records.finding import Finding
 from bench.records.intervals import MOST_LOG, StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, linearised
 from bench.records.parts import parts_of
 from bench.records.strongest import strongest_frequency
-from bench.records.trust import natural_frequency
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
 from bench.systems import MEASURED, Quantity

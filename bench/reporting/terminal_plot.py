@@ -14,7 +14,7 @@ from typing import TextIO
 import numpy as np
 
 from bench.records.response import Response
-from bench.records.trust import Trust
+from bench.records.verdict import Trust
 from bench.reporting.certificate.figures import thinned
 from bench.reporting.rounding import number
 from bench.reporting.terminal import colour_shown, columns, wrapped

@@ -14,12 +14,13 @@ import numpy as np
 from bench.likelihood.autoregression import autoregression, even_times
 from bench.records.certificate import Certificate
 from bench.records.colour import autocorrelation
+from bench.records.diagnostics import lag_one, natural_frequency, part_of_signal, whiteness_level
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.record import summary_of
 from bench.records.request import AUTO
-from bench.records.trust import Trust, lag_one, natural_frequency, part_of_signal, whiteness_level
+from bench.records.verdict import Trust
 from bench.records.zeros import unit_over_mass
 from bench.reporting.rounding import number, readable, rounded
 
@@ -30,7 +31,7 @@ CHI_LOW, CHI_HIGH = -np.log(0.975), -np.log(0.025)
 LAG_BAND = 1.96
 OPENING = {
     Trust.TRUST: "These values can be trusted: nothing in the record speaks against them",
-    Trust.CARE: "Take these values with care",
+    Trust.CAUTION: "Use these values with caution",
     Trust.NO: "Do not trust these values",
 }
 
@@ -43,7 +44,7 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "method": primary.method,
         "system": equation(primary),
         "sentences": sentences(certificate),
-        "reasons": [doubt.reason for doubt in primary.doubts] + unchosen(certificate),
+        "reasons": [reason.text for reason in primary.reasons] + unchosen(certificate),
         "record": _record(primary),
         "values": {name: _interval(own) for name, own in primary.intervals.items()},
         "withdrawn": {name: _interval(own) for name, own in primary.withdrawn.items()},
@@ -79,7 +80,7 @@ def equation(finding: Finding) -> str:
 def sentences(certificate: Certificate) -> list[str]:
     """The verdict, the values and what supports them: three sentences."""
     primary, found = certificate.primary, []
-    first = primary.doubts[0].reason if primary.doubts else ""
+    first = primary.reasons[0].text if primary.reasons else ""
     found.append(f"{OPENING[primary.trust]}{f': {first}' if first else ''}.")
     record = summary_of(primary.measured)
     length = f"{record['samples']} samples over {number(record['seconds'])} s"
@@ -165,7 +166,7 @@ def _method(one: Finding, certificate: Certificate) -> dict[str, Any]:
         "status": one.outcome.status.value,
         "verdict": one.trust.value,
         "message": one.outcome.message,
-        "reasons": [doubt.reason for doubt in one.doubts],
+        "reasons": [reason.text for reason in one.reasons],
         "wall_s": one.outcome.wall_s,
         "values": {name: _interval(own) for name, own in one.intervals.items()},
         "withdrawn": {name: _interval(own) for name, own in one.withdrawn.items()},

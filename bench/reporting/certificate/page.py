@@ -12,7 +12,7 @@ from bench.reporting.grid import Grid, rendered, style
 from bench.reporting.page.words import joined, number, seconds
 from bench.reporting.rounding import readable, rounded
 
-VERDICTS = {"trust": "Trust", "with care": "With care", "do not trust": "Do not trust"}
+VERDICTS = {"trust": "Trust", "use with caution": "Use with caution", "do not trust": "Do not trust"}
 STANDINGS = {
     "primary": "primary", "agrees": "agrees", "level": "level: its own interval holds the primary’s value",
     "off": "off", "-": "–",

@@ -23,7 +23,7 @@ CERTIFIED = "mgh17"
 CERTIFIED_DOF = 28
 SAME = 1e-3
 """Widths that differ by less agree to three digits."""
-VERDICTS = ("trust", "with care", "do not trust")
+VERDICTS = ("trust", "use with caution", "do not trust")
 COLUMNS = (
     "set", "system", "method", "quantity", "sibling", "status", "trust", "value", "low", "high", "white_low",
     "white_high", "known", "error_pct", "ratio", "ratio_white", "covered", "covered_white", "counted", "withdrawn",
@@ -38,9 +38,9 @@ unknown. There is no truth, so each method is asked whether its answers to sibli
 siblings; that mean has an error of its own, so right intervals hold it in 83 % of cases with two siblings, 91 % with
 four, 93 % with six. In brackets the same for the method's own interval, which takes the noise for white. **error**:
 median distance to what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last
-40 %, predicted from a fit of the first 60 % (median). **verdicts**: answers by trust / with care / do not trust, which
-is withdrawn: it has no interval and counts in no coverage. Siblings of a decay have other amplitudes, and differ by
-what the named system leaves out, too."""
+40 %, predicted from a fit of the first 60 % (median). **verdicts**: answers by trust / use with caution / do not
+trust, which is withdrawn: it has no interval and counts in no coverage. Siblings of a decay have other amplitudes, and
+differ by what the named system leaves out, too."""
 
 FREE_RUN = "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
 

@@ -46,7 +46,7 @@ def test_the_file_holds_the_answer_and_what_it_came_from(written: Path, record: 
     found = json.loads((written / "certificate.json").read_text(encoding="utf-8"))
     assert sorted(path.name for path in written.iterdir()) == ["certificate.html", "certificate.json"]
     assert found["method"] == "output_error"
-    assert found["verdict"] in ("trust", "with care")
+    assert found["verdict"] in ("trust", "use with caution")
     own = found["values"]["k_over_m"]
     assert own["low"] < 36.0 + 0.2**2 < own["high"]
     assert [one["method"] for one in found["methods"]] == ["output_error", "ls"]

@@ -277,7 +277,7 @@ def test_friction_that_a_record_has_no_use_for_is_zero_in_the_answer_of_any_meth
     recording = Recording((Signal("x", "displacement", 0, x, "m", T),), (), "simulated", "")
     request = request_of(overrides_of({"method": method, "data": "simulated"}) | {"system": ["sdof+coulomb"]})
     found = find(request.jobs[0], read_measured(request, (recording,)))
-    assert any("mu/m is 0, at most" in doubt.reason for doubt in found.doubts)
+    assert any("mu/m is 0, at most" in reason.text for reason in found.reasons)
     mu = found.intervals["mu_over_m"]
     assert (mu.value, mu.low) == (0.0, 0.0)
     assert 0.0 < mu.high < 0.1 * OMEGA**2

@@ -18,11 +18,11 @@ from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.autoregression import Autoregression, autoregression
 from bench.likelihood.output_error import OutputError, estimate_at
 from bench.records.colour import criterion_error, information_criterion, local_spectrum
+from bench.records.diagnostics import natural_frequency
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.model_error import model_error
 from bench.records.parts import heterogeneity, parts_of, paule_mandel
-from bench.records.trust import natural_frequency
 from bench.systems.sums import sum_from
 
 OMEGA, ZETA = 6.0, 0.04

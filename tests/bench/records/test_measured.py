@@ -317,7 +317,7 @@ def test_runs_that_differ_are_told_by_run_and_the_interval_holds_both(tmp_path: 
     one, two = run(tmp_path, "run1.csv", 9.0, (0.8, -0.4), 1), run(tmp_path, "run2.csv", 9.3, (0.8, -0.4), 2)
     (both,) = answers(["method=output_error", f"data={one},{two}"], capsys)
     assert both["by_part"]["k_over_m"] == pytest.approx([9.0, 9.3], rel=0.01)
-    assert both["trust"] == "with care"
+    assert both["trust"] == "use with caution"
     assert any("may differ by" in reason for reason in both["reasons"])
     k = both["estimates"]["k_over_m"]
     assert k["low"] < 9.0 < 9.3 < k["high"]

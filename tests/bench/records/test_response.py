@@ -10,7 +10,7 @@ from bench.records.finding import Finding
 from bench.records.record import of_arrays, read_measured
 from bench.records.request import request_of
 from bench.records.response import best_of, response_of
-from bench.records.trust import Trust
+from bench.records.verdict import Trust
 
 NOISE = 0.02
 GAP = (3.0, 5.0)

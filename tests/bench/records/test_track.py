@@ -77,7 +77,7 @@ def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     assert panel.agreement("ls", "k_over_m").counted == 2
     text = markdown(Track([panel]), "again")
     assert "2 / 0 / 1" in text
-    assert "2 trust, 0 with care, 1 do not trust (withdrawn)" in text
+    assert "2 trust, 0 use with caution, 1 do not trust (withdrawn)" in text
     assert [line["withdrawn"] for line in lines(Track([panel])) if line["sibling"] == "all"] == [1]
 
 

@@ -21,7 +21,7 @@ from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
 from bench.records.record import of_arrays, read_measured
 from bench.records.request import request_of
-from bench.records.trust import Doubt, Trust, verdict
+from bench.records.verdict import Reason, Trust, verdict
 
 T = np.linspace(0.0, 10.0, 300)
 OMEGA, ZETA = 6.0, 0.04
@@ -52,7 +52,7 @@ def judge(times: np.ndarray, x: np.ndarray, force: np.ndarray | None = None, **f
 
 
 def reasons(finding: Finding) -> str:
-    return "; ".join(doubt.reason for doubt in finding.doubts)
+    return "; ".join(reason.text for reason in finding.reasons)
 
 
 # what is clean
@@ -81,11 +81,11 @@ def test_a_clean_record_is_never_refused_and_its_interval_holds_the_truth(
 
 @pytest.mark.slow
 def test_clean_records_are_trusted() -> None:
-    """A doubt is a false alarm here. Each of a dozen checks may sound in one of a hundred: 9 of 10 records are free."""
+    """Each of a dozen checks may raise a false alarm in one of a hundred records: 9 of 10 have none."""
     found = [clean(*what, db=db, seed=seed) for what in CLEAN for db in (20.0, 30.0, 40.0) for seed in range(8)]
     trusted = [finding.trust is Trust.TRUST for finding in found]
-    assert np.mean(trusted) >= 0.9, [reasons(one) for one in found if one.doubts]
-    assert all(not finding.doubts for finding, good in zip(found, trusted, strict=True) if good)
+    assert np.mean(trusted) >= 0.9, [reasons(one) for one in found if one.reasons]
+    assert all(not finding.reasons for finding, good in zip(found, trusted, strict=True) if good)
 
 
 def test_a_clean_forced_record_is_trusted_and_tells_the_mass() -> None:
@@ -104,7 +104,7 @@ def test_a_vibration_whose_damping_cannot_be_told_from_none_is_not_refused() -> 
 
 def test_more_noise_is_said_but_what_is_white_is_not_refused() -> None:
     finding = judge(T, noisy(free(T), 6.0))
-    assert finding.trust is Trust.CARE
+    assert finding.trust is Trust.CAUTION
     assert "much noise" in reasons(finding)
 
 
@@ -139,7 +139,7 @@ def test_noise_passes_for_a_vibration_hardly_ever() -> None:
 
 # what spoils a record: nothing of it is trusted, and the reason is named
 
-CARE_AT_LEAST = (Trust.CARE, Trust.NO)
+CARE_AT_LEAST = (Trust.CAUTION, Trust.NO)
 REFUSED = (Trust.NO,)
 
 
@@ -260,10 +260,10 @@ def test_a_right_force_is_not_called_wrong_where_the_model_is() -> None:
 # the verdict, and what the command makes of it
 
 
-def test_the_worst_doubt_is_the_verdict() -> None:
-    care, no = Doubt(Trust.CARE, "a"), Doubt(Trust.NO, "b")
+def test_the_worst_reason_is_the_verdict() -> None:
+    care, no = Reason(Trust.CAUTION, "a"), Reason(Trust.NO, "b")
     assert verdict(()) is Trust.TRUST
-    assert verdict((care,)) is Trust.CARE
+    assert verdict((care,)) is Trust.CAUTION
     assert verdict((care, no, care)) is Trust.NO
 
 
@@ -282,7 +282,7 @@ def written(folder: Path, head: str, x: np.ndarray, times: np.ndarray = T) -> st
 
 STATUS = {
     "trust": (lambda: noisy(free(T), 30.0, 100), 0),
-    "with care": (outlier, 0),
+    "use with caution": (outlier, 0),
     "do not trust": (lambda: np.random.default_rng(3).standard_normal(300), 1),
 }
 

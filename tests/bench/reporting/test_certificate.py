@@ -71,7 +71,7 @@ def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(rank
     assert {"k_over_m", "c_over_m"} <= set(chosen.primary.intervals)
     own = chosen.primary.intervals["k_over_m"]
     assert own.low < RATE**2 + DECAY**2 < own.high
-    assert any("era found no answer: it cannot estimate" in doubt.reason for doubt in chosen.primary.doubts)
+    assert any("era found no answer: it cannot estimate" in reason.text for reason in chosen.primary.reasons)
     assert NAME in page(contents(chosen, "certify"))
     named = certify(*asked("sdof", failed), twins=0)
     assert [one.method for one in named.findings] == ["era"]

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.records.response import ChannelResponse, Response
-from bench.records.trust import Trust
+from bench.records.verdict import Trust
 from bench.reporting.terminal_plot import holds_braille, plotted, round_numbers, wanted
 
 

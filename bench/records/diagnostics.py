@@ -1,43 +1,22 @@
-"""How far an answer to a measured record is to be trusted, and why, in plain words."""
+"""Diagnostics of a fit to measured records: each check gives the reasons for caution that it finds, in a sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import replace
 
 import numpy as np
 
 from bench.likelihood.autoregression import even_times
+from bench.likelihood.output_error import OutputError
 from bench.records.colour import autocorrelation, cumulative_periodogram, periodogram
+from bench.records.grown import first_guess
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.model_error import ModelError
 from bench.records.strongest import strongest_frequency
+from bench.records.verdict import Reason, Trust
 from bench.scoring.statistics import whiteness
-
-
-class Trust(StrEnum):
-    """The verdict on an answer."""
-
-    TRUST = "trust"
-    CARE = "with care"
-    NO = "do not trust"
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """One reason, in a sentence, and what it makes of the answer."""
-
-    verdict: Trust
-    reason: str
-
-
-def verdict(doubts: tuple[Doubt, ...]) -> Trust:
-    """The worst of the doubts; trust without any."""
-    found = {doubt.verdict for doubt in doubts}
-    return Trust.NO if Trust.NO in found else Trust.CARE if Trust.CARE in found else Trust.TRUST
-
 
 FALSE_ALARM = 1e-3
 """How often pure noise may pass for a vibration."""
@@ -60,60 +39,64 @@ GROWTH = 1.2
 LEVEL = 0.01
 
 
-def doubts_about(
+def reasons_for_caution(
     at: Linearised | None,
     intervals: Mapping[str, StatedInterval],
     lacking: ModelError,
     message: str,
-) -> tuple[Doubt, ...]:
-    """The doubts about an answer.
+) -> tuple[Reason, ...]:
+    """Return the reasons for caution about an answer.
 
     Args:
-        at: The likelihood of the records there; None where the answer has no finite response.
-        intervals: What is stated of it.
+        at: The likelihood of the records at the answer; None where the answer has no finite response.
+        intervals: Stated intervals.
         lacking: What the model leaves out.
-        message: What the method itself says.
+        message: The method's own message.
     """
     if at is None:
-        return (Doubt(Trust.NO, "the answer's response is not finite"),)
-    found = [doubt for check in CHECKS for doubt in check(at)]
-    found += _of_intervals(intervals, lacking)
+        return (Reason(Trust.NO, "the answer's response is not finite"),)
+    reasons = [reason for check in CHECKS for reason in check(at)]
+    reasons += _of_intervals(intervals, lacking)
     if message:
-        found.append(Doubt(Trust.CARE, f"the method says: {message}"))
-    return tuple(dict.fromkeys(found))
+        reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
+    return tuple(dict.fromkeys(reasons))
 
 
-def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) -> list[Doubt]:
+def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) -> list[Reason]:
     found = []
     if lacking.missing:
         what = " and ".join(lacking.missing)
         found.append(
-            Doubt(Trust.CARE, f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
+            Reason(
+                Trust.CAUTION, f"the residuals show {what}, which the system lacks: name it, or let system=auto choose"
+            )
         )
     elif lacking.suspected:
         what = " or ".join(lacking.suspected)
         found.append(
-            Doubt(Trust.CARE, f"the residuals are coloured by their noise or by {what}, which the system lacks")
+            Reason(Trust.CAUTION, f"the residuals are coloured by their noise or by {what}, which the system lacks")
         )
     coloured = [q for q, own in intervals.items() if own.colour > STRETCHED]
     if coloured:
         most = max(own.colour for own in intervals.values())
         found.append(
-            Doubt(Trust.CARE, f"the residuals are not white: intervals are up to {most:.2g} times those of white noise")
+            Reason(
+                Trust.CAUTION, f"the residuals are not white: intervals are up to {most:.2g} times those of white noise"
+            )
         )
     changing = {q: own.change for q, own in intervals.items() if own.between > STRETCHED and own.change}
     if changing:
         name, change = max(changing.items(), key=lambda item: abs(item[1]))
         size = f"{100 * np.expm1(abs(change)):.3g} %"
         said = f"{name.replace('_over_', '/')} may differ by {size} within the record or between repeats"
-        found.append(Doubt(Trust.CARE, f"{said}: the interval takes it in"))
+        found.append(Reason(Trust.CAUTION, f"{said}: the interval takes it in"))
     wide = [name.replace("_over_", "/") for name, own in intervals.items() if not own.relative_error < WIDE]
     if wide:
-        found.append(Doubt(Trust.CARE, f"known to an order of magnitude at most: {', '.join(wide)}"))
+        found.append(Reason(Trust.CAUTION, f"known to an order of magnitude at most: {', '.join(wide)}"))
     return found
 
 
-def _vibration(at: Linearised) -> list[Doubt]:
+def _vibration(at: Linearised) -> list[Reason]:
     """Whether the fit explains more than the best of as many frequencies as there are samples would of white noise."""
     from scipy.stats import f as f_distribution
 
@@ -128,23 +111,23 @@ def _vibration(at: Linearised) -> list[Doubt]:
     chance = min(1.0, n / 2.0 * float(f_distribution.sf(statistic, used, n - used)))
     if chance <= FALSE_ALARM:
         return []
-    return [Doubt(Trust.NO, f"no vibration found: noise alone would look like this in {chance:.2g} of all records")]
+    return [Reason(Trust.NO, f"no vibration found: noise alone would look like this in {chance:.2g} of all records")]
 
 
-def _residual(at: Linearised) -> list[Doubt]:
+def _residual(at: Linearised) -> list[Reason]:
     share = part_of_signal(at)
     if share <= MUCH_LEFT:
         return []
     white = whiteness_level(at) > LEVEL
     said = f"the residuals are {share:.0%} of the signal"
     if share > MOST_LEFT and not white:
-        return [Doubt(Trust.NO, f"{said} and not white: the model does not describe this record")]
+        return [Reason(Trust.NO, f"{said} and not white: the model does not describe this record")]
     if share > MOST_LEFT:
-        return [Doubt(Trust.CARE, f"{said}: much noise")]
-    return [] if white else [Doubt(Trust.CARE, f"{said} and not white")]
+        return [Reason(Trust.CAUTION, f"{said}: much noise")]
+    return [] if white else [Reason(Trust.CAUTION, f"{said} and not white")]
 
 
-def _cycles(at: Linearised) -> list[Doubt]:
+def _cycles(at: Linearised) -> list[Reason]:
     channel = at.model.channels[0][1]
     if at.model.problem.forced or channel.n < 4:
         return []
@@ -153,16 +136,16 @@ def _cycles(at: Linearised) -> list[Doubt]:
     cycles, rate = at.model.problem.records[0].duration * frequency, (channel.n - 1) / float(np.ptp(channel.times))
     found = []
     if cycles < TOO_FEW_CYCLES:
-        found.append(Doubt(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two"))
+        found.append(Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two"))
     elif cycles < FEW_CYCLES:
-        found.append(Doubt(Trust.CARE, f"the record holds {cycles:.2g} cycles"))
+        found.append(Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles"))
     if rate < FEW_SAMPLES_A_CYCLE * frequency:
         said = f"{rate / frequency:.2g} samples a cycle: a faster vibration may stand behind it (aliasing)"
-        found.append(Doubt(Trust.CARE, said))
+        found.append(Reason(Trust.CAUTION, said))
     return found
 
 
-def _outliers(at: Linearised) -> list[Doubt]:
+def _outliers(at: Linearised) -> list[Reason]:
     found = 0
     for own in at.channels:
         r = at.residuals[own] - np.median(at.residuals[own])
@@ -171,10 +154,10 @@ def _outliers(at: Linearised) -> list[Doubt]:
             found += int(np.count_nonzero(np.abs(r) > OUTLIER * scale))
     if not found or found > 0.05 * at.residuals.size:
         return []
-    return [Doubt(Trust.CARE, f"{found} {OUTLIERS}")]
+    return [Reason(Trust.CAUTION, f"{found} {OUTLIERS}")]
 
 
-def _clipping(at: Linearised) -> list[Doubt]:
+def _clipping(at: Linearised) -> list[Reason]:
     """Several stretches of samples that stay at the largest or the smallest value."""
     for values in _values(at):
         for extreme in (np.max(values), np.min(values)):
@@ -184,11 +167,11 @@ def _clipping(at: Linearised) -> list[Doubt]:
             step = np.min(np.diff(np.unique(values)), initial=np.inf)
             fine = step < 0.02 * np.ptp(values) or np.unique(values).size < 5
             if fine and (np.count_nonzero(runs >= RUN) >= CLIPPED_RUNS or np.max(runs, initial=0) >= 3 * RUN):
-                return [Doubt(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")]
+                return [Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")]
     return []
 
 
-def _second_mode(at: Linearised) -> list[Doubt]:
+def _second_mode(at: Linearised) -> list[Reason]:
     """A line in the spectrum of the residuals (R. A. Fisher, Proc. R. Soc. A 125:54, 1929, for its test)."""
     for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
         if not even_times(channel.times) or own.size < 16:
@@ -202,14 +185,14 @@ def _second_mode(at: Linearised) -> list[Doubt]:
         harmonic = frequency / strongest
         if chance < LINE and share > SECOND_MODE and abs(harmonic - 1.0) > 0.15:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
-            worst = Trust.NO if share > MOST_LEFT else Trust.CARE
+            worst = Trust.NO if share > MOST_LEFT else Trust.CAUTION
             slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
             source = "a second mode, or a harmonic" if harmonic > SLOW else slow
-            return [Doubt(worst, f"{said}: {source}")]
+            return [Reason(worst, f"{said}: {source}")]
     return []
 
 
-def _growth(at: Linearised) -> list[Doubt]:
+def _growth(at: Linearised) -> list[Reason]:
     """Whether a free motion grows."""
     if at.model.problem.forced:
         return []
@@ -218,7 +201,7 @@ def _growth(at: Linearised) -> list[Doubt]:
         first, last = float(np.std(thirds[0])), float(np.std(thirds[2]))
         if last > GROWTH * first and _decays(at):
             said = f"the motion grows {last / (first or 1.0):.2g} times over the record, and no damping does that"
-            return [Doubt(Trust.NO, said)]
+            return [Reason(Trust.NO, said)]
     return []
 
 
@@ -227,7 +210,7 @@ def _decays(at: Linearised) -> bool:
     return at.model.system.name != "van_der_pol"
 
 
-def _start_up(at: Linearised) -> list[Doubt]:
+def _start_up(at: Linearised) -> list[Reason]:
     """Residuals of the first part that are far larger than those of the rest."""
     for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
         n = max(own.size // 10, 5)
@@ -237,19 +220,50 @@ def _start_up(at: Linearised) -> list[Doubt]:
         share = early / (np.std(channel.values) or 1.0)
         if early > 3.0 * rest and share > 0.05:
             said = f"the first tenth of the record fits {early / (rest or 1.0):.2g} times worse than the rest"
-            return [Doubt(Trust.CARE, f"{said}: leave a start-up out by from=")]
+            return [Reason(Trust.CAUTION, f"{said}: leave a start-up out by from=")]
     return []
 
 
-def _few(at: Linearised) -> list[Doubt]:
+def _few(at: Linearised) -> list[Reason]:
     n = at.residuals.size
     if n >= 2 * at.theta.size:
         return []
-    return [Doubt(Trust.CARE, f"{n} samples for {at.theta.size} unknowns")]
+    return [Reason(Trust.CAUTION, f"{n} samples for {at.theta.size} unknowns")]
 
 
-CHECKS: tuple[Callable[[Linearised], list[Doubt]], ...] = (
-    _vibration, _clipping, _growth, _residual, _second_mode, _cycles, _few, _start_up, _outliers,
+def _turned_force(at: Linearised) -> list[Reason]:
+    """Where a forced fit leaves most of the signal: whether the force turned round would leave much less."""
+    if not at.model.problem.forced or part_of_signal(at) <= MOST_LEFT:
+        return []
+    records = tuple(
+        replace(r, forces=tuple(replace(f, values=-f.values) for f in r.forces)) for r in at.model.problem.records
+    )
+    turned = replace(at.model, problem=replace(at.model.problem, records=records))
+    theta = min(turned.settle(_forced_starts(turned, at.theta), 2, 20), key=turned.profile)
+    left = turned.data - turned.predict(theta)
+    if not np.all(np.isfinite(left)) or np.std(left) > 0.5 * np.std(at.residuals):
+        return []
+    return [Reason(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1")]
+
+
+def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Vectors from which to search a forced motion: the given one, and at rest with natural frequencies on a grid."""
+    duration = max(record.duration for record in model.problem.records)
+    size, found = float(np.std(model.data)) or 1.0, [theta]
+    for cycles in np.geomspace(0.5, max(model.data.size / 4.0, 2.0), 16):
+        p = first_guess(model.system, 2 * np.pi * cycles / duration, size)
+        start = np.zeros(theta.size)
+        start[: len(model.free)] = np.log([p[name] for name in model.free])
+        heavier = float(np.std(model.predict(start))) / size
+        massive = [bool(q.dimension.mass) for q in model.system.parameters if q.name in model.free]
+        if np.isfinite(heavier) and heavier > 0:
+            start[: len(model.free)] += np.where(massive, np.log(heavier), 0.0)
+            found.append(start)
+    return np.stack(found)
+
+
+CHECKS: tuple[Callable[[Linearised], list[Reason]], ...] = (
+    _vibration, _clipping, _growth, _residual, _second_mode, _cycles, _few, _start_up, _outliers, _turned_force,
 )  # fmt: skip
 """What is looked at in record and residuals, the gravest first."""
 
