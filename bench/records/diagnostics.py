@@ -23,6 +23,8 @@ FALSE_ALARM = 1e-3
 MOST_LEFT, MUCH_LEFT = 0.30, 0.10
 """Residuals over the signal, root mean squares: beyond the first a coloured rest is a wrong model."""
 STRETCHED = 1.5
+UNEVEN = 2.0
+"""Standard deviation between parts or repeats over the usual one beyond which they count as different."""
 WIDE = 0.5
 """Half of an interval over its value beyond which the value is known to an order only."""
 OUTLIER = 6.0
@@ -84,12 +86,10 @@ def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) 
                 Trust.CAUTION, f"the residuals are not white: intervals are up to {most:.2g} times those of white noise"
             )
         )
-    changing = {q: own.change for q, own in intervals.items() if own.between > STRETCHED and own.change}
-    if changing:
-        name, change = max(changing.items(), key=lambda item: abs(item[1]))
-        size = f"{100 * np.expm1(abs(change)):.3g} %"
-        said = f"{name.replace('_over_', '/')} may differ by {size} within the record or between repeats"
-        found.append(Reason(Trust.CAUTION, f"{said}: the interval takes it in"))
+    uneven = max(intervals.items(), key=lambda item: item[1].unevenness, default=None)
+    if uneven is not None and uneven[1].unevenness > UNEVEN:
+        said = f"{uneven[0].replace('_over_', '/')} may differ by {100 * uneven[1].relative_error:.2g} %"
+        found.append(Reason(Trust.CAUTION, f"{said} within the record or between repeats: the interval takes it in"))
     wide = [name.replace("_over_", "/") for name, own in intervals.items() if not own.relative_error < WIDE]
     if wide:
         found.append(Reason(Trust.CAUTION, f"known to an order of magnitude at most: {', '.join(wide)}"))

@@ -113,7 +113,7 @@ def _with_zeros(finding: Finding, system: Sum, most: Mapping[str, float]) -> Fin
     reasons = (*finding.reasons, *(Reason(Trust.CAUTION, sentence) for sentence in said))
     if not finding.intervals:
         return replace(finding, reasons=reasons)
-    zeros = {f"{n}_over_m": StatedInterval(0.0, 0.0, limit, 0.0, limit, units[n]) for n, limit in most.items()}
+    zeros = {f"{n}_over_m": StatedInterval(0.0, *(0.0, limit) * 3, units[n], "at most") for n, limit in most.items()}
     return replace(finding, reasons=reasons, intervals={**finding.intervals, **zeros})
 
 

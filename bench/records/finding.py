@@ -13,7 +13,7 @@ from bench.contract.problem import Problem, Units
 from bench.likelihood.autoregression import Whitened
 from bench.records.diagnostics import natural_frequency, reasons_for_caution
 from bench.records.fit import Outcome
-from bench.records.intervals import StatedInterval, stated_intervals
+from bench.records.intervals import ENDS, StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.model_error import NOTHING_LACKING, ModelError, model_error
 from bench.records.parts import parts_of
@@ -77,7 +77,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
         parts = parts_of(at, _frequency(at)) if at is not None else []
         lacking = model_error(at) if at is not None else NOTHING_LACKING
         noise = at if white is None or at is None else _whitened(at)
-        intervals = _beside_white(stated_intervals(estimate, noise, parts, lacking), white)
+        intervals = _beside_white(stated_intervals(estimate, noise, parts), white)
         intervals = _with_mass(intervals, estimate, measured)
     reasons = reasons_for_caution(at, intervals, lacking, outcome.message)
     finding = Finding(method, measured, outcome, intervals, {}, reasons, at, lacking, _by_part(parts, measured))
@@ -123,9 +123,7 @@ def _beside_white(intervals: dict[str, StatedInterval], white: Finding | None) -
     found = {}
     for name, one in intervals.items():
         own = white.intervals.get(name) or white.withdrawn.get(name, one)
-        width = own.white_high - own.white_low
-        colour = one.colour * ((one.white_high - one.white_low) / width if width > 0 else 1.0)
-        found[name] = replace(one, white_low=own.white_low, white_high=own.white_high, colour=colour)
+        found[name] = replace(one, white_low=own.white_low, white_high=own.white_high)
     return found
 
 
@@ -140,6 +138,6 @@ def _with_mass(
     for parameter in system.parameters:
         ratio = intervals.get(f"{parameter.name}_over_{system.gauge}")
         if ratio is not None:
-            ends = {end: mass * getattr(ratio, end) for end in ("value", "low", "high", "white_low", "white_high")}
+            ends = {end: mass * getattr(ratio, end) for end in ENDS}
             found[parameter.name] = replace(ratio, unit=parameter.unit, **ends)
     return found

@@ -1,148 +1,317 @@
-"""The interval that is stated of a measured record: of the method, corrected for coloured noise and unequal parts.
+"""Two 95 % intervals of every quantity of a measured record: of this record, and of a repeat of the test.
 
-A method takes the noise for white and the model for right. Of both, its residuals tell otherwise: the variance of each
-quantity's logarithm is multiplied by what coloured noise makes of that of a maximum-likelihood fit
-(:mod:`bench.records.linearised`), and what parts of the record or repeats differ by is added
-(:mod:`bench.records.parts`). For draws of a posterior such a stretch about their median is the open-faced sandwich
-adjustment (B. A. Shaby, J. Comput. Graph. Stat. 23:801, 2014) in one dimension. Degrees of freedom: F. E.
-Satterthwaite, Biometrics Bull. 2:110, 1946.
+The logarithms of the free parameters are jointly normal, so every quantity that is a product of their powers (k/m, c/m,
+the frequency, the damping ratio) has intervals that agree with those of the others.
+
+*This record*: the covariance of a fit whose noise has the colour of the residuals (:mod:`bench.records.linearised`),
+where the method's own covariance is not larger, and the error of the clock.
+
+*A repeat*: to this the variance between repeats is added. It is estimated from the differences between parts of the
+record (:mod:`bench.records.parts`) by a random-effects model in which each part counts by its own variance (R. C.
+Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982), and drawn towards a prior spread as by a scaled inverse
+chi-square prior (A. Gelman and others, Bayesian Data Analysis, 3rd ed. 2013, section 2.6). Of several records it is the
+variance between the records.
+
+A quantity whose interval would be wider than a factor of three either way is not determined: one limit is stated.
+Degrees of freedom: F. E. Satterthwaite, Biometrics Bull. 2:110, 1946.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
+from bench.contract.belief import Marginal, standard_quantile
 from bench.contract.estimate import Estimate
+from bench.likelihood.output_error import OutputError
 from bench.records.linearised import CORRELATED_CYCLES, Linearised
-from bench.records.model_error import NOTHING_LACKING, ModelError
-from bench.records.parts import NOTHING, Between, between
 from bench.records.strongest import strongest_frequency
 from bench.systems import Quantity
 
 UPPER = 0.975
 HALF = float(standard_quantile(UPPER, None))
 """Half of a 95 % interval over the standard error."""
-LEAST_DOF = 2.0
-SHARE_DOF = 4.0
-"""At least, of a variance between parts: two parts show their difference as a whole, not as a draw."""
-MOST_LOG = 50.0
-"""Beyond this half-width of a logarithm an interval says nothing, and numbers overflow."""
+PRIOR_SPREAD: Mapping[str, float] = {"mass": 0.004, "stiffness": 0.004, "damping": 0.08, "other": 0.02}
+"""Standard deviation of a log-parameter between parts of a record, by the parameter's kind, before any data."""
+PRIOR_DOF = 3.0
+"""Degrees of freedom of the prior spread: it weighs as much as four parts."""
+WIDEST = math.log(3.0)
+"""Half-width of a logarithm beyond which the value is not determined and a limit is stated."""
+ASSUMED_DOF = 60.0
+"""Degrees of freedom of a spread that is the prior's alone: taken as known."""
+LEAST_DOF = 5.0
+"""Degrees of freedom of a coloured variance, at least."""
+
+ENDS = ("value", "low", "high", "record_low", "record_high", "white_low", "white_high")
+"""The numbers of an interval that have the quantity's unit."""
+Limit = Literal["", "at most", "at least"]
 
 
 @dataclass(frozen=True)
 class StatedInterval:
-    """A quantity with its 95 % intervals: as stated, and of the method alone, which takes the noise for white.
+    """A quantity with 95 % intervals: of a repeat of the test, of this record, and assuming white noise.
 
-    ``colour`` and ``between``: how much wider coloured noise makes the interval, and beyond that unequal parts and
-    what the model leaves out; their product is ``stretch``. ``change``: of the logarithm over the record.
+    With a ``limit`` the data determine only one end of the interval of a repeat, at 95 %: ``high`` if "at most"
+    (``low`` is 0), ``low`` if "at least" (``high`` is infinite). ``unevenness``: the standard deviation between parts
+    or repeats over the one that was expected before the data.
     """
 
     value: float
     low: float
     high: float
+    record_low: float
+    record_high: float
     white_low: float
     white_high: float
     unit: str
-    colour: float = 1.0
-    between: float = 1.0
-    change: float = 0.0
+    limit: Limit = ""
+    unevenness: float = 1.0
 
     @property
-    def stretch(self) -> float:
-        return self.colour * self.between
+    def colour(self) -> float:
+        """Width of this record's interval over that assuming white noise."""
+        return _ratio(self.record_high - self.record_low, self.white_high - self.white_low)
+
+    @property
+    def between(self) -> float:
+        """Width of a repeat's interval over that of this record."""
+        return _ratio(self.high - self.low, self.record_high - self.record_low)
 
     @property
     def relative_error(self) -> float:
-        """Half of the interval over the value."""
-        return (self.high - self.low) / 2.0 / abs(self.value) if self.value else np.inf
+        """Half of the interval of a repeat over the value."""
+        return (self.high - self.low) / 2.0 / abs(self.value) if self.value else math.inf
+
+
+def _ratio(width: float, reference: float) -> float:
+    return width / reference if 0 < reference < math.inf and math.isfinite(width) else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Covariances:
+    """Covariances (k, k) of the logs of the free parameters: of this ``record``, and added by ``repeats``.
+
+    ``parts``: between parts or repeats; ``expected``: that before the data.
+    """
+
+    fit: Linearised
+    record: np.ndarray
+    repeats: np.ndarray
+    record_dof: float
+    repeats_dof: float
+    parts: np.ndarray
+    expected: np.ndarray
+
+    def half_widths(self, gradient: np.ndarray) -> tuple[float, float]:
+        """Compute half-widths of the logarithm with such a gradient (k,): of this record, of a repeat."""
+        noise, spread = (max(float(gradient @ c @ gradient), 0.0) for c in (self.record, self.repeats))
+        total = noise + spread
+        dof = total**2 / (noise**2 / self.record_dof + spread**2 / self.repeats_dof) if total > 0 else 1.0
+        return (
+            float(standard_quantile(UPPER, self.record_dof)) * math.sqrt(noise),
+            float(standard_quantile(UPPER, dof)) * math.sqrt(total),
+        )
 
 
 def stated_intervals(
-    estimate: Estimate,
-    at: Linearised | None,
-    parts: Sequence[Linearised] = (),
-    lacking: ModelError = NOTHING_LACKING,
+    estimate: Estimate, fit: Linearised | None, parts: Sequence[Linearised] = (), rate_error: float = 0.0
 ) -> dict[str, StatedInterval]:
-    """The quantities that an answer tells, each with its intervals.
+    """Return the quantities that an answer determines, each with its intervals.
 
     Args:
         estimate: The answer, in the user's units, combined with the prior.
-        at: The likelihood there; without one the method's own intervals are stated.
-        parts: Fits of the parts of the record, or of its repeats; maybe none.
-        lacking: What the model leaves out.
+        fit: The likelihood there; without one the method's own intervals are stated.
+        parts: Fits of the parts of the record, or of each of several records; maybe none.
+        rate_error: Relative standard uncertainty of the clock.
     """
-    found = {}
+    covariances = None if fit is None else covariances_of(estimate, fit, parts, rate_error)
+    intervals = {}
     for quantity in estimate.system.quantities:
         marginal = estimate.marginal(quantity)
+        if marginal is not None:
+            intervals[quantity.name] = _stated(quantity, marginal, covariances)
+    return intervals
+
+
+def _stated(quantity: Quantity, marginal: Marginal, covariances: Covariances | None) -> StatedInterval:
+    low, high = marginal.interval(0.95)
+    value = float(marginal.value)
+    of_method = StatedInterval(value, low, high, low, high, low, high, quantity.unit)
+    if covariances is None or marginal.ppf is None:
+        return of_method
+    free = covariances.fit.model.free
+    gradient = np.array(quantity.vector(free))
+    if not np.any(gradient) or not value >= 0:
+        return of_method
+    record, repeat = covariances.half_widths(gradient)
+    uneven = math.sqrt(
+        float(gradient @ covariances.parts @ gradient) / float(gradient @ covariances.expected @ gradient)
+    )
+    of_method = replace(of_method, unevenness=uneven)
+    if value == 0 or not repeat <= WIDEST:
+        return _limited(quantity, of_method, covariances, gradient)
+    around, around_record = ((value * math.exp(-half), value * math.exp(half)) for half in (repeat, record))
+    return StatedInterval(value, *around, *around_record, low, high, quantity.unit, unevenness=uneven)
+
+
+def _limited(
+    quantity: Quantity, of_method: StatedInterval, covariances: Covariances, gradient: np.ndarray
+) -> StatedInterval:
+    """State the end that the data determine of a quantity whose interval says nothing.
+
+    The parameter that is open may vanish, and then its size is determined to so much on its own scale, not on that of
+    its logarithm; a mass that only the force determines may be infinite, and then its reciprocal is.
+    """
+    noise = covariances.record + covariances.repeats
+    to = ratios_to_gauge(covariances.fit.model)
+    powers = np.linalg.solve(to.T, gradient)
+    open_one = int(np.argmax(powers**2 * np.diag(to @ noise @ to.T)))
+    parameter = covariances.fit.model.free[open_one]
+    power = float(powers[open_one]) * (-1.0 if parameter == covariances.fit.model.system.gauge else 1.0)
+    error = math.sqrt(max(float(gradient @ noise @ gradient), 0.0)) / abs(power)
+    factor = (1.0 + float(standard_quantile(0.95, covariances.record_dof)) * error) ** abs(power)
+    if power > 0:
+        high = of_method.value * factor
+        return replace(of_method, low=0.0, high=high, record_low=0.0, record_high=high, limit="at most")
+    low = of_method.value / factor
+    return replace(of_method, low=low, high=math.inf, record_low=low, record_high=math.inf, limit="at least")
+
+
+# ------------------------------------------------------------------------------------------------ covariances
+
+
+def ratios_to_gauge(model: OutputError) -> np.ndarray:
+    """Return the matrix (k, k) from the logs of the free parameters to those of their ratios to the gauge mass.
+
+    Repeats differ independently in these: a gain of the force sensor changes m alone.
+    """
+    system, free = model.system, model.free
+    to = np.eye(len(free))
+    if system.gauge in free:
+        for i, name in enumerate(free):
+            if name != system.gauge and system.dimensions[name].mass:
+                to[i, free.index(system.gauge)] = -system.dimensions[name].mass
+    return to
+
+
+def covariances_of(
+    estimate: Estimate, fit: Linearised, parts: Sequence[Linearised] = (), rate_error: float = 0.0
+) -> Covariances | None:
+    """Return the covariances of an answer, see :func:`stated_intervals`; None where a direction is open."""
+    if fit.white is None or fit.coloured is None:
+        return None
+    k, to = len(fit.model.free), ratios_to_gauge(fit.model)
+    back = np.linalg.inv(to)
+    white, coloured = (to @ covariance[:k, :k] @ to.T for covariance in (fit.white, fit.coloured))
+    least = np.diag(white)
+    scale = np.sqrt(np.maximum(least / np.diag(coloured), 1.0)) * _over_least_error(estimate, fit, np.sqrt(least))
+    clock = np.array([fit.model.system.dimensions[name].time for name in fit.model.free]) * rate_error
+    spread = _spread(fit, parts, to)
+    return Covariances(
+        fit,
+        back @ (coloured * np.outer(scale, scale)) @ back.T + np.outer(clock, clock),
+        back @ np.diag(spread.added) @ back.T,
+        max(independent_samples(fit) - fit.used, LEAST_DOF),
+        spread.dof,
+        back @ np.diag(spread.variance) @ back.T,
+        back @ np.diag(spread.expected) @ back.T,
+    )
+
+
+def _over_least_error(estimate: Estimate, fit: Linearised, least: np.ndarray) -> np.ndarray:
+    """Return the method's standard errors (k,) over the least ones assuming white noise, at least 1."""
+    system, over = fit.model.system, np.ones(least.size)
+    quantile = float(standard_quantile(UPPER, max(fit.residuals.size - fit.used, 1.0)))
+    for i, name in enumerate(fit.model.free):
+        ratio = name != system.gauge and system.dimensions[name].mass
+        marginal = estimate.marginal(system.quantity(f"{name}_over_{system.gauge}" if ratio else name))
         if marginal is None:
             continue
         low, high = marginal.interval(0.95)
-        own = StatedInterval(marginal.value, low, high, low, high, quantity.unit)
-        known = at is not None and at.coloured is not None and np.isfinite(low) and np.isfinite(high)
-        found[quantity.name] = _stated(own, quantity, at, parts, lacking) if known and at is not None else own
-    return found
+        width = math.log(high / low) if 0 < low < math.inf else (high - low) / max(abs(float(marginal.value)), 1e-300)
+        if math.isfinite(width):
+            over[i] = max(width / 2.0 / quantile / least[i], 1.0)
+    return over
 
 
-def _stated(
-    own: StatedInterval, quantity: Quantity, at: Linearised, parts: Sequence[Linearised], lacking: ModelError
-) -> StatedInterval:
-    gradient = at.gradient(quantity)
-    if at.white is None or at.coloured is None or not np.any(gradient):
-        return own
-    white, coloured = (max(float(gradient @ c @ gradient), 0.0) for c in (at.white, at.coloured))
-    if not (white > 0 and 0 < coloured < np.inf):
-        return own
-    log = own.low > 0 and own.value > 0
-    below = np.log(own.value / own.low) if log else (own.value - own.low) / abs(own.value)
-    above = np.log(own.high / own.value) if log else (own.high - own.value) / abs(own.value)
-    dof = max(at.residuals.size - at.used, 1.0)
-    deviation = (below + above) / 2.0 / standard_quantile(UPPER, dof)
-    if not deviation > 0:
-        return own
-    share, change = between(parts, quantity) if parts else NOTHING, lacking.change(quantity)
-    if change**2 > share.variance:
-        share = replace(NOTHING, variance=change**2, trend=change)
-    noise = deviation**2 * coloured / white
-    colour = _half(noise, NOTHING, at) / (deviation * standard_quantile(UPPER, dof))
-    whole = _half(noise, share, at) / (deviation * standard_quantile(UPPER, dof))
-    below, above = (min(whole * half, MOST_LOG if log else np.inf) for half in (below, above))
-    low, high = (
-        (own.value * np.exp(-below), own.value * np.exp(above))
-        if log
-        else (own.value - abs(own.value) * below, own.value + abs(own.value) * above)
-    )
-    return StatedInterval(
-        own.value, float(low), float(high), own.low, own.high, own.unit, colour, whole / colour, share.trend
-    )
-
-
-def _half(noise: float, share: Between, at: Linearised) -> float:
-    """Half of the 95 % interval of a logarithm with a variance of its noise and one between parts."""
-    total, own = noise + share.variance, max(_independent(at) - at.used, LEAST_DOF)
-    dof = total**2 / (noise**2 / own + share.variance**2 / max(share.dof, SHARE_DOF))
-    return float(standard_quantile(UPPER, dof) * np.sqrt(total))
-
-
-def _independent(at: Linearised) -> float:
-    """As many white samples tell a variance as well as these residuals: ``n c_0² / sum c_k²``.
+def independent_samples(fit: Linearised) -> float:
+    """Return how many white samples would determine a variance as well as these residuals: ``n c_0² / sum c_k²``.
 
     M. S. Bartlett, J. R. Stat. Soc. Suppl. 8:27, 1946; ``c_k``: autocovariance at lag k. At uneven times as many as the
     triangular weights over a reach leave independent, 1.5 spans over reaches.
     """
     total = 0.0
-    for i, (noise, own) in enumerate(zip(at.noises, at.channels, strict=True)):
+    for i, (noise, samples) in enumerate(zip(fit.noises, fit.channels, strict=True)):
         if noise is None:
-            channel = at.model.channels[i][1]
+            channel = fit.model.channels[i][1]
             reach = CORRELATED_CYCLES / strongest_frequency(channel.times, channel.values)
-            total += min(1.5 * float(np.ptp(channel.times)) / reach + at.used, own.size)
-            continue
-        if noise.order == 0 or own.size < 2:
-            total += own.size
-            continue
-        covariances = noise.autocovariance(own.size)
-        total += own.size * covariances[0] ** 2 / (covariances[0] ** 2 + 2.0 * float(np.sum(covariances[1:] ** 2)))
+            total += min(1.5 * float(np.ptp(channel.times)) / reach + fit.used, samples.size)
+        elif noise.order == 0 or samples.size < 2:
+            total += samples.size
+        else:
+            c = noise.autocovariance(samples.size)
+            total += samples.size * c[0] ** 2 / (c[0] ** 2 + 2.0 * float(np.sum(c[1:] ** 2)))
     return total
+
+
+# ------------------------------------------------------------------------------------------------ repeats
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatSpread:
+    """Variances (k,) of logs between parts: estimated, ``expected`` before the data, ``added`` to a record's."""
+
+    variance: np.ndarray
+    expected: np.ndarray
+    added: np.ndarray
+    dof: float
+
+
+def _spread(fit: Linearised, parts: Sequence[Linearised], to: np.ndarray) -> RepeatSpread:
+    """Estimate the variances between parts of a record, or between several records."""
+    k = len(fit.model.free)
+    kinds = {parameter.name: parameter.kind for parameter in fit.model.system.parameters}
+    expected = np.array([PRIOR_SPREAD[kinds[name]] ** 2 for name in fit.model.free])
+    if len(parts) < 2:
+        return RepeatSpread(expected, expected, expected, ASSUMED_DOF)
+    logs = np.array([to @ part.theta[:k] for part in parts])
+    errors = np.array([part_variances(part, to) for part in parts])
+    variance = np.array([shrunk_variance(logs[:, i], errors[:, i], expected[i]) for i in range(k)])
+    weights = 1.0 / (errors + variance)
+    shares = np.sum(weights**2, axis=0) / np.sum(weights, axis=0) ** 2
+    several = len(fit.model.problem.records) > 1
+    return RepeatSpread(
+        variance, expected, variance * (1.0 + shares if several else shares), PRIOR_DOF + len(parts) - 1
+    )
+
+
+def part_variances(part: Linearised, to: np.ndarray) -> np.ndarray:
+    """Return the variances (k,) of a part's logs of ratios: the larger of white and coloured noise."""
+    k = len(part.model.free)
+    both = [np.diag(to @ c[:k, :k] @ to.T) for c in (part.white, part.coloured) if c is not None]
+    return np.max(both, axis=0)
+
+
+def shrunk_variance(values: np.ndarray, errors: np.ndarray, prior: float) -> float:
+    """Return the variance between ``values`` (n,) with variances ``errors`` (n,), drawn towards a prior variance."""
+    dof = values.size - 1
+    return (dof * paule_mandel(values, errors) + PRIOR_DOF * prior) / (dof + PRIOR_DOF)
+
+
+def paule_mandel(values: np.ndarray, errors: np.ndarray) -> float:
+    """Return the variance at which the weighted sum of squares equals its degrees of freedom; at least 0."""
+    from scipy.optimize import brentq
+
+    def excess(variance: float) -> float:
+        weights = 1.0 / (errors + variance)
+        mean = np.sum(weights * values) / np.sum(weights)
+        return float(np.sum(weights * (values - mean) ** 2)) - (values.size - 1)
+
+    if excess(0.0) <= 0:
+        return 0.0
+    high = float(np.sum((values - np.mean(values)) ** 2))
+    return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-8))

@@ -1,17 +1,13 @@
-"""Parts of a record, each fitted alone, and what their differences say of the stated interval.
+"""Parts of a record, each fitted alone: their differences show how far a repeat of the test may differ.
 
 A model that is not quite right has other parameters in each part: damping that falls with the amplitude, a stiffness
-that drifts. A part's estimate ``y_i`` with variance ``v_i`` then differs from the others by more than chance (W. G.
-Cochran, Biometrics 10:101, 1954: ``Q = sum (y_i - mean)² / v_i``, chi-square with K - 1 degrees of freedom). Where it
-does, the interval takes the variance between parts (R. C. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982), or
-the square of the change over the record that a straight line through them shows, whichever is larger: another record
-of the same length may differ by as much.
+that drifts. The parts have equal energy in the fitted motion, so that all of them determine the parameters about as
+well; one in which the motion has died out has a large variance and counts for little.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,61 +17,56 @@ from bench.dynamics.simulate import simulate
 from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import OutputError
 from bench.records.linearised import Linearised, at_theta
-from bench.systems import Quantity
 
 MOST_PARTS = 6
-CYCLES = 1.0
-"""Least length of a part, in cycles."""
+CYCLES, MEAN_CYCLES = 2.0, 3.0
+"""Least cycles of a part, and of the parts on average: fewer do not determine a damping."""
 SAMPLES_PER_UNKNOWN = 4
-LEVEL = 0.01
-"""Of the test that parts differ. A false alarm is dear: the error of a part is many times that of the whole."""
 ITERATIONS = 8
-FAR_BETTER = 0.25
-"""Variance that parts leave over that of the whole, below which the noise of a part is told by its own residuals."""
-
-
-@dataclass(frozen=True)
-class Between:
-    """What parts say of one quantity's logarithm: variance to add, its degrees of freedom, level, change of it.
-
-    ``estimates`` are the logarithms by part; ``trend`` their change over the record along a straight line.
-    """
-
-    variance: float
-    dof: float
-    p_value: float
-    trend: float
-    estimates: tuple[float, ...]
-
-
-NOTHING = Between(0.0, np.inf, 1.0, 0.0, ())
+LARGEST_CHANGE = 0.7
+"""A part whose stiffness differs by more than a factor of two from the whole's follows something else."""
 
 
 def parts_of(whole: Linearised, frequency: float) -> list[Linearised]:
     """Fit the parts of a record, or each of several records, alone, from the answer to the whole; below two: none.
 
-    ``frequency``: cycles per unit of the problem's time. Each part has at least a cycle and four samples an unknown.
+    ``frequency``: cycles per unit of the problem's time.
     """
-    if len(whole.model.problem.records) > 1:
-        return [alone for i in range(len(whole.model.problem.records)) if (alone := _alone(whole, i)) is not None]
+    records = whole.model.problem.records
+    if len(records) > 1:
+        fits = [_alone(whole, i) for i in range(len(records))]
+    else:
+        fits = [_part(whole, low, high) for low, high in pairwise(_edges(whole, frequency))]
+    parts = [fit for fit in fits if fit is not None and fit.coloured is not None and _same_mode(fit, whole)]
+    return parts if len(parts) > 1 else []
+
+
+def _same_mode(part: Linearised, whole: Linearised) -> bool:
+    kinds = {parameter.name: parameter.kind for parameter in whole.model.system.parameters}
+    stiffness = [i for i, name in enumerate(whole.model.free) if kinds[name] == "stiffness"]
+    return bool(np.all(np.abs(part.theta[stiffness] - whole.theta[stiffness]) <= LARGEST_CHANGE))
+
+
+def _edges(whole: Linearised, frequency: float) -> list[float]:
+    """Return the times that divide a record into parts of equal energy, none shorter than some cycles."""
     record = whole.model.problem.records[0]
-    smallest = min(channel.n for channel in record.channels)
-    number = min(
-        MOST_PARTS, int(record.duration * frequency / CYCLES), smallest // (SAMPLES_PER_UNKNOWN * whole.model.size)
+    channel = record.channels[0]
+    smallest = min(c.n for c in record.channels)
+    count = int(
+        min(MOST_PARTS, record.duration * frequency / MEAN_CYCLES, smallest / (SAMPLES_PER_UNKNOWN * whole.model.size))
     )
-    edges = np.linspace(0.0, record.duration, max(number, 1) + 1)
-    fitted = [_part(whole, low, high) for low, high in pairwise(edges)] if number > 1 else []
-    known = [part for part in fitted if part is not None]
-    told = known if _fit_far_better(known, whole) else [replace(part, told=whole.noises) for part in known]
-    return [part for part in told if part.coloured is not None]
-
-
-def _fit_far_better(parts: Sequence[Linearised], whole: Linearised) -> bool:
-    """Whether the parts leave so much less than the whole that what is left of the whole is no noise."""
-    left = sum(float(part.residuals @ part.residuals) for part in parts)
-    spare = sum(part.residuals.size - part.theta.size for part in parts)
-    noise = float(whole.residuals @ whole.residuals) / max(whole.residuals.size - whole.theta.size, 1)
-    return spare > 0 and left / spare < FAR_BETTER * noise
+    motion = (whole.model.data - whole.residuals - whole.model.offsets(whole.theta)[whole.model.channel_of])[
+        : channel.n
+    ]
+    energy = np.cumsum(motion**2 * np.gradient(channel.times))
+    least = max(CYCLES / frequency, SAMPLES_PER_UNKNOWN * whole.model.size * record.duration / smallest)
+    edges = [0.0]
+    for share in range(1, count):
+        time = float(np.interp(share / count, energy / (energy[-1] or 1.0), channel.times))
+        edges.append(max(time, edges[-1] + least))
+    while len(edges) > 1 and edges[-1] + least > record.duration:
+        edges.pop()
+    return [*edges, record.duration]
 
 
 def _alone(whole: Linearised, number: int) -> Linearised | None:
@@ -145,51 +136,3 @@ def _state_at(whole: Linearised, record: Record, p: dict[str, float], time: floa
         return np.concatenate([state.displacement, state.velocity])
     motion = simulate(record.rig(whole.model.system), p, start, np.array([time]), record.forces)
     return np.concatenate([motion.displacement[:, 0], motion.velocity[:, 0]])
-
-
-def between(parts: Sequence[Linearised], quantity: Quantity) -> Between:
-    """What the parts say of a quantity."""
-    estimates, variances = [], []
-    for part in parts:
-        gradient, covariance = part.gradient(quantity), part.coloured
-        if covariance is None or part.white is None:
-            continue
-        variance = max(float(gradient @ covariance @ gradient), float(gradient @ part.white @ gradient))
-        if np.isfinite(variance) and variance > 0:
-            k = len(part.model.free)
-            estimates.append(float(gradient[:k] @ part.theta[:k]))
-            variances.append(variance)
-    return NOTHING if len(estimates) < 2 else heterogeneity(np.array(estimates), np.array(variances))
-
-
-def heterogeneity(y: np.ndarray, v: np.ndarray) -> Between:
-    """What estimates (K,) with variances (K,) say of the variance between them; see the module."""
-    from scipy.stats import chi2
-
-    mean = np.sum(y / v) / np.sum(1.0 / v)
-    p_value = float(chi2.sf(np.sum((y - mean) ** 2 / v), y.size - 1))
-    if p_value > LEVEL:
-        return replace(NOTHING, p_value=p_value, estimates=tuple(map(float, y)))
-    scatter = paule_mandel(y, v)
-    weights = 1.0 / (v + scatter)
-    place = np.arange(y.size) - np.sum(weights * np.arange(y.size)) / np.sum(weights)
-    slope = float(np.sum(weights * place * y) / np.sum(weights * place**2))
-    trend = slope * y.size
-    of_noise = y.size**2 / float(np.sum(place**2 / v))
-    variance = max(scatter, trend**2 - of_noise)
-    return Between(variance, y.size - 1.0, p_value, trend, tuple(map(float, y)))
-
-
-def paule_mandel(y: np.ndarray, v: np.ndarray) -> float:
-    """The variance between groups at which the weighted sum of squares equals its degrees of freedom; at least 0."""
-    from scipy.optimize import brentq
-
-    def excess(variance: float) -> float:
-        weights = 1.0 / (v + variance)
-        mean = np.sum(weights * y) / np.sum(weights)
-        return float(np.sum(weights * (y - mean) ** 2)) - (y.size - 1)
-
-    if excess(0.0) <= 0:
-        return 0.0
-    high = float(np.sum((y - np.mean(y)) ** 2))
-    return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-8))

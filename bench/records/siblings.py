@@ -155,3 +155,25 @@ def total(agreements: Iterable[SiblingAgreement]) -> Total:
 def _middle(ratios: Sequence[float]) -> float:
     finite = [ratio for ratio in ratios if math.isfinite(ratio)]
     return float(np.median(finite)) if finite else math.nan
+
+
+def interval_score(low: float, high: float, truth: float, level: float = 0.95) -> float:
+    """Return the width of an interval, and 2 / (1 - level) times the distance by which it misses the truth.
+
+    T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102:359, 2007, section 6.2. The smaller the better.
+    """
+    return (high - low) + 2.0 / (1.0 - level) * (max(low - truth, 0.0) + max(truth - high, 0.0))
+
+
+def interval_score_ratio(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
+    """Score intervals of siblings' values (n,) against the mean of the others, over the score of the ideal intervals.
+
+    The ideal ones are as wide as 1.96 standard deviations between siblings to either side. Returns the ratio, and the
+    share of the intervals that cover the mean of the others.
+    """
+    others = (np.sum(values) - values) / (values.size - 1)
+    half = HALF * float(np.std(values, ddof=1))
+    stated = [interval_score(*each) for each in zip(low, high, others, strict=True)]
+    ideal = [interval_score(v - half, v + half, mean) for v, mean in zip(values, others, strict=True)]
+    covered = float(np.mean((low <= others) & (others <= high)))
+    return float(np.mean(stated) / np.mean(ideal)) if half > 0 else math.nan, covered

@@ -25,7 +25,7 @@ from bench.entrants.registry import make_method, missing_package
 from bench.isolation.processes import Children, Died
 from bench.records.diagnostics import natural_frequency
 from bench.records.finding import Finding
-from bench.records.intervals import MOST_LOG, StatedInterval, stated_intervals
+from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, linearised
 from bench.records.parts import parts_of
 from bench.records.strongest import strongest_frequency
@@ -34,6 +34,8 @@ from bench.scoring.combination import combine_with_prior
 from bench.systems import MEASURED, Quantity
 
 LEVEL = 0.95
+MOST_LOG = 50.0
+"""Beyond this half-width of a logarithm an interval says nothing, and numbers overflow."""
 CHANCE = 0.05
 """Level of the test of whether the twins' coverage is not 95 %."""
 LEAST = 20
@@ -343,7 +345,7 @@ class Answers:
     def misses(self, quantity: Quantity) -> list[float]:
         """Of the stated intervals, see `miss`."""
         return [
-            miss(own.value, own.low, own.high, float(quantity.value(truth)))
+            miss(own.value, own.record_low, own.record_high, float(quantity.value(truth)))
             for truth, intervals in zip(self.truths, self.intervals, strict=False)
             if (own := intervals.get(quantity.name)) is not None
         ]
@@ -398,9 +400,8 @@ def corrected_by(answers: Answers, finding: Finding, quantities: Sequence[Quanti
 
     The rule: where the coverage of the stated intervals of the twins is not 95 % (exact binomial test, two-sided, at
     5 %), both half-widths of the record's interval are multiplied, on the log scale, by the twins' stretch: above 1 for
-    too short ones, below 1 for too wide ones. Otherwise they stay; and where something was added to the record's
-    interval for parts that differ or a force that is missing, it never shrinks, since twins know of neither. A
-    parameter that follows from a told mass goes with its ratio.
+    too short ones, below 1 for too wide ones. Otherwise they stay. The interval of a repeat holds that of the record;
+    twins know of no more. A parameter that follows from a told mass goes with its ratio.
     """
     found = dict(finding.intervals)
     gauge = finding.problem.system.gauge
@@ -414,13 +415,16 @@ def corrected_by(answers: Answers, finding: Finding, quantities: Sequence[Quanti
             told_itself = name != quantity.name and any(q.name == name for q in quantities)
             if own is not None and not told_itself:
                 by = stretch_of(misses)
-                found[name] = stretched(own, max(by, 1.0) if own.between > 1.0 else by)
+                found[name] = stretched(own, by)
     return found
 
 
 def stretched(own: StatedInterval, by: float) -> StatedInterval:
     """The interval with its half-widths multiplied, on the log scale where it does not reach zero."""
-    if own.low > 0 and own.value > 0:
-        below, above = (min(by * abs(float(np.log(end / own.value))), MOST_LOG) for end in (own.low, own.high))
-        return replace(own, low=own.value * float(np.exp(-below)), high=own.value * float(np.exp(above)))
-    return replace(own, low=own.value + by * (own.low - own.value), high=own.value + by * (own.high - own.value))
+    if own.record_low > 0 and own.value > 0:
+        halves = (abs(float(np.log(end / own.value))) for end in (own.record_low, own.record_high))
+        below, above = (min(by * half, MOST_LOG) for half in halves)
+        low, high = own.value * float(np.exp(-below)), own.value * float(np.exp(above))
+    else:
+        low, high = (own.value + by * (end - own.value) for end in (own.record_low, own.record_high))
+    return replace(own, record_low=low, record_high=high, low=min(own.low, low), high=max(own.high, high))

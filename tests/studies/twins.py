@@ -91,7 +91,7 @@ def holds(finding: Finding, answers: Answers) -> dict[tuple[str, str], bool]:
         kinds: Mapping[str, StatedInterval] = {"stated": own, "corrected": corrected[name], "always": always}
         true = quantity.value(TRUTH)
         told[name, "white"] = own.white_low <= true <= own.white_high
-        told |= {(name, kind): interval.low <= true <= interval.high for kind, interval in kinds.items()}
+        told |= {(name, kind): interval.record_low <= true <= interval.record_high for kind, interval in kinds.items()}
     return told
 
 

@@ -60,7 +60,7 @@ def values_grid(shown: Mapping[str, Any]) -> Grid:
     for name, own in (shown["values"] or shown["withdrawn"]).items():
         value, interval = value_text(own)
         white = rounded(own["value"], own["white_low"], own["white_high"])
-        wider = number(own["colour"] * own["between"])
+        wider = number((own["high"] - own["low"]) / ((own["white_high"] - own["white_low"]) or math.nan))
         row = [readable(name), value if stated else white[0], unit_text(own["unit"])]
         row += [interval if stated else "not stated", " to ".join(white[1:]), wider if stated else "–"]
         if corrected:

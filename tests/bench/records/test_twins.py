@@ -180,7 +180,7 @@ def exact(sd: float, stated_sd: float, n: int) -> Answers:
         estimates.append(Estimate(system, groups=Normal(("k_over_m",), np.exp([log]), None, False)))
         ends = (math.exp(log + sign * 1.959964 * stated_sd) for sign in (0.0, -1.0, 1.0))
         value, low, high = ends
-        intervals.append({"k_over_m": StatedInterval(value, low, high, low, high, "")})
+        intervals.append({"k_over_m": StatedInterval(value, *(low, high) * 3, "")})
     return Answers((P,) * n, tuple(estimates), tuple(intervals))
 
 
@@ -203,18 +203,18 @@ def test_only_what_is_beyond_chance_is_corrected() -> None:
         answers = exact(0.1, stated_sd, 1000)
         assert beyond_chance(answers.misses(finding.problem.system.quantity("k_over_m")))
         found = corrected_by(answers, finding, quantities)
-        ratio = math.log(found["k_over_m"].high / own.value) / math.log(own.high / own.value)
+        ratio = math.log(found["k_over_m"].record_high / own.value) / math.log(own.record_high / own.value)
         assert ratio == pytest.approx(factor, rel=0.12)
         assert found["c_over_m"] == finding.intervals["c_over_m"]
-    changed = replace(finding, intervals={"k_over_m": replace(own, between=1.5), "k": replace(own, between=1.5)})
-    assert corrected_by(exact(0.1, 0.2, 1000), changed, quantities) == changed.intervals
-    wider = corrected_by(exact(0.1, 0.05, 1000), changed, quantities)
+    both = replace(finding, intervals={"k_over_m": own, "k": own})
+    wider = corrected_by(exact(0.1, 0.05, 1000), both, quantities)
     assert wider["k"] == wider["k_over_m"] != own
 
 
 def test_an_interval_that_reaches_zero_is_stretched_in_itself() -> None:
-    own = StatedInterval(1.0, -1.0, 2.0, -1.0, 2.0, "")
-    assert (stretched(own, 2.0).low, stretched(own, 2.0).high) == (-3.0, 3.0)
+    own = StatedInterval(1.0, *(-1.0, 2.0) * 3, "")
+    wider = stretched(own, 2.0)
+    assert (wider.record_low, wider.record_high) == (wider.low, wider.high) == (-3.0, 3.0)
 
 
 def test_methods_run_on_twins() -> None:

@@ -147,8 +147,8 @@ def test_classes_that_take_too_long_are_missing() -> None:
     [(1.05, 1.0, 1.1, "agrees"), (1.3, 0.9, 1.7, "level"), (1.3, 1.15, 1.5, "off")],
 )
 def test_standings(value: float, low: float, high: float, standing: str) -> None:
-    own = StatedInterval(1.0, 0.9, 1.1, 0.9, 1.1, "1/s²")
-    assert standing_of(StatedInterval(value, low, high, low, high, "1/s²"), own) == standing
+    own = StatedInterval(1.0, *(0.9, 1.1) * 3, "1/s²")
+    assert standing_of(StatedInterval(value, *(low, high) * 3, "1/s²"), own) == standing
     assert standing_of(own, None) == "-"
 
 

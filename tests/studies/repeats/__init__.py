@@ -1,0 +1,1 @@
+"""Intervals of a repeat, scored on groups of repeats: measured ones and simulated ones."""
