@@ -17,6 +17,7 @@ from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
 from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
+from bench.records.modes import Mode
 from bench.records.reading import Recording, prepared
 from bench.records.record import of_arrays, read_measured
 from bench.records.request import request_of
@@ -47,7 +48,8 @@ class Identification:
     quantities that the data tell, by name, each with the interval that the records support (``low``, ``high``) and the
     method's own, which takes the noise for white (``white_low``, ``white_high``); there are none where the answer is
     not to be trusted, and ``withdrawn`` keeps what the method said. ``status`` is ``ok``, or says with ``message`` why
-    there is no answer. ``scale_is_free`` where nothing tells mass, damping and stiffness themselves from their ratios.
+    there is no answer. ``modes`` are offered where the record holds several, or an alias fits as well.
+    ``scale_is_free`` where nothing tells mass, damping and stiffness themselves from their ratios.
     """
 
     method: str
@@ -62,6 +64,7 @@ class Identification:
     estimates: Mapping[str, StatedInterval]
     withdrawn: Mapping[str, StatedInterval]
     by_part: Mapping[str, tuple[float, ...]]
+    modes: tuple[Mode, ...]
     residuals: ChannelResiduals | None
     scale_is_free: bool
 
@@ -91,6 +94,7 @@ class Identification:
             "estimates": {name: vars(found) for name, found in self.estimates.items()},
             "withdrawn": {name: vars(found) for name, found in self.withdrawn.items()},
             "by_part": {name: list(values) for name, values in self.by_part.items()},
+            "modes": [vars(mode) for mode in self.modes],
             "residuals": None if r is None else {**vars(r), "values": r.values.tolist()},
         }
 
@@ -233,6 +237,7 @@ def identified(finding: Finding) -> Identification:
         estimates=finding.intervals,
         withdrawn=finding.withdrawn,
         by_part=finding.by_part,
+        modes=finding.modes,
         residuals=_residuals(finding),
         scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,
     )

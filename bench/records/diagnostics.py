@@ -3,105 +3,137 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.contract.problem import Problem
 from bench.likelihood.autoregression import even_times
 from bench.likelihood.output_error import OutputError
-from bench.records.colour import autocorrelation, cumulative_periodogram, periodogram
+from bench.records.colour import autocorrelation, cumulative_periodogram
 from bench.records.grown import first_guess
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.model_error import ModelError
+from bench.records.modes import Mode, alias_of, line, modes_of
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust
 from bench.scoring.statistics import whiteness
 
 FALSE_ALARM = 1e-3
-"""How often pure noise may pass for a vibration."""
+"""Chance at which pure noise may pass for a motion; an answer that explains no more is refused."""
 MOST_LEFT, MUCH_LEFT = 0.30, 0.10
-"""Residuals over the signal, root mean squares: beyond the first a coloured rest is a wrong model."""
+"""Residuals over the signal, root mean squares: coloured ones beyond the first are a wrong model and the answer is
+refused (a tenth of the power is unexplained); beyond the second they are a reason for caution."""
 STRETCHED = 1.5
+"""Widening of an interval that is said: less lies within what different estimates of the noise make of it."""
 UNEVEN = 2.0
 """Standard deviation between parts or repeats over the usual one beyond which they count as different."""
 WIDE = 0.5
-"""Half of an interval over its value beyond which the value is known to an order only."""
+"""Half of an interval over its value beyond which the value is known to an order of magnitude only."""
 OUTLIER = 6.0
-"""Robust standard deviations (Rousseeuw and Croux, J. Am. Stat. Assoc. 88:1273, 1993, for the scale by the median)."""
+"""Robust standard deviations (P. J. Rousseeuw, C. Croux, J. Am. Stat. Assoc. 88:1273, 1993): normal noise has one such
+sample in 500 million, so each is an outlier, and a robust fit is made beside this one."""
+MOST_OUTLIERS = 0.05
+"""Share of samples beyond which they are no outliers, but noise with heavy tails, or a wrong model."""
 OUTLIERS = "samples are far off"
-RUN = 3
-CLIPPED_RUNS = 3
-LINE = 1e-6
+RUN, CLIPPED_RUNS = 3, 3
+"""Samples in a row at the largest or smallest value, and how often, that show a clipped sensor: by chance continuous
+values repeat nowhere. An answer from a clipped record is refused: its damping is too small."""
+FINE = 0.02
+"""Step of the resolution over the range of the signal below which flat turning points are not of the resolution."""
 SECOND_MODE = 0.05
+"""Root mean square of a line in the residuals over the fitted motion that is said: below it the values move little."""
+SAME_LINE = 0.15
+"""Distance of a line from the natural frequency, relative, within which it is what the decay law leaves out."""
 SLOW = 0.5
-FEW_SAMPLES_A_CYCLE = 2.5
+"""Frequency of a line over the natural one below which it is a drift."""
+AMBIGUOUS, FEW_SAMPLES = 3.0, 8.0
+"""Samples per cycle: below the first the vibration may as well be beyond the Nyquist frequency and the answer is
+refused; below the second the alias is named (one that is no higher than 7/8 of the sampling rate)."""
 FEW_CYCLES, TOO_FEW_CYCLES = 1.5, 0.75
+"""Cycles in a free decay: below the first damping and drift are hardly distinguished, below the second nor is the
+frequency, and the answer is refused."""
 GROWTH = 1.2
+"""Standard deviation of the last third over that of the first beyond which a free motion grows; noise moves it less."""
+START_UP, START_UP_SHARE = 3.0, 0.05
+"""Residuals of the first tenth over those of the rest, and over the signal, beyond which the start is not free."""
 LEVEL = 0.01
+"""p-value below which residuals are not white; one in a hundred good records is said to be coloured."""
+TURNED = 0.5
+"""Residuals with the force turned round over those without, below which its sign is wrong."""
+PURE_SINE = 0.02
+"""What a sine leaves of a force, over its root mean square, if the force is one: harmonics of 2 % tell nothing more."""
+SETTLED = 1.1
+"""What a sine leaves of the motion over what the fit leaves, up to which the motion has settled."""
 
 
-def reasons_for_caution(
+@dataclass(frozen=True)
+class Diagnosis:
+    """Reasons for caution, and the modes that the user may choose from where the system describes none or only one."""
+
+    reasons: tuple[Reason, ...] = ()
+    modes: tuple[Mode, ...] = ()
+
+
+def diagnose(
     at: Linearised | None,
+    problem: Problem,
     intervals: Mapping[str, StatedInterval],
     lacking: ModelError,
     message: str,
-) -> tuple[Reason, ...]:
-    """Return the reasons for caution about an answer.
+) -> Diagnosis:
+    """Diagnose an answer.
 
     Args:
         at: The likelihood of the records at the answer; None where the answer has no finite response.
+        problem: The records, in the user's units.
         intervals: Stated intervals.
         lacking: What the model leaves out.
         message: The method's own message.
     """
     if at is None:
-        return (Reason(Trust.NO, "the answer's response is not finite"),)
-    reasons = [reason for check in CHECKS for reason in check(at)]
+        return Diagnosis((Reason(Trust.NO, "the answer's response is not finite"),))
+    several = _several_modes(at, problem)
+    reasons = [*_steady_sine(at, problem), *several.reasons, *(reason for check in CHECKS for reason in check(at))]
     reasons += _of_intervals(intervals, lacking)
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
-    return tuple(dict.fromkeys(reasons))
+    return Diagnosis(tuple(dict.fromkeys(reasons)), several.modes)
 
 
 def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) -> list[Reason]:
-    found = []
+    texts = []
     if lacking.missing:
         what = " and ".join(lacking.missing)
-        found.append(
-            Reason(
-                Trust.CAUTION, f"the residuals show {what}, which the system lacks: name it, or let system=auto choose"
-            )
-        )
+        texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
     elif lacking.suspected:
         what = " or ".join(lacking.suspected)
-        found.append(
-            Reason(Trust.CAUTION, f"the residuals are coloured by their noise or by {what}, which the system lacks")
-        )
-    coloured = [q for q, own in intervals.items() if own.colour > STRETCHED]
-    if coloured:
-        most = max(own.colour for own in intervals.values())
-        found.append(
-            Reason(
-                Trust.CAUTION, f"the residuals are not white: intervals are up to {most:.2g} times those of white noise"
-            )
-        )
-    uneven = max(intervals.items(), key=lambda item: item[1].unevenness, default=None)
-    if uneven is not None and uneven[1].unevenness > UNEVEN:
-        said = f"{uneven[0].replace('_over_', '/')} may differ by {100 * uneven[1].relative_error:.2g} %"
-        found.append(Reason(Trust.CAUTION, f"{said} within the record or between repeats: the interval takes it in"))
-    wide = [name.replace("_over_", "/") for name, own in intervals.items() if not own.relative_error < WIDE]
+        texts.append(f"the residuals are coloured by their noise or by {what}, which the system lacks")
+    colour = max((interval.colour for interval in intervals.values()), default=1.0)
+    if colour > STRETCHED:
+        texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
+    uneven, most = max(intervals.items(), key=lambda item: item[1].unevenness, default=("", None))
+    if most is not None and most.unevenness > UNEVEN and not most.limit:
+        said = f"{_readable(uneven)} may differ by {100 * most.relative_error:.2g} %"
+        texts.append(f"{said} within the record or between repeats: the interval takes it in")
+    limits = [name for name, interval in intervals.items() if interval.limit]
+    if limits:
+        texts.append(f"not determined, only limited to one side: {', '.join(map(_readable, limits))}")
+    wide = [name for name, own in intervals.items() if not (own.limit or own.relative_error < WIDE)]
     if wide:
-        found.append(Reason(Trust.CAUTION, f"known to an order of magnitude at most: {', '.join(wide)}"))
-    return found
+        texts.append(f"known to an order of magnitude at most: {', '.join(map(_readable, wide))}")
+    return [Reason(Trust.CAUTION, text) for text in texts]
 
 
-def _vibration(at: Linearised) -> list[Reason]:
-    """Whether the fit explains more than the best of as many frequencies as there are samples would of white noise."""
+def _readable(name: str) -> str:
+    return name.replace("_over_", "/").replace("_", " ")
+
+
+def _motion(at: Linearised) -> list[Reason]:
+    """Test whether the fit explains more than the best of the record's frequencies would explain of white noise."""
     from scipy.stats import f as f_distribution
 
-    if at.model.problem.forced:
-        return []
     n, used = at.residuals.size, max(at.used, 1.0)
     constants = sum(float(np.sum((values - np.mean(values)) ** 2)) for values in _values(at))
     left = float(at.residuals @ at.residuals)
@@ -111,7 +143,8 @@ def _vibration(at: Linearised) -> list[Reason]:
     chance = min(1.0, n / 2.0 * float(f_distribution.sf(statistic, used, n - used)))
     if chance <= FALSE_ALARM:
         return []
-    return [Reason(Trust.NO, f"no vibration found: noise alone would look like this in {chance:.2g} of all records")]
+    what = "the force explains nothing of the motion" if at.model.problem.forced else "no vibration found"
+    return [Reason(Trust.NO, f"{what}: p = {chance:.2g} under noise alone")]
 
 
 def _residual(at: Linearised) -> list[Reason]:
@@ -132,17 +165,12 @@ def _cycles(at: Linearised) -> list[Reason]:
     if at.model.problem.forced or channel.n < 4:
         return []
     fitted = at.model.data[: channel.n] - at.residuals[: channel.n]
-    frequency = natural_frequency(at) or strongest_frequency(channel.times, fitted)
-    cycles, rate = at.model.problem.records[0].duration * frequency, (channel.n - 1) / float(np.ptp(channel.times))
-    found = []
+    cycles = at.model.problem.records[0].duration * (
+        natural_frequency(at) or strongest_frequency(channel.times, fitted)
+    )
     if cycles < TOO_FEW_CYCLES:
-        found.append(Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two"))
-    elif cycles < FEW_CYCLES:
-        found.append(Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles"))
-    if rate < FEW_SAMPLES_A_CYCLE * frequency:
-        said = f"{rate / frequency:.2g} samples a cycle: a faster vibration may stand behind it (aliasing)"
-        found.append(Reason(Trust.CAUTION, said))
-    return found
+        return [Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two")]
+    return [Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles")] if cycles < FEW_CYCLES else []
 
 
 def _outliers(at: Linearised) -> list[Reason]:
@@ -152,7 +180,7 @@ def _outliers(at: Linearised) -> list[Reason]:
         scale = 1.4826 * float(np.median(np.abs(r)))
         if scale > 0:
             found += int(np.count_nonzero(np.abs(r) > OUTLIER * scale))
-    if not found or found > 0.05 * at.residuals.size:
+    if not found or found > MOST_OUTLIERS * at.residuals.size:
         return []
     return [Reason(Trust.CAUTION, f"{found} {OUTLIERS}")]
 
@@ -165,31 +193,90 @@ def _clipping(at: Linearised) -> list[Reason]:
             ends = np.flatnonzero(np.diff(held.astype(int)))
             runs = ends[1::2] - ends[::2]
             step = np.min(np.diff(np.unique(values)), initial=np.inf)
-            fine = step < 0.02 * np.ptp(values) or np.unique(values).size < 5
+            fine = step < FINE * np.ptp(values) or np.unique(values).size < 5
             if fine and (np.count_nonzero(runs >= RUN) >= CLIPPED_RUNS or np.max(runs, initial=0) >= 3 * RUN):
                 return [Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")]
     return []
 
 
-def _second_mode(at: Linearised) -> list[Reason]:
-    """A line in the spectrum of the residuals (R. A. Fisher, Proc. R. Soc. A 125:54, 1929, for its test)."""
+def _several_modes(at: Linearised, problem: Problem) -> Diagnosis:
+    """Look for a line in the residuals of a free motion, or an alias of its frequency: then the modes are offered."""
+    if at.model.problem.forced:
+        return _line(at)
+    channel = problem.records[0].channels[0]
+    unexplained = _line(at)
+    frequency = (natural_frequency(at) or 0.0) / problem.natural_units().time
+    rate = (channel.n - 1) / float(np.ptp(channel.times))
+    if any("mode" in reason.text for reason in unexplained.reasons):
+        modes = modes_of(channel.times, channel.values)
+        if len(modes) < 2:
+            return unexplained
+        names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
+        reason = unexplained.reasons[0]
+        return Diagnosis((replace(reason, text=f"the record holds modes at {names}; {reason.text}"),), modes)
+    if not rate / FEW_SAMPLES < frequency < rate or channel.n < 12:
+        return unexplained
+    modes = modes_of(channel.times, channel.values, most=1)
+    alias = alias_of(modes[0], channel.times) if modes else None
+    if alias is None:
+        return unexplained
+    per_cycle = rate / modes[0].frequency
+    said = (
+        f"{modes[0].frequency:.4g} Hz and {alias.frequency:.4g} Hz fit the samples alike ({per_cycle:.2g} samples per "
+        f"cycle of the lower): only a sampling rate above {2 * alias.frequency:.3g} Hz excludes the alias"
+    )
+    worst = Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION
+    return Diagnosis((*unexplained.reasons, Reason(worst, said)), (modes[0], alias))
+
+
+def _line(at: Linearised) -> Diagnosis:
+    """Look for a line in the spectrum of the residuals of each channel."""
     for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
         if not even_times(channel.times) or own.size < 16:
             continue
-        power = periodogram(at.residuals[own])
-        chance = power.size * (1.0 - float(np.max(power))) ** (power.size - 1)
-        fitted = np.std(at.model.data[own] - at.residuals[own])
-        share = float(np.std(at.residuals[own]) * np.sqrt(np.max(power)) / (fitted or 1.0))
-        frequency = (int(np.argmax(power)) + 1) / (channel.times[-1] - channel.times[0])
+        frequency, share = line(channel.times, at.residuals[own], at.model.data[own] - at.residuals[own])
         strongest = natural_frequency(at) or strongest_frequency(channel.times, channel.values)
         harmonic = frequency / strongest
-        if chance < LINE and share > SECOND_MODE and abs(harmonic - 1.0) > 0.15:
+        if share > SECOND_MODE and abs(harmonic - 1.0) > SAME_LINE:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
             worst = Trust.NO if share > MOST_LEFT else Trust.CAUTION
             slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
             source = "a second mode, or a harmonic" if harmonic > SLOW else slow
-            return [Reason(worst, f"{said}: {source}")]
-    return []
+            return Diagnosis((Reason(worst, f"{said}: {source}"),))
+    return Diagnosis()
+
+
+def _steady_sine(at: Linearised, problem: Problem) -> list[Reason]:
+    """Test whether force and motion are one settled sine: its amplitude and phase are two numbers for m, c and k."""
+    if not problem.forced or len(problem.records) > 1 or problem.system.n_dof > 1 or problem.prior is not None:
+        return []
+    (record,) = problem.records
+    (force, *more), channel = record.forces, record.channels[0]
+    modes = modes_of(force.times, force.values, most=1)
+    if more or not modes or channel.n < 8:
+        return []
+    frequency = modes[0].frequency
+    (push, push_left), (way, way_left) = (_sine(one.times, one.values, frequency) for one in (force, channel))
+    residuals = at.residuals[at.channels[0]]
+    left = float(np.std(residuals) / np.std(at.model.data[at.channels[0]]))
+    if push_left > PURE_SINE or way_left > SETTLED * max(left, 1e-9):
+        return []
+    response = way / push
+    said = (
+        f"the force is one steady sine at {frequency:.4g} Hz and the motion has settled: the record determines the "
+        f"response there, {abs(response):.4g} {channel.unit}/N at {np.degrees(np.angle(response)):.3g}°, and of m, c "
+        "and k no more than that; record the start, or another frequency"
+    )
+    return [Reason(Trust.NO, said)]
+
+
+def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[complex, float]:
+    """Return the complex amplitude of a sine fitted to values, and what it leaves of their standard deviation."""
+    phase = 2 * np.pi * frequency * times
+    basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones(times.size)])
+    sizes = np.linalg.lstsq(basis, values, rcond=None)[0]
+    left = values - basis @ sizes
+    return complex(sizes[0], -sizes[1]), float(np.std(left) / (np.std(values) or 1.0))
 
 
 def _growth(at: Linearised) -> list[Reason]:
@@ -218,7 +305,7 @@ def _start_up(at: Linearised) -> list[Reason]:
             continue
         early, rest = np.std(at.residuals[own[:n]]), np.std(at.residuals[own[n:]])
         share = early / (np.std(channel.values) or 1.0)
-        if early > 3.0 * rest and share > 0.05:
+        if early > START_UP * rest and share > START_UP_SHARE:
             said = f"the first tenth of the record fits {early / (rest or 1.0):.2g} times worse than the rest"
             return [Reason(Trust.CAUTION, f"{said}: leave a start-up out by from=")]
     return []
@@ -241,7 +328,7 @@ def _turned_force(at: Linearised) -> list[Reason]:
     turned = replace(at.model, problem=replace(at.model.problem, records=records))
     theta = min(turned.settle(_forced_starts(turned, at.theta), 2, 20), key=turned.profile)
     left = turned.data - turned.predict(theta)
-    if not np.all(np.isfinite(left)) or np.std(left) > 0.5 * np.std(at.residuals):
+    if not np.all(np.isfinite(left)) or np.std(left) > TURNED * np.std(at.residuals):
         return []
     return [Reason(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1")]
 
@@ -263,9 +350,9 @@ def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
 
 
 CHECKS: tuple[Callable[[Linearised], list[Reason]], ...] = (
-    _vibration, _clipping, _growth, _residual, _second_mode, _cycles, _few, _start_up, _outliers, _turned_force,
+    _motion, _clipping, _growth, _residual, _cycles, _few, _start_up, _outliers, _turned_force,
 )  # fmt: skip
-"""What is looked at in record and residuals, the gravest first."""
+"""Checks of record and residuals, the gravest first."""
 
 
 def _values(at: Linearised) -> list[np.ndarray]:

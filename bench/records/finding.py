@@ -11,11 +11,12 @@ import numpy as np
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem, Units
 from bench.likelihood.autoregression import Whitened
-from bench.records.diagnostics import natural_frequency, reasons_for_caution
+from bench.records.diagnostics import diagnose, natural_frequency
 from bench.records.fit import Outcome
 from bench.records.intervals import ENDS, StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.model_error import NOTHING_LACKING, ModelError, model_error
+from bench.records.modes import Mode
 from bench.records.parts import parts_of
 from bench.records.record import Measured, spare_factor
 from bench.records.strongest import strongest_frequency
@@ -42,6 +43,7 @@ class Finding:
     at: Linearised | None = None
     lacking: ModelError = NOTHING_LACKING
     by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    modes: tuple[Mode, ...] = ()
 
     @property
     def trust(self) -> Trust:
@@ -79,8 +81,11 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
         noise = at if white is None or at is None else _whitened(at)
         intervals = _beside_white(stated_intervals(estimate, noise, parts), white)
         intervals = _with_mass(intervals, estimate, measured)
-    reasons = reasons_for_caution(at, intervals, lacking, outcome.message)
-    finding = Finding(method, measured, outcome, intervals, {}, reasons, at, lacking, _by_part(parts, measured))
+    diagnosis = diagnose(at, measured.problem, intervals, lacking, outcome.message)
+    values = _by_part(parts, measured)
+    finding = Finding(
+        method, measured, outcome, intervals, {}, diagnosis.reasons, at, lacking, values, modes=diagnosis.modes
+    )
     if finding.trust is Trust.NO:
         return replace(finding, intervals={}, withdrawn=intervals)
     return finding

@@ -11,6 +11,8 @@ from bench.reporting.terminal import table, wrapped
 FREE = "free vibration without a prior: m, c and k themselves cannot be told, only their ratios"
 WHITE = "white: the interval of the method alone, which takes the noise for white and the model for right"
 
+MODES = ["mode (Hz)", "95 %", "damping ratio", "95 %", "of the signal"]
+
 
 def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
     """One method's answer: the verdict with its reasons, values with intervals, and what is left of the signal.
@@ -28,6 +30,8 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
         lines += ["", table(rows, headers, (0, 4)), "", wrapped(WHITE)]
         if not found["estimates"]:
             lines.append(wrapped("no interval is stated, since the answer is not to be trusted"))
+    if found["modes"]:
+        lines += ["", table([_mode(mode) for mode in found["modes"]], MODES, (4,)), ""]
     if shown and scale_is_free:
         lines.append(wrapped(FREE))
     r = found["residuals"]
@@ -48,6 +52,13 @@ def _row(name: str, own: Mapping[str, Any], stated: bool) -> list[str]:
         own["unit"],
         *white[1:],
     ]
+
+
+def _mode(mode: Mapping[str, Any]) -> list[str]:
+    frequency, *ends = rounded(mode["frequency"], mode["frequency_low"], mode["frequency_high"])
+    ratio, *bounds = rounded(mode["damping_ratio"], mode["damping_ratio_low"], mode["damping_ratio_high"])
+    what = "alias" if mode["alias"] else f"{100 * mode['share']:.0f} %"
+    return [frequency, " to ".join(ends), ratio, " to ".join(bounds), what]
 
 
 def methods_page(found: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:

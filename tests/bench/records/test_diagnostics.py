@@ -168,6 +168,11 @@ def pushed() -> np.ndarray:
     return x
 
 
+def fewer_than_two_a_cycle() -> np.ndarray:
+    """At 0.63 of the sampling rate, so it seems to be at 0.37 of it."""
+    return noisy(free(T, 2 * np.pi * 0.63 * 29.9, 0.004), 30.0)
+
+
 def beyond_nyquist() -> np.ndarray:
     """At 0.55 of the sampling rate, so it seems to be at 0.45 of it."""
     return noisy(free(T, 2 * np.pi * 0.55 * 29.9, 0.004), 30.0)
@@ -201,7 +206,8 @@ SPOILT: dict[str, tuple[Callable[[], np.ndarray], tuple[Trust, ...], str]] = {
     "motion that grows fast": (lambda: noisy(free(T, zeta=-0.1), 30.0), REFUSED, "the motion grows"),
     "a push at first": (pushed, CARE_AT_LEAST, "leave a start-up out by from="),
     "held at first": (held, REFUSED, "the model does not describe this record"),
-    "a vibration beyond Nyquist": (beyond_nyquist, CARE_AT_LEAST, "aliasing"),
+    "a vibration beyond Nyquist": (beyond_nyquist, REFUSED, "fit the samples alike"),
+    "fewer than two samples a cycle": (fewer_than_two_a_cycle, REFUSED, "fit the samples alike"),
     "a frequency that changes": (chirp, REFUSED, "not white: the model does not describe this record"),
     "coloured noise": (coloured, CARE_AT_LEAST, "the residuals are not white: intervals are up to"),
     "a sensor that drifts": (lambda: noisy(free(T) + 0.02 * T, 30.0), CARE_AT_LEAST, "not white"),
@@ -255,6 +261,53 @@ def test_a_right_force_is_not_called_wrong_where_the_model_is() -> None:
     other = lsim(([1.0], [1.0, 1.2, 400.0]), force, T)[1]
     finding = judge(T, noisy(x + np.std(x) / np.std(other) * other, 30.0), force)
     assert "sign is wrong" not in reasons(finding)
+
+
+def sine_response(start: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Force and response to a sine at 0.7 times the natural frequency; with its ``start`` from rest, or long after."""
+    times = np.linspace(0.0, 60.0, 1800)
+    force = np.cos(0.7 * OMEGA * times)
+    x = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), force, times)[1]
+    part = slice(0, 900) if start else slice(900, 1800)
+    return force[part], x[part]
+
+
+def test_one_steady_sine_does_not_determine_mass_damping_and_stiffness() -> None:
+    force, x = sine_response(start=False)
+    times = np.linspace(0.0, 30.0, 900)
+    finding = judge(times, noisy(x, 40.0), force)
+    assert finding.trust is Trust.NO
+    assert "one steady sine at 0.668" in reasons(finding)
+    assert not finding.intervals
+
+
+def test_the_start_of_a_sine_does() -> None:
+    force, x = sine_response(start=True)
+    finding = judge(np.linspace(0.0, 30.0, 900), noisy(x, 40.0), force)
+    assert "steady sine" not in reasons(finding)
+    assert finding.intervals["m"].value == pytest.approx(1.0, rel=0.05)
+
+
+def test_a_force_without_any_effect_explains_nothing() -> None:
+    finding = judge(T, np.random.default_rng(1).standard_normal(T.size), forced(T)[0])
+    assert finding.trust is Trust.NO
+    assert not finding.intervals
+
+
+def test_both_modes_are_offered_where_the_system_has_one() -> None:
+    finding = judge(T, noisy(free(T) + free(T, 15.0, 0.02, 1.0), 30.0))
+    assert sorted(mode.frequency for mode in finding.modes) == pytest.approx(
+        [OMEGA / 2 / np.pi, 15 / 2 / np.pi], rel=3e-3
+    )
+    assert "holds modes at" in reasons(finding)
+
+
+def test_vibration_and_alias_are_offered_where_both_fit_alike() -> None:
+    finding = judge(T, fewer_than_two_a_cycle())
+    apparent, alias = finding.modes
+    assert alias.frequency == pytest.approx(0.63 * 29.9, rel=1e-3)
+    assert apparent.frequency + alias.frequency == pytest.approx(29.9, rel=1e-3)
+    assert alias.alias
 
 
 # the verdict, and what the command makes of it
