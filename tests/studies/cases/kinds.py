@@ -266,7 +266,7 @@ def matrix_text(rng: np.random.Generator, to: Path) -> Case:
     rows = np.c_[d.t, noisy(rng, x, 0.01), np.ones_like(x)]
     text = "".join(f"  {i}   {t:.4f}   {y:.8f}   {f:.4f};\n" for i, (t, y, f) in enumerate(rows))
     (to / "x.txt").write_text("[ Sample   Time   Position   Force ;\n" + text + "]\n", encoding="utf-8")
-    return Case(to / "x.txt", {**d.truth, "m": m})
+    return Case(to / "x.txt", {**d.truth, "m": m}, {"units": {"t": "s", "x": "m", "f": "N"}})
 
 
 def comment_lines(rng: np.random.Generator, to: Path) -> Case:
