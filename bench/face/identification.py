@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,15 @@ class ChannelResiduals:
 
 
 @dataclass(frozen=True, eq=False)
+class RunAnswer:
+    """What one of several records says alone; ``left_out``: why it is no part of the joint answer, or empty."""
+
+    trust: str
+    left_out: str
+    estimates: Mapping[str, StatedInterval]
+
+
+@dataclass(frozen=True, eq=False)
 class Identification:
     """What a method found in measured records.
 
@@ -67,6 +76,7 @@ class Identification:
     modes: tuple[Mode, ...]
     residuals: ChannelResiduals | None
     scale_is_free: bool
+    runs: Mapping[str, RunAnswer] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:
@@ -95,6 +105,10 @@ class Identification:
             "withdrawn": {name: vars(found) for name, found in self.withdrawn.items()},
             "by_part": {name: list(values) for name, values in self.by_part.items()},
             "modes": [vars(mode) for mode in self.modes],
+            "runs": {
+                name: {**vars(run), "estimates": {q: vars(own) for q, own in run.estimates.items()}}
+                for name, run in self.runs.items()
+            },
             "residuals": None if r is None else {**vars(r), "values": r.values.tolist()},
         }
 
@@ -224,10 +238,11 @@ def _records(
 def identified(finding: Finding) -> Identification:
     """A finding as users get it."""
     problem, outcome = finding.problem, finding.outcome
+    alone = [run.finding for run in finding.runs] or [finding]
     return Identification(
         method=finding.method,
-        data=", ".join(recording.source for recording in finding.measured.recordings),
-        samples=problem.n,
+        data=", ".join(recording.source for run in alone for recording in run.measured.recordings),
+        samples=sum(run.problem.n for run in alone),
         status=outcome.status.value,
         message=outcome.message,
         wall_s=outcome.wall_s,
@@ -240,6 +255,7 @@ def identified(finding: Finding) -> Identification:
         modes=finding.modes,
         residuals=_residuals(finding),
         scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,
+        runs={r.name: RunAnswer(r.finding.trust.value, r.left_out, r.finding.intervals) for r in finding.runs},
     )
 
 

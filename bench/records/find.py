@@ -19,6 +19,7 @@ from bench.records.finding import Finding, judged
 from bench.records.fit import fit, within_time
 from bench.records.intervals import StatedInterval
 from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
+from bench.records.repeats import combined, runs_of
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust
 from bench.records.zeros import unit_over_mass, without
@@ -37,7 +38,17 @@ def find_all(request: Request, measured: Measured) -> list[Finding]:
 
 
 def find(job: Job, measured: Measured) -> Finding:
-    """Identify the records with the job's method, in a process of its own; raises InputError.
+    """Identify the records with the job's method, in a process of its own: repeats alone, and then by their spread.
+
+    Raises:
+        InputError: The method cannot take a measured record.
+    """
+    alone = [_found(job, run) for run in runs_of(measured)]
+    return (combined(measured, alone) if alone else None) or _found(job, measured)
+
+
+def _found(job: Job, measured: Measured) -> Finding:
+    """Identify records with one set of parameters.
 
     Where a search fails on many samples a cycle it is tried again on fewer, filtered; where a parameter is left open,
     without the terms of a sum that the record does not need.

@@ -26,12 +26,22 @@ from bench.systems import MEASURED
 
 
 @dataclass(frozen=True, eq=False)
+class Run:
+    """One of several records: its file's name, what it says alone, and why it is left out of the joint answer."""
+
+    name: str
+    finding: Finding
+    left_out: str = ""
+
+
+@dataclass(frozen=True, eq=False)
 class Finding:
     """The answer of one method to measured records.
 
     ``intervals`` hold what the data tell, by name of the quantity; none where the answer is withdrawn or failed.
     ``withdrawn`` keeps what the method itself says of an answer that is not to be trusted. ``at`` is the likelihood
-    there, in the problem's natural units.
+    there, in the problem's natural units. Of repeats that were answered alone ``runs`` hold each of them, and all but
+    the intervals is that of the run in the middle.
     """
 
     method: str
@@ -44,6 +54,7 @@ class Finding:
     lacking: ModelError = NOTHING_LACKING
     by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     modes: tuple[Mode, ...] = ()
+    runs: tuple[Run, ...] = ()
 
     @property
     def trust(self) -> Trust:

@@ -34,6 +34,8 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
         lines += ["", table([_mode(mode) for mode in found["modes"]], MODES, (4,)), ""]
     if shown and scale_is_free:
         lines.append(wrapped(FREE))
+    if found["runs"]:
+        lines += ["", _runs(found["runs"], [name for name in shown][:2]), ""]
     r = found["residuals"]
     if r:
         said = f"residuals: rms {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of the signal)"
@@ -59,6 +61,22 @@ def _mode(mode: Mapping[str, Any]) -> list[str]:
     ratio, *bounds = rounded(mode["damping_ratio"], mode["damping_ratio_low"], mode["damping_ratio_high"])
     what = "alias" if mode["alias"] else f"{100 * mode['share']:.0f} %"
     return [frequency, " to ".join(ends), ratio, " to ".join(bounds), what]
+def _runs(runs: Mapping[str, Mapping[str, Any]], names: Sequence[str]) -> str:
+    """Return a table of what each run says alone, with its own 95 % interval."""
+    rows = []
+    for name, run in runs.items():
+        own = [run["estimates"].get(quantity) for quantity in names]
+        cells = [said for e in own for said in (_alone(e) if e else ("-", "-"))]
+        rows.append([name, *cells, "left out" if run["left_out"] else ""])
+    headers = [text for quantity in names for text in (readable(quantity), "95 %")]
+    return table(rows, ["run alone", *headers, ""], (0, 2 * len(names) + 1))
+
+
+def _alone(own: Mapping[str, Any]) -> tuple[str, str]:
+    if own["limit"]:
+        return "-", f"{own['limit']} {number(own['high' if own['limit'] == 'at most' else 'low'])}"
+    value, low, high = rounded(own["value"], own["record_low"], own["record_high"])
+    return value, f"{low} to {high}"
 
 
 def methods_page(found: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:

@@ -53,7 +53,7 @@ def answer(case: Case) -> Any:
     try:
         return bench.identify(*data, method="shooting", timeout_s=SECONDS, **case.fields)
     except InputError as error:
-        return str(error)
+        return re.sub(r"/\S+/", "", str(error))  # a folder's name says nothing
     except Exception as error:
         return error
 
@@ -83,7 +83,7 @@ def judged(case: Case, found: Any) -> Judgment:
 
 def _refusal(case: Case, verdict: str, said: str) -> Judgment:
     right = case.refusal and re.search(case.says, said, re.IGNORECASE)
-    honest = bool(right) and (not case.frequencies or case.never)
+    honest = bool(right) and (bool(case.truth) or _named(case.frequencies, said))
     return Judgment("honest" if honest else "refused", verdict, said[:200])
 
 

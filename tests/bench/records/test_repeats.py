@@ -1,0 +1,128 @@
+"""Repeats: run alone, the spread between them as the interval, and a run that is not one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import bench
+from bench.contract.estimate import Status
+from bench.contract.problem import Channel, Problem, Record
+from bench.records.finding import Finding
+from bench.records.fit import Outcome
+from bench.records.intervals import PRIOR_SPREAD, StatedInterval
+from bench.records.reading import Recording
+from bench.records.record import Measured
+from bench.records.repeats import combined, runs_of
+from bench.records.verdict import Reason, Trust
+from bench.systems.linear import SDOF
+
+RECORD = Record((Channel(np.arange(20.0), np.cos(np.arange(20.0))),))
+
+
+def several(n: int) -> Measured:
+    recordings = tuple(Recording((), (), f"folder/run{i + 1}.csv", "") for i in range(n))
+    return Measured(recordings, Problem(SDOF(), (RECORD,) * n), ())
+
+
+def stated(value: float, error: float, unit: str) -> StatedInterval:
+    low, high = value * np.exp(-1.96 * error), value * np.exp(1.96 * error)
+    return StatedInterval(value, low, high, low, high, low, high, unit)
+
+
+def answers(measured: Measured, k: Sequence[float], c: Sequence[float], error: float = 1e-4) -> list[Finding]:
+    """Return an answer for each run with the same relative error; none where k/m is 0."""
+    found = []
+    for run, stiffness, damping in zip(runs_of(measured), k, c, strict=True):
+        outcome = Outcome(None, Status.OK, "", 0.0)
+        if stiffness == 0:
+            found.append(Finding("ls", run, outcome, reasons=(Reason(Trust.NO, "no vibration found"),)))
+            continue
+        intervals = {
+            "k_over_m": stated(stiffness, error, "1/s²"),
+            "c_over_m": stated(damping, 10 * error, "1/s"),
+            "natural_frequency": stated(np.sqrt(stiffness) / 2 / np.pi, error / 2, "Hz"),
+        }
+        found.append(Finding("ls", run, outcome, intervals))
+    return found
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_the_interval_of_a_repeat_is_the_prediction_interval_of_the_random_effects_model(n: int) -> None:
+    k = np.array([100.0, 101.0, 99.0, 102.0, 100.4])[:n]
+    measured = several(n)
+    found = combined(measured, answers(measured, k, [1.0] * n))
+    assert found is not None
+    y, more = np.log(k), max(4 - n, 0)
+    tau2 = ((n - 1) * (np.var(y, ddof=1) - 1e-8) + more * PRIOR_SPREAD["stiffness"] ** 2) / (n - 1 + more)
+    half = stats.t(n - 1 + more).ppf(0.975) * np.sqrt((tau2 + 1e-8) / n + tau2)
+    own = found.intervals["k_over_m"]
+    assert own.value == pytest.approx(np.exp(np.mean(y)))
+    assert np.log(own.high / own.value) == pytest.approx(half, rel=1e-3)
+    assert own.low < own.record_low < own.value < own.record_high < own.high
+
+
+def test_the_frequency_is_half_as_wide_as_the_stiffness_and_agrees_with_it() -> None:
+    measured = several(3)
+    found = combined(measured, answers(measured, [50.0, 50.4, 49.9], [1.0, 1.2, 0.9]))
+    assert found is not None
+    k, f = found.intervals["k_over_m"], found.intervals["natural_frequency"]
+    assert f.value == pytest.approx(np.sqrt(k.value) / 2 / np.pi)
+    assert np.log(f.high / f.low) == pytest.approx(np.log(k.high / k.low) / 2)
+
+
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_a_run_of_another_rig_is_left_out_by_its_name(n: int) -> None:
+    measured, k = several(n), [100.0 * (1 + 0.001 * (-1) ** i) for i in range(n)]
+    k[1] = 118.0
+    found = combined(measured, answers(measured, k, [1.0] * n))
+    assert found is not None
+    assert [run.name for run in found.runs if run.left_out] == ["run2.csv"]
+    assert found.trust is Trust.CAUTION
+    assert found.reasons[0].text.startswith("run2.csv is left out: not a repeat of the others: k/m = 118")
+    assert found.intervals["k_over_m"].high < 105
+
+
+def test_repeats_that_scatter_are_all_kept_and_said_to_be_unalike() -> None:
+    measured = several(5)
+    found = combined(measured, answers(measured, [100, 110, 93, 104, 88], [1.0] * 5))
+    assert found is not None
+    assert not any(run.left_out for run in found.runs)
+    assert "the runs differ by" in found.reasons[0].text
+    assert found.intervals["k_over_m"].low < 93 < 110 < found.intervals["k_over_m"].high
+
+
+def test_repeats_that_alone_have_no_answer_are_left_out_and_two_of_five_are_too_few() -> None:
+    measured = several(5)
+    found = combined(measured, answers(measured, [100, 0, 100.2, 0, 0], [1.0] * 5))
+    assert found is not None
+    assert found.trust is Trust.NO
+    assert found.reasons[0].text == "only 2 of 5 runs agree and can be answered"
+    assert combined(measured, answers(measured, [100, 0, 0, 0, 0], [1.0] * 5)) is None
+
+
+def test_a_single_record_has_no_runs() -> None:
+    assert runs_of(several(1)) == []
+
+
+def test_five_files_are_one_answer_with_each_of_them_alone(tmp_path: Path) -> None:
+    rng, times, names = np.random.default_rng(3), np.arange(0, 8, 0.02), []
+    for i, factor in enumerate((1.0, 1.002, 0.997, 1.2, 1.001)):
+        pole = complex(-0.2, 9.0 * np.sqrt(factor))
+        x = np.real((1 + i / 10) * np.exp(pole * times)) + 0.01 * rng.standard_normal(times.size)
+        names.append(tmp_path / f"run{i + 1}.csv")
+        np.savetxt(names[-1], np.c_[times, x], delimiter=",", header="t [s],x [m]", comments="")
+    answer = bench.identify(names, method="output_error")
+    assert [name for name, run in answer.runs.items() if run.left_out] == ["run4.csv"]
+    assert answer.samples == 5 * times.size
+    low, high = answer.intervals["k_over_m"]
+    assert low < 81.04 < high
+    assert high / low < 1.05
+    assert answer.as_dict()["runs"]["run1.csv"]["estimates"]["k_over_m"]["value"] == pytest.approx(81.04, rel=0.01)
+    page = repr(answer)
+    assert "run alone" in page
+    assert "left out" in page
