@@ -77,7 +77,7 @@ def combined(measured: Measured, alone: Sequence[Finding]) -> Finding | None:
 
 
 @dataclass(frozen=True)
-class Spread:
+class RandomEffects:
     """The random-effects model of a quantity: its interval, and the standard deviation of its logarithm."""
 
     interval: StatedInterval
@@ -85,7 +85,7 @@ class Spread:
     unevenness: float
 
 
-def _spread(kept: Sequence[Run], quantity: Quantity, system: System) -> Spread | None:
+def _spread(kept: Sequence[Run], quantity: Quantity, system: System) -> RandomEffects | None:
     """Fit the random-effects model; None where not every run determines the quantity."""
     stated = [run.finding.intervals.get(quantity.name) for run in kept]
     if not all(_determined(own) for own in stated):
@@ -97,9 +97,11 @@ def _spread(kept: Sequence[Run], quantity: Quantity, system: System) -> Spread |
     quantile = float(standard_quantile(UPPER, dof))
     white = HALF / math.sqrt(sum((2 * HALF / math.log(own.white_high / own.white_low)) ** 2 for own in stated if own))
     halves = (quantile * math.sqrt(variance + error), quantile * math.sqrt(error), white)
-    value, uneven = math.exp(mean), math.sqrt(variance / prior)
+    value, uneven = math.exp(mean), math.sqrt(paule_mandel(y, v) / prior)
     ends = (value * math.exp(sign * half) for half in halves for sign in (-1.0, 1.0))
-    return Spread(StatedInterval(value, *ends, quantity.unit, unevenness=uneven), float(np.std(y, ddof=1)), uneven)
+    return RandomEffects(
+        StatedInterval(value, *ends, quantity.unit, unevenness=uneven), float(np.std(y, ddof=1)), uneven
+    )
 
 
 def _determined(own: StatedInterval | None) -> bool:
@@ -167,7 +169,7 @@ def _two_sided(statistic: float, dof: float) -> float:
     return 2.0 * float(t.sf(abs(statistic), dof))
 
 
-def _reasons(runs: Sequence[Run], spreads: dict[str, Spread]) -> list[Reason]:
+def _reasons(runs: Sequence[Run], spreads: dict[str, RandomEffects]) -> list[Reason]:
     """Return a reason for each run that is left out, and for runs that are hardly of one rig."""
     reasons = [Reason(Trust.CAUTION, f"{run.name} is left out: {run.left_out}") for run in runs if run.left_out]
     if 2 * len(_kept(runs)) <= len(runs):
@@ -179,7 +181,7 @@ def _reasons(runs: Sequence[Run], spreads: dict[str, Spread]) -> list[Reason]:
     return reasons
 
 
-def _representative(kept: Sequence[Run], spreads: dict[str, Spread]) -> Finding:
+def _representative(kept: Sequence[Run], spreads: dict[str, RandomEffects]) -> Finding:
     """Return the run in the middle, of those with the commonest verdict."""
     counts = Counter(run.finding.trust for run in kept)
     common = Trust.TRUST if 2 * counts[Trust.TRUST] > len(kept) else Trust.CAUTION
@@ -189,7 +191,7 @@ def _representative(kept: Sequence[Run], spreads: dict[str, Spread]) -> Finding:
     return min(of_it, key=lambda f: abs(f.intervals[name].value - middle) if name else 0.0)
 
 
-def _differences(spreads: dict[str, Spread]) -> str:
+def _differences(spreads: dict[str, RandomEffects]) -> str:
     """Return the standard deviations between the runs, of two quantities, in words."""
     shown = [f"{name.replace('_over_', '/')} differs by {100 * s.deviation:.2g} %" for name, s in spreads.items()]
     return f"{' and '.join(shown[:2])} (standard deviation)" if shown else "no quantity can be compared"
