@@ -61,6 +61,8 @@ def _mode(mode: Mapping[str, Any]) -> list[str]:
     ratio, *bounds = rounded(mode["damping_ratio"], mode["damping_ratio_low"], mode["damping_ratio_high"])
     what = "alias" if mode["alias"] else f"{100 * mode['share']:.0f} %"
     return [frequency, " to ".join(ends), ratio, " to ".join(bounds), what]
+
+
 def _runs(runs: Mapping[str, Mapping[str, Any]], names: Sequence[str]) -> str:
     """Return a table of what each run says alone, with its own 95 % interval."""
     rows = []
