@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +23,7 @@ def certify(
     data: Annotated[str, "measured record, or several of one rig: run1.csv,run2.csv"],
     record: Annotated[list[str], Others(RECORD), "columns=, units=, ... as for python -m bench data="],
     out: Annotated[Path, "folder of certificate.html and certificate.json"] = Path("certificate"),
-    twins: Annotated[int, Within(ge=0, le=100_000), "simulated repeats that check the intervals; 0: none"] = 200,
+    twins: Annotated[int, Within(ge=0, le=100_000), "simulated replicas that check the intervals; 0: none"] = 200,
     system: Annotated[str, "system, or auto: the best of the model classes"] = "auto",
     method: Annotated[tuple[str, ...], "methods, the primary one first, or fast: those that take seconds"] = ("fast",),
 ) -> int:
@@ -38,24 +38,26 @@ def certify(
         import jinja2  # noqa: F401 - before the work, where the page could not be made after it
         import matplotlib  # noqa: F401
 
+        from bench.engine.progress import progress_bar
         from bench.face.results import nulls
         from bench.records.certificate import certify as certificate_of
         from bench.records.record import read_measured
         from bench.records.verdict import Trust
         from bench.reporting.certificate.contents import contents, listed
         from bench.reporting.certificate.page import page
+        from bench.reporting.terminal import wrapped
         from bench.reporting.whole_file import check_folder, write
     except ImportError as error:
         raise InputError("package", error.name, "missing: pip install 'vibration-bench[report]'") from None
     measured = read_measured(request)
     check_folder(out)
-    with _progress() as report:
-        certificate = certificate_of(request, measured, twins, report)
+    with progress_bar() as on_look:
+        certificate = certificate_of(request, measured, twins, on_look, lambda said: print(said, file=sys.stderr))
     shown = contents(certificate, again)
     paths = (out / "certificate.html", out / "certificate.json")
     write(paths[0], page(shown), out)
     write(paths[1], json.dumps(nulls(listed(shown)), allow_nan=False, ensure_ascii=False, indent=1) + "\n", out)
-    print(f"{certificate.primary.trust.value}: {paths[0]} {paths[1]}")
+    print(wrapped(f"{shown['verdict']}: {shown['answer']}"), *paths, sep="\n")
     return int(certificate.primary.trust is Trust.NO)
 
 
@@ -71,12 +73,3 @@ def _request(data: str, system: str, method: Sequence[str], record: Sequence[str
         check_choice("method", name)
     overrides = read_overrides([f"data={data}", *record])
     return request_of({**overrides, "system": [system], "method": list(method)})
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar over steps on the error stream; gives the callback that advances it."""
-    from bench.engine.progress import RunState, progress_bar
-
-    with progress_bar() as on_look:
-        yield lambda step, done, steps: on_look(RunState("step", done, steps, step))

@@ -1,63 +1,53 @@
-"""The certificate of measured records: what one method finds, and all that speaks for or against it.
+"""The certificate of measured records: what one method finds, and all that supports it or contradicts it.
 
-Beside the primary method's answer stand the other methods', the model classes, a prediction of what was held out, twins
-(simulated records like this one) and what a better record would bring. Nothing is drawn here.
+Beside the primary method's answer stand the other methods', the model classes, a prediction of what was held out,
+simulated replicas, and what a better record would bring. Nothing is drawn here.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
+from bench.config.schema import Job
 from bench.contract.estimate import Status
-from bench.dynamics.simulate import simulate
-from bench.entrants.registry import registered
+from bench.engine.progress import RunState
+from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.records.classes import ModelClass, best_class, ranked_classes, simplest
 from bench.records.continued import NAME, continued_fit
 from bench.records.find import find
 from bench.records.finding import Finding, judged
-from bench.records.fit import within_time
+from bench.records.fit import Outcome
 from bench.records.held_out import early_fit
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
-from bench.records.record import Measured
+from bench.records.record import Measured, spare_factor, with_fewer_samples
+from bench.records.replicas import ReplicaCoverage, coverage_on_replicas
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust
-from bench.systems import LENGTH, MEASURED
+from bench.records.what_if import WhatIf, what_if
+from bench.records.workers import Call, Workers
 
-Say = Callable[[str, int, int], None]
-"""What is being done, and of how many steps how many are done."""
-CLASSES_SECONDS, AUTO_SECONDS = 60.0, 180.0
-"""Time to compare classes, and where system=auto needs them; then the certificate lacks them, and auto takes sdof."""
-OTHERS_SECONDS, AT_ONCE = 10.0, 2
-"""Limit of each method beside the first, and how many run side by side."""
-TWIN_SECONDS = 10.0
-"""Time that the fits to twins may take, by what each method took for the record; then methods are left out."""
-LEAST_TWINS, MOST_TWINNED = 20, 5
+CLASSES_SECONDS = 60.0
+"""Time to compare classes; then the certificate lacks them, and system=auto takes sdof."""
+OTHERS_SECONDS = 10.0
+"""Time limit of each method beside the first."""
+OTHERS_SAMPLES = 5000
+"""Samples that the methods beside the first get at least of a longer record, decimated: they only check its answer."""
 COMPARED = 2
 """Quantities in which methods are compared."""
-DENSE = 1500
-
-
-@dataclass(frozen=True, eq=False)
-class FittedMotion:
-    """The fitted motion on a dense grid, in the channel's units."""
-
-    times: np.ndarray
-    displacement: np.ndarray
-    velocity: np.ndarray
+OnLook = Callable[[RunState], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The last part of the first channel as a fit of the part before ``split`` (s) has it; ``fit`` in percent."""
+    """The first channel as predicted by a fit of the part before ``split`` (s); ``fit`` in percent."""
 
     split: float
     predicted: np.ndarray
@@ -66,15 +56,15 @@ class Prediction:
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """One method's value of one quantity beside the primary's: ``agrees``, ``level`` or ``off``.
+    """One method's value of one quantity beside the primary's: ``agrees``, ``tied`` or ``off``.
 
-    It agrees inside the primary's interval, and is level with it where its own interval holds the primary's value.
+    It agrees inside the primary's interval, and is tied with it where its own interval covers the primary's value.
     """
 
     method: str
     quantity: str
     interval: StatedInterval
-    standing: str
+    agreement: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +78,9 @@ class Certificate:
     findings: tuple[Finding, ...]
     compared: tuple[MethodComparison, ...]
     classes: tuple[ModelClass, ...] = ()
-    motion: FittedMotion | None = None
     prediction: Prediction | None = None
-    twins: Any = None
-    what_if: tuple[Any, ...] = ()
+    replicas: tuple[ReplicaCoverage, ...] = ()
+    what_if: tuple[WhatIf, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -103,194 +92,201 @@ class Certificate:
         """The quantities in which methods are compared."""
         return compared_quantities(self.findings)
 
-    @property
-    def shown(self) -> Mapping[str, StatedInterval]:
-        """The primary method's intervals, or what it said before they were withdrawn."""
-        return self.primary.intervals or self.primary.withdrawn
 
-
-def certify(request: Request, measured: Measured, twins: int, say: Say = lambda what, done, of: None) -> Certificate:
+def certify(
+    request: Request,
+    measured: Measured,
+    replicas: int,
+    on_look: OnLook = lambda look: None,
+    say: Callable[[str], None] = lambda sentence: None,
+) -> Certificate:
     """Gather the certificate of records; raises InputError.
 
     Args:
-        request: Whose first method is the primary one.
+        request: Its first method is the primary one.
         measured: The records.
-        twins: Simulated records; 0 for none.
-        say: Told of every step.
+        replicas: Number of simulated replicas; 0 for none.
+        on_look: Gets the progress.
+        say: Gets a sentence before work whose length the user chose.
     """
-    steps = len(request.jobs) + 3
     missing: dict[str, str] = {}
-    say("model classes", 0, steps)
-    classes = tuple(_ranked(measured, missing, AUTO_SECONDS if request.system == AUTO else CLASSES_SECONDS))
-    if request.system == AUTO:
-        measured = best_class(measured, classes)
-    kept = _all_found(request, measured, lambda label, done: say(label, 1 + done, steps))
-    kept = (*_instead(kept[0], classes, measured, request), *kept)
-    primary = kept[0]
-    motion = motion_of(primary)
-    prediction = None if primary.at is None else prediction_of(primary.at)
-    say("what would help", steps - 2, steps)
-    hopes = _what_if(primary, missing)
-
-    def progress(done: int, of: int) -> None:
-        say(f"twins {100 * done // max(of, 1)} %", steps - 1, steps)
-
-    progress(0, 1)
-    drawn = _twins(kept, twins, request, progress, missing)
-    say("done", steps, steps)
-    return Certificate(request, kept, comparisons(kept), classes, motion, prediction, drawn, hopes, missing)
+    with Workers() as workers:
+        on_look(RunState("step", 0, len(request.jobs) + 1, "model classes"))
+        classes = _ranked(measured, workers, missing)
+        if request.system == AUTO:
+            measured = best_class(measured, classes)
+        answer, others = _answers(request, measured, workers, on_look)
+        if answer.finding.outcome.status is not Status.OK and classes and request.system == AUTO:
+            by_class = workers.one(Call(_of_class, (answer.finding, classes, measured), CLASSES_SECONDS))
+            answer, others = (by_class, [answer.finding, *others]) if by_class else (answer, others)
+        compared = comparisons([answer.finding, *others])
+        primary = with_reasons(answer.finding, compared)
+        drawn = _replicas(primary, request.job, replicas, workers, on_look, say, missing)
+    if not answer.what_if:
+        missing["what_if"] = "the answer is not to be trusted, or the data leave a direction open"
+    findings = (primary, *others)
+    return Certificate(request, findings, compared, classes, answer.prediction, drawn, answer.what_if, missing)
 
 
-def _all_found(request: Request, measured: Measured, say: Callable[[str, int], None]) -> tuple[Finding, ...]:
-    """The findings of a request's jobs in their order, some at once: each fit is a process of its own."""
-    pool, found = ThreadPoolExecutor(AT_ONCE), []
-    waiting = [pool.submit(_found, job, measured, i == 0) for i, job in enumerate(request.jobs)]
+# ------------------------------------------------------------------------------------------------ methods
+
+
+@dataclass(frozen=True, eq=False)
+class PrimaryAnswer:
+    """The primary method's finding, and what follows from its fit."""
+
+    finding: Finding
+    prediction: Prediction | None = None
+    what_if: tuple[WhatIf, ...] = ()
+
+
+def primary_answer(job: Job, measured: Measured) -> PrimaryAnswer:
+    """Find the primary method's answer; raises InputError."""
+    return _with_consequences(find(job, measured))
+
+
+def _with_consequences(finding: Finding) -> PrimaryAnswer:
+    prediction = None if finding.at is None else prediction_of(finding.at)
+    changes = () if finding.trust is Trust.NO else what_if(finding)
+    return PrimaryAnswer(finding, prediction, changes)
+
+
+def other_answer(job: Job, measured: Measured) -> Finding | None:
+    """Find the answer of a method beside the first; None where it does not take measured records."""
+    factor = min(spare_factor(measured.problem), measured.problem.n // OTHERS_SAMPLES)
     try:
-        for i, (job, future) in enumerate(zip(request.jobs, waiting, strict=True)):
-            say(job.label, i)
-            found.append(future.result())
-    finally:
-        pool.shutdown(cancel_futures=True)  # of a run that is interrupted, no further method starts
-    return tuple(one for one in found if one is not None)
-
-
-def _instead(
-    primary: Finding, classes: Sequence[ModelClass], measured: Measured, request: Request
-) -> tuple[Finding, ...]:
-    """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
-    alone = len(measured.problem.records) == 1 and request.system == AUTO
-    if primary.outcome.status is Status.OK or not classes or not alone:
-        return ()
-    outcome = continued_fit(simplest(classes), measured.problem)
-    if outcome is None:
-        return ()
-    found = judged(NAME, measured, outcome)
-    said = f"{primary.method} found no answer: {primary.outcome.message}; this is the class's own fit"
-    return (replace(found, reasons=(*found.reasons, Reason(Trust.CAUTION, said))),)
-
-
-def _found(job: Any, measured: Measured, first: bool) -> Finding | None:
-    """The finding of a job, those beside the first within a limit; of a reference row, which needs the truth, none."""
-    limit = job.config.timeout_s if first else min(job.config.timeout_s, OTHERS_SECONDS)
-    config = replace(job.config, timeout_s=limit)
-    try:
-        return find(replace(job, config=config), measured)
+        return find(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured)
     except InputError:
-        if first:
-            raise
         return None
 
 
-def _ranked(measured: Measured, missing: dict[str, str], limit_s: float) -> list[ModelClass]:
-    """The ranked classes, or why there are none: a fit of friction to pure noise may take minutes."""
+def _answers(
+    request: Request, measured: Measured, workers: Workers, on_look: OnLook
+) -> tuple[PrimaryAnswer, list[Finding]]:
+    """Perform the request's jobs side by side: the primary's answer, and the findings of the others in their order."""
+    first, jobs = request.jobs[0], [job for job in request.jobs if job.config.method["name"] not in REFERENCES]
+    jobs = [first, *(job for job in jobs if job is not first)]
+    limits = [job.config.timeout_s if job is first else min(job.config.timeout_s, OTHERS_SECONDS) for job in jobs]
+    tasks = [
+        Call(primary_answer if job is first else other_answer, (job, measured), limit, job.config.memory_mb)
+        for job, limit in zip(jobs, limits, strict=True)
+    ]
+    results: dict[int, PrimaryAnswer | Finding] = {}
+    on_look(RunState("step", 1, len(jobs) + 1, first.label))
+    for number, result in workers.perform(tasks):
+        if isinstance(result, Died):
+            outcome = Outcome(None, Status(result.reason), result.message, limits[number])
+            stopped = judged(jobs[number].label, measured, outcome)
+            result = stopped if number else PrimaryAnswer(stopped)
+        results[number] = result
+        on_look(RunState("step", 1 + len(results), len(jobs) + 1, jobs[number].label))
+    answer = results.pop(0)
+    assert isinstance(answer, PrimaryAnswer)
+    return answer, [finding for _, finding in sorted(results.items()) if isinstance(finding, Finding)]
+
+
+def _of_class(failed: Finding, classes: Sequence[ModelClass], measured: Measured) -> PrimaryAnswer | None:
+    """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
+    outcome = continued_fit(simplest(classes), measured.problem) if len(measured.problem.records) == 1 else None
+    if outcome is None:
+        return None
+    finding = judged(NAME, measured, outcome)
+    said = f"{failed.method} found no answer: {failed.outcome.message}; this is the class's own fit"
+    return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
+
+
+def _ranked(measured: Measured, workers: Workers, missing: dict[str, str]) -> tuple[ModelClass, ...]:
+    """Compare model classes, or say why they are not: a fit of friction to pure noise may take minutes."""
     try:
-        found = within_time(ranked_classes, measured, limit_s)
+        classes = tuple(workers.one(Call(ranked_classes, (measured,), CLASSES_SECONDS)))
     except Died as died:
         missing["classes"] = died.message
-        return []
-    if not found:
+        return ()
+    if not classes:
         missing["classes"] = "classes are compared for one displacement of one degree of freedom"
-    return found
+    return classes
 
 
 def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """k/m and c/m, or the first two groups of the system that any method tells."""
-    told = {name for one in findings for name in (one.intervals or one.withdrawn)}
-    groups = [q.name for q in findings[0].problem.system.groups if q.name in told]
+    """Return k/m and c/m, or the first two groups of the system that any method determines."""
+    stated = {name for one in findings for name in (one.intervals or one.withdrawn)}
+    groups = [q.name for q in findings[0].problem.system.groups if q.name in stated]
     first = [name for name in ("k_over_m", "c_over_m") if name in groups]
     return tuple([*first, *(name for name in groups if name not in first)][:COMPARED])
 
 
 def comparisons(findings: Sequence[Finding]) -> tuple[MethodComparison, ...]:
-    """Each method's values beside the primary's, the primary's own first."""
-    found = []
+    """Compare each method's values with the primary's, whose own come first."""
+    rows = []
     for name in compared_quantities(findings):
-        own = findings[0].intervals.get(name)
-        for one in findings:
-            other = one.intervals.get(name)
-            if other is not None:
-                standing = "primary" if one is findings[0] else standing_of(other, own)
-                found.append(MethodComparison(one.method, name, other, standing))
-    return tuple(found)
+        reference = findings[0].intervals.get(name)
+        for finding in findings:
+            interval = finding.intervals.get(name)
+            if interval is not None:
+                agreement = "primary" if finding is findings[0] else agreement_of(interval, reference)
+                rows.append(MethodComparison(finding.method, name, interval, agreement))
+    return tuple(rows)
 
 
-def standing_of(other: StatedInterval, own: StatedInterval | None) -> str:
-    """How a value stands to the primary's: ``agrees``, ``level``, ``off``; ``-`` where there is none."""
-    if own is None:
+def agreement_of(other: StatedInterval, reference: StatedInterval | None) -> str:
+    """Return ``agrees``, ``tied`` or ``off``; ``-`` where there is no reference."""
+    if reference is None:
         return "-"
-    if own.low <= other.value <= own.high:
+    if reference.low <= other.value <= reference.high:
         return "agrees"
-    return "level" if other.low <= own.value <= other.high else "off"
+    return "tied" if other.low <= reference.value <= other.high else "off"
 
 
-def motion_of(finding: Finding) -> FittedMotion | None:
-    """The fitted motion of the first channel's degree of freedom; None where it is not finite."""
-    at = finding.at
-    if at is None:
-        return None
-    model, record, units = at.model, at.model.problem.records[0], finding.units
-    mine = model.channels[0][1]
-    p = {name: float(value) for name, value in model.parameters(at.theta).items()}
-    times = np.linspace(0.0, float(mine.times[-1]), DENSE)
-    with np.errstate(all="ignore"):
-        path = simulate(record.rig(model.system), p, model.starts(at.theta)[0], times, record.forces)
-    x, v = path.displacement[mine.dof], path.velocity[mine.dof]
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(v))):
-        return None
-    return FittedMotion(units.time * times, units.of(LENGTH) * x, units.of(MEASURED["velocity"]) * v)
+def with_reasons(primary: Finding, compared: Sequence[MethodComparison]) -> Finding:
+    """Add to the primary's reasons for caution that methods whose own answers are sound disagree with it."""
+    off: dict[str, list[str]] = {}
+    for one in compared:
+        if one.agreement == "off":
+            off.setdefault(one.quantity, []).append(one.method)
+    said = [f"{', '.join(methods)} disagree{'s' if len(methods) == 1 else ''} in {name.replace('_over_', '/')}"
+            for name, methods in off.items()]  # fmt: skip
+    return replace(primary, reasons=(*primary.reasons, *(Reason(Trust.CAUTION, reason) for reason in said)))
+
+
+# ------------------------------------------------------------------------------------------------ consequences
 
 
 def prediction_of(at: Linearised) -> Prediction | None:
-    """The last 40 % of the first channel by a fit of the first 60 %; None where that fit is not possible."""
-    found, own = early_fit(at), at.channels[0]
-    if found is None or not np.all(np.isfinite(found.predicted[own])):
+    """Predict the last 40 % of the first channel by a fit of the first 60 %; None where that fit is not possible."""
+    early, samples = early_fit(at), at.channels[0]
+    if early is None or not np.all(np.isfinite(early.predicted[samples])):
         return None
-    fit = found.fit_percent(at.model.data, own)
-    return None if math.isnan(fit) else Prediction(found.split, found.predicted[own], fit)
+    fit = early.fit_percent(at.model.data, samples)
+    return None if math.isnan(fit) else Prediction(early.split, early.predicted[samples], fit)
 
 
-def _what_if(primary: Finding, missing: dict[str, str]) -> tuple[Any, ...]:
-    if primary.trust is Trust.NO or primary.at is None:
-        missing["what_if"] = "the answer is not to be trusted, so nothing is said of what a better record would bring"
-        return ()
-    from bench.records.what_if import what_if
-
-    return tuple(what_if(primary))
-
-
-def affordable(findings: Sequence[Finding], n: int) -> tuple[list[str], int]:
-    """The methods that twins are fitted with, the primary first, and how many twins: as the time allows."""
-    took = {
-        one.method: one.outcome.wall_s
-        for one in findings
-        if one.intervals and math.isfinite(one.outcome.wall_s) and one.method in registered()
-    }
-    primary = findings[0].method
-    own = max(took.pop(primary, 0.0), 1e-4)
-    number = n if n * own <= TWIN_SECONDS else max(min(n, LEAST_TWINS), int(TWIN_SECONDS / own))
-    left, chosen = TWIN_SECONDS - number * own, [primary]
-    for method, wall_s in sorted(took.items(), key=lambda item: item[1]):
-        left -= number * wall_s
-        if left < 0 or len(chosen) == MOST_TWINNED:
-            break
-        chosen.append(method)
-    return chosen, number
-
-
-def _twins(
-    findings: Sequence[Finding], n: int, request: Request, progress: Callable[[int, int], None], missing: dict[str, str]
-) -> Any:
+def _replicas(
+    primary: Finding,
+    job: Job,
+    n: int,
+    workers: Workers,
+    on_look: OnLook,
+    say: Callable[[str], None],
+    missing: dict[str, str],
+) -> tuple[ReplicaCoverage, ...]:
     if n == 0:
-        missing["twins"] = "none was asked for (twins=0)"
-        return None
-    if findings[0].trust is Trust.NO or findings[0].at is None:
-        missing["twins"] = "the answer is not to be trusted, so no twins are made of it"
-        return None
-    if findings[0].method not in registered():
-        said = "twins are fitted by registered methods with their own settings"
-        missing["twins"] = f"{said}, and this answer is of {findings[0].method}"
-        return None
-    from bench.records.twins import twins_of
+        missing["replicas"] = "none were asked for (twins=0)"
+    elif primary.trust is Trust.NO or primary.at is None:
+        missing["replicas"] = "the answer is not to be trusted, so no replicas of it are simulated"
+    elif primary.method != job.label:
+        missing["replicas"] = f"replicas are fitted by a method, and this answer is the {primary.method}"
+    if "replicas" in missing:
+        return ()
+    started = time.monotonic()
 
-    methods, number = affordable(findings, n)
-    return twins_of(findings[0], methods, number, int(request.job.config.seed), progress)
+    def on_replicas(done: int, seconds_left: float) -> None:
+        nonlocal started
+        if started and done < n:
+            say(f"{n} simulated replicas: about {seconds_left:.0f} s more (twins=0 leaves them out)")
+        started = 0.0
+        on_look(RunState("replica", done, n, "", seconds_left, at_least=False))
+
+    coverages = coverage_on_replicas(primary, job, n, workers, on_replicas)
+    if not coverages:
+        missing["replicas"] = f"of {n} replicas fewer than 20 were answered"
+    return coverages

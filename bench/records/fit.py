@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import pickle
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -16,6 +17,7 @@ from bench.contract.method import Identifier
 from bench.contract.problem import Problem
 from bench.engine import method_process as fitter
 from bench.engine.pool import Limits
+from bench.engine.wire import unpack
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
@@ -56,29 +58,41 @@ def fit_alone(
     """Fit, within the limits; the estimate's functions of time are known at ``times`` (s) afterwards."""
     fit = pickle.dumps(method.identify_many)
     task = fitter.FitTask(fit, (0,), (problem,), (rng,), (times,), limits.timeout_s)
-    children = Children()
     started = time.perf_counter()
     try:
-        child = fitter.ready(children, None, method.requires, limits.memory_mb)
-        (outcome,) = fitter.solve(child, task, limits.memory_mb)
+        (outcome,) = _in_worker(task) if in_worker() else _in_own_process(task, method.requires, limits.memory_mb)
     except Died as died:
         return Outcome(None, Status(died.reason), died.message, time.perf_counter() - started)
-    finally:
-        children.close()
     if "answer" not in outcome:
         return Outcome(None, Status(outcome["status"]), outcome["message"])
     estimate = replace(outcome["answer"], system=problem.system).checked()
     return Outcome(estimate, estimate.status, estimate.message, outcome["wall_s"])
 
 
+def in_worker() -> bool:
+    """Return whether this is a process that another one ends at its limits; it may have no children."""
+    return multiprocessing.current_process().daemon
+
+
+def _in_worker(task: fitter.FitTask) -> list[dict[str, Any]]:
+    packed = fitter.perform(task)
+    assert packed is not None  # as of one replicate
+    outcomes: list[dict[str, Any]] = unpack(packed)
+    return outcomes
+
+
+def _in_own_process(task: fitter.FitTask, requires: Sequence[str], memory_mb: float) -> list[dict[str, Any]]:
+    with Children() as children:
+        return fitter.solve(fitter.ready(children, None, requires, memory_mb), task, memory_mb)
+
+
 def within_time(work: Callable[[Measured], Result], measured: Measured, limit_s: float) -> Result:
     """Return what a function of a module makes of records; raises ``Died`` where it takes longer than the limit."""
-    children = Children()
-    try:
+    if in_worker():
+        return work(measured)
+    with Children() as children:
         child = children.start(_send, pickle.dumps((work, measured)))
         return pickle.loads(child.receive(limit_s))  # type: ignore[no-any-return]
-    finally:
-        children.close()
 
 
 def _send(connection: Any, packed: bytes) -> None:

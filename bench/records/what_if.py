@@ -16,7 +16,7 @@ from bench.contract.problem import Channel, Force, Problem, Record
 from bench.likelihood.output_error import OutputError
 from bench.records.finding import Finding
 from bench.records.linearised import Linearised
-from bench.records.twins import told_quantities
+from bench.records.replicas import determined_quantities
 
 LONGER_S = 10.0
 ALIKE = 100.0
@@ -83,7 +83,7 @@ def _errors(
     known = [c for c in covariances if c is not None]
     coloured = _sandwich(white, slopes, model, sigma, known) if len(known) == len(covariances) else None
     found = {}
-    for quantity in told_quantities(given):
+    for quantity in determined_quantities(given):
         g = at.gradient(quantity)
         if coloured is not None:
             found[quantity.name] = float(np.sqrt(g @ coloured @ g))

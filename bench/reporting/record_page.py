@@ -5,30 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.reporting.answer import MEANING, answer, ends_text, in_shown_unit, unit_text, value_text
 from bench.reporting.rounding import number, readable, rounded
 from bench.reporting.terminal import table, wrapped
 
-FREE = "free vibration without a prior: m, c and k themselves cannot be told, only their ratios"
-WHITE = "white: the interval of the method alone, which takes the noise for white and the model for right"
+FREE = "free vibration without a prior: m, c and k are not individually identifiable, only k/m and c/m"
+WHITE = "White-noise interval: assumes white noise and a correct model."
 
 MODES = ["mode (Hz)", "95 %", "damping ratio", "95 %", "of the signal"]
 
 
 def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
-    """One method's answer: the verdict with its reasons, values with intervals, and what is left of the signal.
+    """Return one method's answer: values, verdict with its reasons, a table of intervals, and the residuals.
 
     ``found`` is what :class:`bench.Identification` holds, as plain values.
     """
-    lines = [f"record: {found['data']}"]
-    lines += [wrapped(f"note: {note}", "    ", "  ") for note in found["notes"]]
-    lines.append(wrapped(f"{found['method']}: {found['samples']} samples, {found['status']}: {found['trust']}"))
+    stated = bool(found["estimates"])
+    first = f"{answer(found['estimates'])} (95 % interval of a repeat)" if stated else "no value can be stated"
+    lines = [wrapped(first), wrapped(f"{found['method']}: {found['trust']}")]
     lines += [wrapped(f"- {reason}", "    ", "  ") for reason in found["reasons"]]
+    lines.append(wrapped(f"record: {found['data']}, {found['samples']} samples"))
+    lines += [wrapped(f"note: {note}", "    ", "  ") for note in found["notes"]]
     shown = found["estimates"] or found["withdrawn"]
     if shown:
-        rows = [_row(name, own, bool(found["estimates"])) for name, own in shown.items()]
-        headers = ["", "value", "95 % low", "95 % high", "unit", "white low", "white high"]
-        lines += ["", table(rows, headers, (0, 4)), "", wrapped(WHITE)]
-        if not found["estimates"]:
+        rows = [_row(name, interval, stated) for name, interval in shown.items()]
+        headers = ["", "value", "unit", "95 % interval of a repeat", "of this record", "white-noise interval"]
+        lines += ["", table(rows, headers, (0, 2)), "", wrapped(f"Intervals {MEANING}. {WHITE}")]
+        if not stated:
             lines.append(wrapped("no interval is stated, since the answer is not to be trusted"))
     if found["modes"]:
         lines += ["", table([_mode(mode) for mode in found["modes"]], MODES, (4,)), ""]
@@ -38,22 +41,18 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
         lines += ["", _runs(found["runs"], [name for name in shown][:2]), ""]
     r = found["residuals"]
     if r:
-        said = f"residuals: rms {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of the signal)"
-        colour = f"lag-1 autocorrelation {r['lag1_autocorrelation']:.2f}, white with p = {r['whiteness']:.2g}"
-        lines.append(wrapped(f"{said}, {colour}, offset {number(r['offset'])} {r['unit']}"))
+        size = f"residual RMS: {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of signal RMS)"
+        colour = f"lag-1 autocorrelation {r['lag1_autocorrelation']:.2f}, whiteness p = {r['whiteness']:.2g}"
+        lines.append(wrapped(f"{size}, {colour}, offset {number(r['offset'])} {r['unit']}"))
     return "\n".join(lines)
 
 
-def _row(name: str, own: Mapping[str, Any], stated: bool) -> list[str]:
-    value, low, high = rounded(own["value"], own["low"], own["high"])
-    white = rounded(own["value"], own["white_low"], own["white_high"])
-    return [
-        readable(name),
-        value if stated else white[0],
-        *((low, high) if stated else ("-", "-")),
-        own["unit"],
-        *white[1:],
-    ]
+def _row(name: str, interval: Mapping[str, Any], stated: bool) -> list[str]:
+    shown = in_shown_unit(name, interval)
+    white = rounded(shown["value"], shown["white_low"], shown["white_high"])[0]
+    texts = [ends_text(shown), ends_text(shown, "record_")] if stated else ["-", "-"]
+    value = value_text(shown) if stated else white
+    return [readable(name), value, unit_text(shown["unit"]), *texts, ends_text(shown, "white_")]
 
 
 def _mode(mode: Mapping[str, Any]) -> list[str]:
@@ -82,16 +81,14 @@ def _alone(own: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def methods_page(found: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
-    """Several methods side by side: the verdict of each, and the quantities that most of them tell."""
+    """Return several methods side by side: the verdict of each, and the quantities that most of them determine."""
     rows = []
-    for own in found:
-        cells = []
-        for name in names:
-            e = own["estimates"].get(name)
-            cells.append(" to ".join(rounded(e["value"], e["low"], e["high"])[1:]) if e else "-")
-        rows.append([own["method"], own["trust"], *cells, number(own["wall_s"])])
+    for result in found:
+        intervals = [result["estimates"].get(name) for name in names]
+        cells = [ends_text(interval) if interval else "-" for interval in intervals]
+        rows.append([result["method"], result["trust"], *cells, number(result["wall_s"])])
     headers = ["method", "verdict", *(f"{readable(name)}, 95 %" for name in names), "s"]
-    doubted = [own for own in found if own["trust"] == "do not trust"]
+    doubted = [result for result in found if result["trust"] == "do not trust"]
     lines = [f"record: {found[0]['data']}", "", table(rows, headers, (0, 1)), *([""] if doubted else [])]
-    lines += [wrapped(f"{own['method']}: {own['reasons'][0]}", "    ", "  ") for own in doubted]
+    lines += [wrapped(f"{result['method']}: {result['reasons'][0]}", "    ", "  ") for result in doubted]
     return "\n".join(lines)

@@ -17,7 +17,7 @@ MOST_POINTS = 1200
 MOST_MARKED = 250
 """Samples beyond this number are a line, not circles."""
 BLUE, ORANGE, GREEN, PURPLE = SERIES
-STANDING = {"primary": INK, "agrees": BLUE, "level": MUTED, "off": ORANGE, "-": MUTED}
+AGREEMENT = {"primary": INK, "agrees": BLUE, "tied": MUTED, "off": ORANGE, "-": MUTED}
 MOST_WIDER = 8.0
 """An interval beyond so many times the primary's reach is cut at the edge of the plot."""
 
@@ -38,8 +38,7 @@ def pictures(shown: Mapping[str, Any]) -> list[CertificatePicture]:
         ("prediction", "Prediction of what was held out", series["prediction"] is not None, _prediction, 1.25),
         ("spectrum", "Spectrum of the residuals", series["spectrum"] is not None, _spectrum, 1.0),
         ("lags", "Autocorrelation of the residuals", series["autocorrelation"] is not None, _lags, 1.0),
-        ("phase", "Phase plane of the fit", series["motion"] is not None, _phase, 1.15),
-        ("forest", "Methods side by side", _any_told(shown), _forest, _height(shown)),
+        ("forest", "Methods side by side", bool(_rows(shown)), _forest, _height(shown)),
     ]
     found, plt = [], pyplot()
     for name, title, there, draw, height in drawers:
@@ -105,10 +104,15 @@ def draw_record(figure: Any, samples: Curve, fit: tuple[Curve, np.ndarray] | Non
     above.plot(*thinned(*curve), color=BLUE, lw=1.1, label="fit")
     above.set(ylabel=label, title="Record and fit")
     _above(above)
-    below.axhline(0, color=MUTED, lw=0.7)
-    below.plot(*thinned(samples[0], residuals), color=ORANGE, lw=0.8)
-    below.set(xlabel="time (s)", ylabel=f"residual ({unit})")
-    below.grid(lw=0.5)
+    _difference(figure, below, (samples[0], residuals), f"residual ({unit})")
+
+
+def _difference(figure: Any, axis: Any, curve: Curve, label: str) -> None:
+    """Draw what is left of the samples below them."""
+    axis.axhline(0, color=MUTED, lw=0.7)
+    axis.plot(*thinned(*curve), color=ORANGE, lw=0.8)
+    axis.set(xlabel="time (s)", ylabel=label)
+    axis.grid(lw=0.5)
     figure.align_ylabels()
 
 
@@ -124,11 +128,7 @@ def _prediction(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]
     above.plot(*thinned(times[late], predicted[late]), color=PURPLE, lw=1.1, label="prediction")
     above.set(ylabel=_label(series), title=f"Held out: FIT {shown['prediction']['fit_pct']:.1f} %")
     _above(above)
-    below.axhline(0, color=MUTED, lw=0.7)
-    below.plot(*thinned(times, values - predicted), color=ORANGE, lw=0.8)
-    below.set(xlabel="time (s)", ylabel=f"error ({series['unit']})")
-    below.grid(lw=0.5)
-    figure.align_ylabels()
+    _difference(figure, below, (times, values - predicted), f"error ({series['unit']})")
 
 
 def _spectrum(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> None:
@@ -180,21 +180,6 @@ def _lags(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> N
     _above(axis, 0.12)
 
 
-def _phase(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> None:
-    axis, own = figure.subplots(), series["motion"]
-    unit = "rad" if series["unit"].startswith("rad") else "m"
-    axis.axhline(0, color=MUTED, lw=0.6)
-    axis.axvline(0, color=MUTED, lw=0.6)
-    axis.plot(own["displacement"], own["velocity"], color=BLUE, lw=0.9)
-    axis.plot(own["displacement"][:1], own["velocity"][:1], "o", color=ORANGE, ms=5, label="start")
-    axis.set(xlabel=f"displacement ({unit})", ylabel=f"velocity ({unit}/s)", title="Phase plane of the fit")
-    _above(axis, 0.1)
-
-
-def _any_told(shown: Mapping[str, Any]) -> bool:
-    return any(name in one["values"] for name in shown["compared"] for one in shown["methods"])
-
-
 def _rows(shown: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [one for one in shown["methods"] if any(name in one["values"] for name in shown["compared"])]
 
@@ -216,19 +201,20 @@ def _forest(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) ->
 def _forest_of(axis: Any, name: str, rows: Sequence[Mapping[str, Any]], shown: Mapping[str, Any]) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    told = {i: one["values"][name] for i, one in enumerate(rows) if name in one["values"]}
-    low, high = _limits(shown["values"].get(name), list(told.values()))
-    own = shown["values"].get(name)
-    if own is not None:
-        axis.axvspan(own["low"], own["high"], color=LINE, alpha=0.5, lw=0)
-    for i, e in told.items():
-        colour = STANDING[rows[i]["standing"].get(name, "-")]
-        ends = np.clip([e["low"], e["high"]], low, high)
-        axis.plot(ends, [i, i], color=colour, lw=1.8, solid_capstyle="butt")
-        inside = low <= e["value"] <= high
-        marker = "o" if inside else "<" if e["value"] < low else ">"
-        axis.plot(np.clip(e["value"], low, high), i, marker, color=colour, ms=4.5, clip_on=False)
-    unit = next(iter(told.values()))["unit"]
+    intervals = {i: one["values"][name] for i, one in enumerate(rows) if name in one["values"]}
+    reference = shown["values"].get(name)
+    low, high = _limits(reference, list(intervals.values()))
+    if reference is not None:
+        axis.axvspan(*np.clip([reference["low"], reference["high"]], low, high), color=LINE, alpha=0.5, lw=0)
+    for i, interval in intervals.items():
+        colour = AGREEMENT[rows[i]["agreement"].get(name, "-")]
+        for ends, width in (("", 1.8), ("record_", 4.0)):
+            drawn = np.clip([interval[f"{ends}low"], interval[f"{ends}high"]], low, high)
+            axis.plot(drawn, [i, i], color=colour, lw=width, solid_capstyle="butt")
+        inside = low <= interval["value"] <= high
+        marker = "o" if inside else "<" if interval["value"] < low else ">"
+        axis.plot(np.clip(interval["value"], low, high), i, marker, color=colour, ms=4.5, clip_on=False)
+    unit = next(iter(intervals.values()))["unit"]
     axis.set_title(readable(name) + ("" if unit == "-" else f" ({unit})"))
     axis.set_xlim(low, high)
     axis.xaxis.set_major_locator(MaxNLocator(4))
@@ -236,37 +222,37 @@ def _forest_of(axis: Any, name: str, rows: Sequence[Mapping[str, Any]], shown: M
     row_axis(axis)
 
 
-def _limits(own: Mapping[str, Any] | None, told: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
-    """What the plot runs over: most intervals whole, and no more than some reaches of the primary's."""
-    ends = [end for e in told for end in (e["low"], e["high"]) if math.isfinite(end)] or [0.0, 1.0]
+def _limits(reference: Mapping[str, Any] | None, intervals: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
+    """Return the ends of the plot: most intervals whole, and at most some widths of the primary's."""
+    ends = [own[end] for own in intervals for end in ("low", "high") if math.isfinite(own[end])] or [0.0, 1.0]
     low, high = min(ends), max(ends)
-    if own is not None and math.isfinite(own["high"] - own["low"]):
-        widths = sorted(abs(end - own["value"]) for end in ends)
-        reach = max(3.0 * (own["high"] - own["low"]), widths[len(widths) // 2])
-        reach = min(reach, MOST_WIDER * (own["high"] - own["low"]))
-        low, high = max(low, own["value"] - reach), min(high, own["value"] + reach)
+    if reference is not None and math.isfinite(reference["high"] - reference["low"]):
+        width, value = reference["high"] - reference["low"], reference["value"]
+        distances = sorted(abs(end - value) for end in ends)
+        reach = min(max(3.0 * width, distances[len(distances) // 2]), MOST_WIDER * width)
+        low, high = max(low, value - reach), min(high, value + reach)
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     return low - margin, high + margin
 
 
 CAPTIONS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "record": lambda shown: (
-        "What was measured, what the fit makes of it, and the difference."
+        "Measured samples, fitted motion, and their difference."
         if shown["series"]["fit"] is not None
-        else "What was measured; there is no fit to draw."
+        else "Measured samples; there is no fit to draw."
     ),
     "prediction": lambda shown: (
-        "The last 40 % of the record (grey) was not seen by the fit that predicts it. "
+        "The last 40 % of the record (grey) was not used by the fit that predicts it. "
         "FIT is 100 % for a perfect prediction, 0 % for one no better than the mean."
     ),
     "spectrum": lambda shown: (
-        "White noise keeps within the band at 95 of 100 frequencies; the smooth line is the "
-        "autoregression that the stated intervals take for the noise. Dotted: the natural frequency."
+        "White noise stays within the band at 95 of 100 frequencies; the smooth line is the "
+        "autoregression that the intervals assume for the noise. Dotted: the natural frequency."
     ),
     "lags": lambda shown: "Of white noise, 95 of 100 bars stay within the band.",
-    "phase": lambda shown: "Displacement and velocity of the fitted motion.",
     "forest": lambda shown: (
-        "Stated 95 % intervals; grey: the primary method's. Blue agrees with it, grey bars are "
-        "level with it, orange is off: neither interval holds the other's value. Arrow heads lie beyond the plot."
+        "95 % intervals: thin of a repeat, thick of this record; grey: the primary method's. Blue agrees with it, "
+        "grey bars are tied with it, orange is off: neither interval covers the other's value. "
+        "Arrow heads lie beyond the plot."
     ),
 }

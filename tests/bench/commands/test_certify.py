@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from bench.commands.main import main
@@ -18,7 +23,7 @@ def no_classes() -> Iterator[None]:
     """Fitting all classes takes a minute, and no test here is of them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            certificate, "_ranked", lambda measured, missing, limit_s: missing.update(classes="left out") or []
+            certificate, "_ranked", lambda measured, workers, missing: missing.update(classes="left out") or ()
         )
         yield
 
@@ -48,12 +53,13 @@ def test_the_file_holds_the_answer_and_what_it_came_from(written: Path, record: 
     assert found["method"] == "output_error"
     assert found["verdict"] in ("trust", "use with caution")
     own = found["values"]["k_over_m"]
-    assert own["low"] < 36.0 + 0.2**2 < own["high"]
+    assert own["low"] <= own["record_low"] < 36.0 + 0.2**2 < own["record_high"] <= own["high"]
+    assert re.fullmatch(r"natural frequency = 0.9\d+ ± 0.0\d+ Hz, damping ratio = \d.\d+ ± 0.\d+ %", found["answer"])
     assert [one["method"] for one in found["methods"]] == ["output_error", "ls"]
     assert found["record"]["hashes"][0][0] == record.name
     assert len(found["record"]["hashes"][0][1]) == 64
     assert found["command"].startswith("python -m bench certify data=")
-    assert "twins=0" in found["missing"]["twins"]
+    assert "twins=0" in found["missing"]["replicas"]
 
 
 def test_pure_noise_is_not_to_be_trusted_and_still_gets_a_page(tmp_path: Path) -> None:
@@ -76,3 +82,21 @@ def test_a_method_that_cannot_answer_gets_a_page_with_the_record(record: Path, t
     page = (tmp_path / "certificate.html").read_text(encoding="utf-8")
     assert "Do not trust" in page
     assert page.count("<svg") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_command_and_all_its_processes(record: Path, tmp_path: Path, number: signal.Signals) -> None:
+    """In the middle of its work, which it says before with the time that is left."""
+    fields = [f"data={record}", f"out={tmp_path}", "system=sdof", "method=output_error", "twins=100000"]
+    line = [sys.executable, "-m", "bench", "certify", *fields]
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        said = next(text for text in process.stderr if "simulated replicas" in text)
+        children = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(number)
+        assert process.wait(30.0) == 128 + number
+        assert "interrupted" in process.stderr.read()
+    assert re.search(r"100000 simulated replicas: about \d+ s more", said)
+    assert children
+    assert psutil.wait_procs(children, timeout=10.0)[1] == []
+    assert list(tmp_path.iterdir()) == []

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,25 @@ import pytest
 
 from bench.records import certificate as gathering
 from bench.records import classes
-from bench.records.certificate import Certificate, _ranked, certify, prediction_of, standing_of
+from bench.records.certificate import (
+    Certificate,
+    MethodComparison,
+    _ranked,
+    agreement_of,
+    certify,
+    prediction_of,
+    with_reasons,
+)
 from bench.records.classes import ModelClass
 from bench.records.continued import NAME
 from bench.records.held_out import held_out_fit
 from bench.records.intervals import StatedInterval
 from bench.records.record import Measured, of_arrays, read_measured
+from bench.records.replicas import ReplicaCoverage
 from bench.records.request import Request, request_of
+from bench.records.verdict import Trust
+from bench.records.workers import Workers
+from bench.reporting.answer import answer, quantity_text
 from bench.reporting.certificate.contents import contents, listed
 from bench.reporting.certificate.figures import power_of_ten, thinned
 from bench.reporting.certificate.page import fit_text, page
@@ -44,13 +55,13 @@ def ranked() -> Iterator[list[ModelClass]]:
         patch.setattr(classes, "SIMPLE", ("viscous", "Duffing"))
         patch.setattr(classes, "_damped", lambda base: {})
         found = classes.ranked_classes(asked("auto")[1])
-        patch.setattr(gathering, "_ranked", lambda measured, missing, limit_s: found)
+        patch.setattr(gathering, "_ranked", lambda measured, workers, missing: tuple(found))
         yield found
 
 
 @pytest.fixture(scope="module")
 def made(ranked: list[ModelClass]) -> Certificate:
-    return certify(*asked(), twins=0)
+    return certify(*asked(), 0)
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +77,14 @@ def text(shown: Mapping[str, Any]) -> str:
 def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(ranked: list[ModelClass]) -> None:
     """Only where the system was chosen; which method found nothing, and why, is said."""
     failed = ("era",)  # it cannot estimate the sensor's offset
-    chosen = certify(*asked("auto", failed), twins=0)
+    chosen = certify(*asked("auto", failed), 0)
     assert [one.method for one in chosen.findings] == [NAME, "era"]
     assert {"k_over_m", "c_over_m"} <= set(chosen.primary.intervals)
     own = chosen.primary.intervals["k_over_m"]
     assert own.low < RATE**2 + DECAY**2 < own.high
     assert any("era found no answer: it cannot estimate" in reason.text for reason in chosen.primary.reasons)
     assert NAME in page(contents(chosen, "certify"))
-    named = certify(*asked("sdof", failed), twins=0)
+    named = certify(*asked("sdof", failed), 0)
     assert [one.method for one in named.findings] == ["era"]
 
 
@@ -89,29 +100,26 @@ def test_the_page_asks_for_nothing(text: str) -> None:
 def test_the_page_shows_verdict_and_intervals_of_the_contents(text: str, shown: Mapping[str, Any]) -> None:
     for sentence in shown["sentences"]:
         assert sentence in text
-    assert len(shown["sentences"]) == 3
-    for own in shown["values"].values():
-        value, low, high = rounded(own["value"], own["low"], own["high"])
+    assert len(shown["sentences"]) == 2
+    for name, own in shown["values"].items():
+        scale = 100.0 if name == "damping_ratio" else 1.0
+        value, low, high = rounded(*(scale * own[end] for end in ("value", "low", "high")))
         assert f"<td>{value}</td>" in text
         assert f"<td>{low} to {high}</td>" in text
 
 
 def test_all_that_can_be_drawn_is_drawn_once_and_its_names_do_not_clash(text: str) -> None:
-    assert text.count("<svg") == 6
+    assert text.count("<svg") == 5
     names = re.findall(r' id="([^"]+)"', text)
     assert len(names) == len(set(names))
     assert "mathdefault" not in text
 
 
-def test_the_fit_and_the_motion_are_in_the_units_of_the_record(shown: Mapping[str, Any]) -> None:
+def test_the_fit_is_in_the_units_of_the_record(shown: Mapping[str, Any]) -> None:
     series = shown["series"]
     clean = np.exp(-DECAY * TIMES) * np.cos(RATE * TIMES)
     assert np.max(np.abs(series["fit"] - clean)) < 0.01
     assert np.allclose(series["fit"] + series["residuals"], series["values"])
-    motion = series["motion"]
-    assert motion["times"][-1] == pytest.approx(TIMES[-1])
-    slope = np.gradient(motion["displacement"], motion["times"])
-    assert np.max(np.abs(slope - motion["velocity"])[2:-2]) < 0.01 * RATE
     assert series["spectrum"]["natural_frequency"] == pytest.approx(math.hypot(RATE, DECAY) / (2 * math.pi), rel=0.01)
     rate = 20.0
     total = np.sum(series["spectrum"]["periodogram"]) * rate / TIMES.size
@@ -136,56 +144,68 @@ def test_the_best_of_ranked_classes_is_what_system_auto_takes(ranked: list[Model
     assert "sdof is used" in classes.best_class(measured, []).notes[-1]
 
 
-def test_classes_that_take_too_long_are_missing() -> None:
+def test_classes_that_take_too_long_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     missing: dict[str, str] = {}
-    assert _ranked(asked()[1], missing, 0.0) == []
+    monkeypatch.setattr(gathering, "CLASSES_SECONDS", 0.0)
+    with Workers() as workers:
+        assert _ranked(asked()[1], workers, missing) == ()
     assert "limit" in missing["classes"]
 
 
+def interval(value: float, low: float, high: float) -> StatedInterval:
+    return StatedInterval(value, low, high, low, high, low, high, "1/s²")
+
+
 @pytest.mark.parametrize(
-    ("value", "low", "high", "standing"),
-    [(1.05, 1.0, 1.1, "agrees"), (1.3, 0.9, 1.7, "level"), (1.3, 1.15, 1.5, "off")],
+    ("value", "low", "high", "agreement"),
+    [(1.05, 1.0, 1.1, "agrees"), (1.3, 0.9, 1.7, "tied"), (1.3, 1.15, 1.5, "off")],
 )
-def test_standings(value: float, low: float, high: float, standing: str) -> None:
-    own = StatedInterval(1.0, *(0.9, 1.1) * 3, "1/s²")
-    assert standing_of(StatedInterval(value, *(low, high) * 3, "1/s²"), own) == standing
-    assert standing_of(own, None) == "-"
+def test_agreement(value: float, low: float, high: float, agreement: str) -> None:
+    own = interval(1.0, 0.9, 1.1)
+    assert agreement_of(interval(value, low, high), own) == agreement
+    assert agreement_of(own, None) == "-"
 
 
-@dataclass(frozen=True)
-class Line:
-    """What twins say of one method and quantity."""
-
-    method: str = "output_error"
-    quantity: str = "k_over_m"
-    n_ok: int = 40
-    median_error_pct: float = 0.123
-    coverage_white: float = 0.9
-    coverage_stated: float = 0.95
-    stretch: float = math.nan
+def test_a_sound_method_that_disagrees_is_a_reason_for_caution(made: Certificate) -> None:
+    other = MethodComparison("iqml", "c_over_m", interval(2.0, 1.9, 2.1), "off")
+    alike = MethodComparison("ls", "c_over_m", interval(2.0, 0.1, 2.1), "tied")
+    primary = with_reasons(replace(made.primary, reasons=()), [other, alike])
+    assert primary.trust is Trust.CAUTION
+    assert [reason.text for reason in primary.reasons] == ["iqml disagrees in c/m"]
 
 
-def test_twins_and_better_records_are_shown(made: Certificate) -> None:
-    corrected = {name: replace(own, low=0.5 * own.low) for name, own in made.primary.intervals.items()}
-    twins = SimpleNamespace(n=40, quantities=("k_over_m",), lines=(Line(),), corrected=corrected)
-    also = replace(made, twins=twins)
-    text = page(contents(also, "again"))
-    assert "Corrected by twins" in text
-    assert "0.123" in text
-    assert "95 %" in text
+def test_replicas_and_better_records_are_shown(made: Certificate) -> None:
+    lines = (ReplicaCoverage("k_over_m", 200, 0.123, 0.87, 1.4, (30.0, 42.0)),)
+    text = page(contents(replace(made, replicas=lines), "again"))
+    assert "<td>200</td><td>0.123</td><td>87 (82 to 91)</td><td>1.4</td><td>30.0 to 42.0</td>" in text
     assert "twice the sampling rate" in text
-    without = page(contents(replace(made, twins=SimpleNamespace(**{**vars(twins), "lines": ()})), "again"))
-    assert "Corrected by twins:" not in without
+    without = page(contents(replace(made, missing={"replicas": "none were asked for (twins=0)"}), "again"))
+    assert "Not simulated: none were asked for (twins=0)." in without
 
 
-def test_methods_for_twins_are_those_that_there_is_time_for(made: Certificate) -> None:
-    def took(finding: Any, wall_s: float) -> Any:
-        return replace(finding, outcome=replace(finding.outcome, wall_s=wall_s))
+def test_the_first_line_is_the_answer_with_an_uncertainty(shown: Mapping[str, Any], text: str) -> None:
+    assert re.fullmatch(r"natural frequency = 0.9\d+ ± 0.0\d+ Hz, damping ratio = \d.\d+ ± 0.\d+ %", shown["answer"])
+    assert re.findall("<h1>(.*?)</h1>", text) == [shown["answer"]]
 
-    first, second = made.findings
-    assert gathering.affordable([took(first, 0.01), took(second, 0.01)], 200) == (["output_error", "ls"], 200)
-    assert gathering.affordable([took(first, 0.01), took(second, 10.0)], 200) == (["output_error"], 200)
-    assert gathering.affordable([took(first, 0.25), took(second, 10.0)], 200)[1] == 40
+
+@pytest.mark.parametrize(
+    ("name", "own", "expected"),
+    [
+        ("k_over_m", interval(52.1, 51.9, 52.3), "k/m = 52.10 ± 0.20 1/s²"),
+        ("k_over_m", interval(52.1, 40.0, 80.0), "k/m = 52 1/s² (40 to 80)"),
+        ("damping_ratio", interval(0.0213, 0.0195, 0.0231), "damping ratio = 2.13 ± 0.18 %"),
+        ("c_over_m", replace(interval(0.1, 0.0, 0.4123), limit="at most"), "c/m at most 0.41 1/s²"),
+        ("m", replace(interval(3.0, 2.0, math.inf), limit="at least"), "m at least 2 1/s²"),
+    ],
+)
+def test_uncertainties_in_words(name: str, own: StatedInterval, expected: str) -> None:
+    assert quantity_text(name, vars(own)) == expected
+
+
+def test_parameters_are_the_answer_where_their_scale_is_determined() -> None:
+    own = vars(replace(interval(2.0, 1.9, 2.1), unit="kg"))
+    assert answer({"m": own, "k_over_m": own, "natural_frequency": own}) == "m = 2.00 ± 0.10 kg"
+    assert answer({"k_over_m": own, "mu_over_m": own, "natural_frequency": own}).count("=") == 2
 
 
 def test_numbers_without_a_value_are_no_text(made: Certificate) -> None:

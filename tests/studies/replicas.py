@@ -1,4 +1,4 @@
-"""Coverage of intervals that were corrected by twins."""
+"""Coverage of intervals that were corrected by simulated replicas."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from typing import Annotated
 import numpy as np
 
 from bench.commands.declaration import OneOf, Within
+from bench.config.schema import Job
 from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
 from bench.likelihood.autoregression import Autoregression
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
-from bench.records.intervals import StatedInterval
 from bench.records.record import Measured
-from bench.records.twins import Answers, corrected_by, drawn, stated_on, stretch_of, stretched, told_quantities
+from bench.records.replicas import answered, coverage_of, true_values, widened
+from bench.records.request import request_of
 from bench.reporting.tables.common import markdown_table
 from bench.scenario.truth import closed_form
 from bench.scoring.statistics import wilson_interval
@@ -70,39 +71,35 @@ def found(problem: Problem, seed: int) -> Finding | None:
     return replace(finding, intervals=finding.intervals or finding.withdrawn)
 
 
-def answered(finding: Finding, twins: int, seed: int) -> Answers:
-    """Return the answers to twins, in this process, for speed; else as :mod:`bench.records.twins`."""
+def covers(finding: Finding, replicas: int, job: Job) -> dict[tuple[str, str], bool]:
+    """Decide whether the intervals cover the true value, by quantity and kind."""
     assert finding.at is not None
-    made = drawn(finding.at, finding.problem, twins, seed)
-    rngs = [np.random.default_rng([seed, i, 1]) for i in range(twins)]
-    every = make_method(METHOD, {}).identify_many([twin.problem for twin in made], rngs)
-    estimates = [estimate if estimate.status is Status.OK else None for estimate in every]
-    stated = [{} if e is None else stated_on(twin.problem, e) for twin, e in zip(made, estimates, strict=True)]
-    return Answers.of(made, estimates, stated)
-
-
-def holds(finding: Finding, answers: Answers) -> dict[tuple[str, str], bool]:
-    """Decide whether the intervals hold the truth, by quantity and kind."""
-    corrected = corrected_by(answers, finding, told_quantities(finding.problem))
-    told: dict[tuple[str, str], bool] = {}
+    answers, truth = (
+        answered(job, finding.at, finding.problem, range(replicas)),
+        true_values(finding.at, finding.problem),
+    )
+    covered: dict[tuple[str, str], bool] = {}
     for name in SHOWN:
         quantity, own = finding.problem.system.quantity(name), finding.intervals[name]
-        always = stretched(own, stretch_of(answers.misses(quantity)))
-        kinds: Mapping[str, StatedInterval] = {"stated": own, "corrected": corrected[name], "always": always}
-        true = quantity.value(TRUTH)
-        told[name, "white"] = own.white_low <= true <= own.white_high
-        told |= {(name, kind): interval.record_low <= true <= interval.record_high for kind, interval in kinds.items()}
-    return told
+        line = coverage_of(quantity, float(quantity.value(truth)), answers, finding)
+        stated = (own.record_low, own.record_high)
+        kinds = {"white": (own.white_low, own.white_high), "stated": stated, "corrected": stated, "always": stated}
+        if line is not None:
+            kinds["corrected"] = line.corrected or stated
+            kinds["always"] = widened(own.value, *stated, line.widening)
+        covered |= {(name, kind): low <= quantity.value(TRUTH) <= high for kind, (low, high) in kinds.items()}
+    return covered
 
 
-def coverage(name: str, records: int, twins: int, seed: int) -> list[list[str]]:
+def coverage(name: str, records: int, replicas: int, seed: int) -> list[list[str]]:
     """Return the rows of a case."""
     case, told = CASES[name], list[dict[tuple[str, str], bool]]()
     for i in tracked(range(records), "record"):
         rng = np.random.default_rng([seed, *name.encode(), i])
         finding = found(case.problem(rng), i)
         if finding is not None and finding.at is not None:
-            told.append(holds(finding, answered(finding, twins, int(rng.integers(2**31)))))
+            job = request_of({"data": ["x"], "method": [METHOD], "seed": [int(rng.integers(2**31))]}).job
+            told.append(covers(finding, replicas, job))
     return rows(case.title, told)
 
 
@@ -118,26 +115,26 @@ def _share(held: Sequence[bool]) -> str:
     return f"{100 * sum(held) / len(held):.0f} % ({100 * low:.0f}-{100 * high:.0f})"
 
 
-def twins(
+def replicas(
     records: Annotated[Count, "records of each case"] = 100,
-    twins: Annotated[int, Within(ge=20, le=10**6), "twins of each record"] = 60,
+    replicas: Annotated[int, Within(ge=20, le=10**6), "replicas of each record"] = 60,
     cases: Annotated[tuple[str, ...], OneOf(tuple(CASES)), "kinds of records"] = tuple(CASES),
     seed: Annotated[int, Within(ge=0), "seed of all records"] = 1,
 ) -> int:
-    """Measure whether intervals that were corrected by twins hold the truth.
+    """Measure whether intervals that were corrected by simulated replicas cover the true value.
 
     Free vibrations of 1 Hz with 2 % damping, start and offset unknown, in three hard records: 5 samples a cycle, 5 dB,
     and coloured noise (first order, rho = 0.8) at 20 dB. Of each case many records are made and fitted by output error,
-    and of each record twins. The table shows how often 95 % intervals hold the truth: the method's own, which takes the
-    noise for white; the stated one; the one that the twins correct where they show that it is wrong; and the one that
-    is always multiplied by the twins' stretch.
+    and of each record replicas. The table shows how often 95 % intervals cover the true value: the method's own, which
+    assumes white noise; that of the record; the one that the replicas correct where they show that it is wrong; and the
+    one that is always multiplied by the replicas' widening factor.
     """
-    table = [row for name in cases for row in coverage(name, records, twins, seed)]
+    table = [row for name in cases for row in coverage(name, records, replicas, seed)]
     print(markdown_table(table, ["record", "quantity", "records", *KINDS]))
     return 0
 
 
-main = partial(study, twins, "tests.studies.twins")
+main = partial(study, replicas, "tests.studies.replicas")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,40 +1,43 @@
-"""Twins of a record: what they keep of it, what they are judged by, and that they correct an interval."""
+"""Simulated replicas of a record: what they keep of it, how coverage is judged, and that an interval is corrected."""
 
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bench.contract.belief import Normal
-from bench.contract.estimate import Estimate, Status
+from bench.contract.estimate import Status
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, Problem, Record
 from bench.entrants.registry import make_method
+from bench.errors import InputError
+from bench.isolation.processes import Died
 from bench.likelihood.autoregression import Autoregression, autoregression
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
 from bench.records.intervals import StatedInterval
 from bench.records.record import Measured
-from bench.records.twins import (
-    Answers,
-    Twin,
+from bench.records.replicas import (
+    Replica,
+    ReplicaCoverage,
     beyond_chance,
-    corrected_by,
+    coverage_of,
+    coverage_on_replicas,
+    determined_quantities,
     drawn,
-    held,
     miss,
     rounding_step,
-    stretch_of,
-    stretched,
-    told_quantities,
-    twins_of,
+    widened,
+    widening_of,
 )
+from bench.records.request import request_of
+from bench.records.workers import Call, Workers
 from bench.scenario.truth import closed_form
 from bench.systems.linear import SDOF
-from tests.studies import twins as study
+from tests.studies import replicas as study
 
 P = {"m": 1.0, "c": 0.25, "k": 40.0}
 T = np.arange(80) / 10.0
@@ -53,60 +56,60 @@ def finding_of(problem: Problem) -> Finding:
     return judged("output_error", Measured((), problem, ()), Outcome(estimate, estimate.status, ""))
 
 
-def twins(problem: Problem, n: int = 20, seed: int = 0) -> list[Twin]:
+def replicas(problem: Problem, n: int = 20, seed: int = 0) -> list[Replica]:
     finding = finding_of(problem)
     assert finding.at is not None
-    return drawn(finding.at, problem, n, seed)
+    return list(drawn(finding.at, problem, range(n), seed))
 
 
-def values(twin: Twin) -> np.ndarray:
-    return twin.problem.records[0].channels[0].values
+def values(replica: Replica) -> np.ndarray:
+    return replica.problem.records[0].channels[0].values
 
 
-def test_a_seed_and_a_number_make_a_twin() -> None:
+def test_a_seed_and_a_number_make_a_replica() -> None:
     problem = record()
-    first, again, other = twins(problem, 3), twins(problem, 5), twins(problem, 3, seed=1)
+    first, again, other = replicas(problem, 3), replicas(problem, 5), replicas(problem, 3, seed=1)
     for a, b, c in zip(first, again[:3], other, strict=True):
         np.testing.assert_array_equal(values(a), values(b))
         assert not np.any(values(a) == values(c))
     assert not np.any(values(first[0]) == values(first[1]))
 
 
-def test_a_twin_is_the_fit_with_as_much_noise() -> None:
-    """Mean of many twins: the fit; their scatter: the noise (0.02), each within four standard errors of chance."""
+def test_a_replica_is_the_fit_with_as_much_noise() -> None:
+    """Mean of many replicas: the fit; their scatter: the noise (0.02), each within four standard errors of chance."""
     problem = record()
     finding = finding_of(problem)
     assert finding.at is not None
-    made = np.array([values(twin) for twin in drawn(finding.at, problem, 400, 0)])
+    made = np.array([values(replica) for replica in drawn(finding.at, problem, range(400), 0)])
     size = problem.natural_units().length
     fit = problem.records[0].channels[0].values - size * finding.at.residuals
     sigma = size * float(finding.at.sigma[0])
     assert np.max(np.abs(made.mean(axis=0) - fit)) < 4.5 * sigma / 20.0
     assert made.std(axis=0).mean() == pytest.approx(sigma, rel=0.05)
-    truth = drawn(finding.at, problem, 1, 0)[0].truth
+    truth = next(drawn(finding.at, problem, range(1), 0)).truth
     ratio = finding.intervals["k_over_m"].value
     assert truth["k"] / truth["m"] == pytest.approx(ratio, rel=1e-9)
 
 
-def test_a_twin_keeps_times_force_and_what_else_is_told() -> None:
+def test_a_replica_keeps_times_force_and_what_else_is_told() -> None:
     times = np.arange(120) / 10.0
     force = Force(times, np.sin(3.0 * times))
     x = np.sin(3.0 * times) / 30.0 + 1e-3 * np.random.default_rng(0).standard_normal(120)
     problem = Problem(SDOF(), (Record((Channel(times, x, offset=True),), (force,)),))
-    twin = twins(problem, 1)[0]
-    own = twin.problem.records[0]
+    replica = replicas(problem, 1)[0]
+    own = replica.problem.records[0]
     assert own.forces == (force,)
     np.testing.assert_array_equal(own.channels[0].times, times)
     assert own.channels[0].offset
-    assert {q.name for q in told_quantities(problem)} > {"m", "c", "k"}
-    assert {q.name for q in told_quantities(record())} == {
+    assert {q.name for q in determined_quantities(problem)} > {"m", "c", "k"}
+    assert {q.name for q in determined_quantities(record())} == {
         "k_over_m", "c_over_m", "natural_frequency", "damping_ratio",
     }  # fmt: skip
 
 
 def test_nominal_values_of_a_prior_are_drawn_about_the_truth() -> None:
     prior = Prior(P, dict.fromkeys(P, 0.1))
-    made = twins(replace(record(), prior=prior), 300)
+    made = replicas(replace(record(), prior=prior), 300)
     z = np.array(
         [[math.log(t.problem.prior.nominal[n] / t.truth[n]) / 0.1 for n in P] for t in made if t.problem.prior]
     )
@@ -114,23 +117,23 @@ def test_nominal_values_of_a_prior_are_drawn_about_the_truth() -> None:
     assert z.std() == pytest.approx(1.0, rel=0.1)
 
 
-def test_a_twin_is_rounded_as_its_record_is() -> None:
+def test_a_replica_is_rounded_as_its_record_is() -> None:
     problem = record(step=0.01)
     own = problem.records[0].channels[0].values
     assert rounding_step(own) == pytest.approx(0.01, rel=1e-6)
-    for twin in twins(problem, 3):
-        places = (values(twin) - own[0]) / 0.01
+    for replica in replicas(problem, 3):
+        places = (values(replica) - own[0]) / 0.01
         np.testing.assert_allclose(places, np.round(places), atol=1e-6)
 
 
 def test_rounding_adds_no_noise() -> None:
-    """A step of the noise's own size: what the twins' residuals amount to is still the noise of the record."""
+    """A step of the noise's own size: what the replicas' residuals amount to is still the noise of the record."""
     problem = record(step=0.03)
     finding = finding_of(problem)
     assert finding.at is not None
     size = problem.natural_units().length
     fit = problem.records[0].channels[0].values - size * finding.at.residuals
-    left = np.array([values(twin) - fit for twin in drawn(finding.at, problem, 200, 0)])
+    left = np.array([values(replica) - fit for replica in drawn(finding.at, problem, range(200), 0)])
     assert np.sqrt(np.mean(left**2)) == pytest.approx(size * float(finding.at.sigma[0]), rel=0.05)
 
 
@@ -140,7 +143,7 @@ def test_a_sensor_that_does_not_round_has_no_step(seed: int) -> None:
     assert rounding_step(np.zeros(5)) == 0.0
 
 
-def test_noise_of_a_twin_has_the_residuals_colour() -> None:
+def test_noise_of_a_replica_has_the_residuals_colour() -> None:
     problem = record(rho=0.8, times=np.arange(400) / 10.0)
     finding = finding_of(problem)
     assert finding.at is not None
@@ -148,7 +151,7 @@ def test_noise_of_a_twin_has_the_residuals_colour() -> None:
     assert noise is not None
     size = problem.natural_units().length
     fit = problem.records[0].channels[0].values - size * finding.at.residuals
-    drawn_noise = [values(twin) - fit for twin in drawn(finding.at, problem, 100, 0)]
+    drawn_noise = [values(replica) - fit for replica in drawn(finding.at, problem, range(100), 0)]
     lag_one = np.mean([r[1:] @ r[:-1] / (r @ r) for r in drawn_noise])
     covariance = noise.autocovariance(2)
     assert lag_one == pytest.approx(covariance[1] / covariance[0], abs=0.03)
@@ -164,86 +167,85 @@ def test_a_miss_is_one_at_the_ends_of_an_interval() -> None:
     assert math.isnan(miss(2.0, math.nan, math.nan, 3.0))
 
 
-def test_stretch_is_an_order_statistic() -> None:
+def test_widening_is_an_order_statistic() -> None:
     """Of 1, 2, …, 39 the quantile of the (n + 1) rule at 0.95 is the 38th."""
-    assert stretch_of([float(i) for i in range(1, 40)]) == pytest.approx(38.0)
-    assert math.isnan(stretch_of([1.0] * 19))
-    assert math.isnan(held([]))
+    assert widening_of(np.arange(1.0, 40.0)) == pytest.approx(38.0)
+    assert math.isnan(widening_of(np.ones(19)))
 
 
-def exact(sd: float, stated_sd: float, n: int) -> Answers:
-    """A method whose logarithms of k/m scatter by ``sd`` and which states ``stated_sd``."""
-    rng, system = np.random.default_rng(3), SDOF()
-    estimates, intervals = [], []
+def exact(sd: float, stated_sd: float, n: int) -> ReplicaCoverage:
+    """Coverage of a method whose logarithms of k/m scatter by ``sd`` and which states ``stated_sd``."""
+    rng, finding = np.random.default_rng(3), finding_of(record())
+    answers = []
     for _ in range(n):
         log = math.log(P["k"]) + sd * rng.standard_normal()
-        estimates.append(Estimate(system, groups=Normal(("k_over_m",), np.exp([log]), None, False)))
-        ends = (math.exp(log + sign * 1.959964 * stated_sd) for sign in (0.0, -1.0, 1.0))
-        value, low, high = ends
-        intervals.append({"k_over_m": StatedInterval(value, *(low, high) * 3, "")})
-    return Answers((P,) * n, tuple(estimates), tuple(intervals))
+        value, low, high = (math.exp(log + sign * 1.959964 * stated_sd) for sign in (0.0, -1.0, 1.0))
+        answers.append({"k_over_m": stated(value, low, high)})
+    coverage = coverage_of(SDOF().quantity("k_over_m"), P["k"], answers, finding)
+    assert coverage is not None
+    return coverage
 
 
-def test_an_exact_normal_method_needs_no_stretch() -> None:
-    """The 95 % point of 2000 misses is within 3 standard errors, 3 % each, of one; of a method twice too sure, of 2."""
-    quantity = SDOF().quantity("k_over_m")
-    assert stretch_of(exact(0.1, 0.1, 2000).misses(quantity)) == pytest.approx(1.0, abs=0.08)
-    assert stretch_of(exact(0.1, 0.05, 2000).misses(quantity)) == pytest.approx(2.0, abs=0.16)
-    line = exact(0.1, 0.1, 2000).line("it", quantity)
-    assert line.coverage_stated == pytest.approx(0.95, abs=0.015)
+def stated(value: float, low: float, high: float) -> StatedInterval:
+    return StatedInterval(value, low, high, low, high, low, high, "1/s²")
+
+
+def test_an_exact_normal_method_needs_no_widening() -> None:
+    """The 95 % point of 2000 misses is within 3 standard errors, 3 % each, of one; half the interval needs two."""
+    line = exact(0.1, 0.1, 2000)
+    assert line.widening == pytest.approx(1.0, abs=0.08)
+    assert line.covered == pytest.approx(0.95, abs=0.015)
     assert line.median_error_pct == pytest.approx(100 * 0.1 * 0.6745, rel=0.1)
+    assert exact(0.1, 0.05, 2000).widening == pytest.approx(2.0, abs=0.16)
 
 
 def test_only_what_is_beyond_chance_is_corrected() -> None:
-    finding = finding_of(record())
-    quantities = told_quantities(finding.problem)
-    own = finding.intervals["k_over_m"]
-    assert corrected_by(exact(0.1, 0.1, 200), finding, quantities)["k_over_m"] == own
+    own = finding_of(record()).intervals["k_over_m"]
+    assert exact(0.1, 0.1, 200).corrected is None
     for stated_sd, factor in ((0.05, 2.0), (0.2, 0.5)):
-        answers = exact(0.1, stated_sd, 1000)
-        assert beyond_chance(answers.misses(finding.problem.system.quantity("k_over_m")))
-        found = corrected_by(answers, finding, quantities)
-        ratio = math.log(found["k_over_m"].record_high / own.value) / math.log(own.record_high / own.value)
+        corrected = exact(0.1, stated_sd, 1000).corrected
+        assert corrected is not None
+        ratio = math.log(corrected[1] / own.value) / math.log(own.record_high / own.value)
         assert ratio == pytest.approx(factor, rel=0.12)
-        assert found["c_over_m"] == finding.intervals["c_over_m"]
-    both = replace(finding, intervals={"k_over_m": own, "k": own})
-    wider = corrected_by(exact(0.1, 0.05, 1000), both, quantities)
-    assert wider["k"] == wider["k_over_m"] != own
+    assert not beyond_chance(np.ones(19))
 
 
-def test_an_interval_that_reaches_zero_is_stretched_in_itself() -> None:
-    own = StatedInterval(1.0, *(-1.0, 2.0) * 3, "")
-    wider = stretched(own, 2.0)
-    assert (wider.record_low, wider.record_high) == (wider.low, wider.high) == (-3.0, 3.0)
+def test_an_interval_that_reaches_zero_is_widened_in_itself() -> None:
+    assert widened(1.0, -1.0, 2.0, 2.0) == (-3.0, 3.0)
 
 
-def test_methods_run_on_twins() -> None:
-    problem, told = record(), list[tuple[int, int]]()
-    finding = finding_of(problem)
-    found = twins_of(finding, ["output_error", "ls", "matrix_pencil"], 20, 1, lambda a, b: told.append((a, b)), 300.0)
-    assert found.quantities == ("k_over_m", "c_over_m", "natural_frequency", "damping_ratio")
-    assert {line.n_ok for line in found.lines if line.method == "output_error"} == {20}
-    assert {line.method for line in found.lines} == {"output_error", "ls", "matrix_pencil"}
-    errors = {line.quantity: line.median_error_pct for line in found.lines if line.method == "output_error"}
+def test_as_many_replicas_are_fitted_as_were_asked_for() -> None:
+    """And each is the same whichever process fits it."""
+    finding, (job,) = finding_of(record()), request_of({"data": ["x"], "method": ["output_error"]}).jobs
+    seen = list[tuple[int, float]]()
+    with Workers() as workers:
+        lines = coverage_on_replicas(finding, job, 31, workers, lambda done, left: seen.append((done, left)))
+        again = coverage_on_replicas(finding, job, 31, workers, lambda done, left: None)
+    assert {line.quantity for line in lines} == {"k_over_m", "c_over_m", "natural_frequency", "damping_ratio"}
+    assert {line.n for line in lines} == {31}
+    errors = {line.quantity: line.median_error_pct for line in lines}
     assert 0.0 < errors["natural_frequency"] < errors["damping_ratio"] < 20.0
-    assert set(found.corrected) == set(finding.intervals)
-    assert told[-1] == (120, 120)
-    assert [a for a, _ in told] == sorted(a for a, _ in told)
-    again = twins_of(finding, ["output_error"], 20, 1, None, 300.0)
-    assert again.lines == tuple(line for line in found.lines if line.method == "output_error")
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert seen[-1] == (31, 0.0)
+    assert again == lines
 
 
-def test_a_method_without_time_for_twenty_twins_is_left_out() -> None:
-    finding = finding_of(record())
-    found = twins_of(finding, ["output_error"], 40, limit_s=0.0)
-    assert found.lines == ()
-    assert found.corrected == finding.intervals
+def test_a_worker_that_is_over_its_limit_is_replaced() -> None:
+    tasks = [Call(time.sleep, (60.0,), 0.3), *(Call(math.sqrt, (float(i),), 60.0) for i in range(3))]
+    with Workers() as workers:
+        results = dict(workers.perform(tasks))
+    assert isinstance(results[0], Died)
+    assert "limit of 0.3 s" in results[0].message
+    assert [results[i] for i in (1, 2, 3)] == [0.0, 1.0, math.sqrt(2.0)]
 
 
-def test_without_a_fit_there_are_no_twins() -> None:
-    problem = record()
-    found = twins_of(Finding("ls", Measured((), problem, ()), Outcome(None, Status.DIVERGED, "")), ["ls"])
-    assert (found.n, found.lines, found.corrected) == (0, (), {})
+def test_bad_input_of_a_task_is_raised_where_it_was_asked_for() -> None:
+    with Workers() as workers, pytest.raises(InputError, match="method"):
+        workers.one(Call(refuse, (), 60.0))
+
+
+def refuse() -> None:
+    raise InputError("method", "truth", "choose another")
 
 
 def test_the_study_s_noise_has_the_stated_colour_and_size() -> None:
@@ -256,9 +258,9 @@ def test_the_study_s_noise_has_the_stated_colour_and_size() -> None:
 
 @pytest.mark.slow
 def test_corrected_intervals_hold_the_truth_under_coloured_noise() -> None:
-    """Of thirty records with forty twins each at least 24, of white intervals not 27.
+    """Of thirty records with forty replicas each at least 24, of white intervals not 27.
 
-    Where 95 % hold the truth, six studies in 10,000 have fewer than 24.
+    Where 95 % cover the truth, six studies in 10,000 have fewer than 24.
     """
     rows = study.coverage("coloured", 30, 40, 5)
     white, corrected = ([float(row[i].partition(" ")[0]) for row in rows] for i in (3, 5))
