@@ -181,7 +181,7 @@ def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(termina
     result = {
         "method": "shooting", "data": "測定/梁の自由振動の記録.csv", "samples": 60, "status": "ok",
         "trust": "use with caution", "reasons": ["words " * 40], "modes": [], "notes": ["words " * 20],
-        "estimates": {"k_over_m": one}, "withdrawn": {},
+        "estimates": {"k_over_m": one}, "withdrawn": {}, "runs": {},
     }  # fmt: skip
     text = record_page({**result, "residuals": residuals}, True)
     assert widest(text) <= terminal
