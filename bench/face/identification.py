@@ -18,8 +18,8 @@ from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.modes import Mode
-from bench.records.reading import Recording, prepared
-from bench.records.record import of_arrays, read_measured
+from bench.records.reading import of_arrays
+from bench.records.record import read_measured
 from bench.records.request import request_of
 from bench.reporting.record_page import record_page
 
@@ -151,7 +151,8 @@ def identify(
     """Identify measured records with one method, in a process of its own; nothing is printed or stored.
 
     Args:
-        data: a file, or several of one rig (text, xlsx, mat, npz, Parquet, UFF 58, TDMS); or the times (s) of samples.
+        data: a file, or several of one rig (text, xlsx, xls, mat, npz, Parquet, UFF 58, TDMS, wav); or the times of
+            samples (s, or dates).
         displacement: the samples (m), where ``data`` are times.
         force: the force (N) at the same times, where one acts and ``data`` are times.
         method: a method.
@@ -194,7 +195,7 @@ def identify(
         Traceback (most recent call last):
         bench.errors.InputError: data=nowhere.csv: cannot be read: No such file or directory
     """
-    recordings, paths = _records(data, displacement, force)
+    paths = _paths(data, displacement, force)
     fields = {
         "method": method, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
         "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate, "detrend": detrend,
@@ -211,7 +212,7 @@ def identify(
     request = request_of(overrides)
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
-    recordings = tuple(prepared(recording, request.options) for recording in recordings)
+    recordings = () if paths else (of_arrays(data, displacement, force, request.options),)  # type: ignore[arg-type]
     return identified(find_all(request, read_measured(request, recordings))[0])
 
 
@@ -221,18 +222,18 @@ def _written(field: str, pairs: Mapping[str, Any] | None, example: str) -> str |
     return None if not pairs else ",".join(f"{role}:{value}" for role, value in pairs.items())
 
 
-def _records(
+def _paths(
     data: str | Path | Sequence[str | Path] | ArrayLike, displacement: ArrayLike | None, force: ArrayLike | None
-) -> tuple[tuple[Recording, ...], list[str]]:
-    """The records as they were given: recordings of arrays, or the paths of files."""
+) -> list[str]:
+    """Return the paths of the files that are given; none where arrays are."""
     paths = [data] if isinstance(data, str | Path) else data
     if isinstance(paths, list | tuple) and paths and all(isinstance(path, str | Path) for path in paths):
         if displacement is not None or force is not None:
             raise InputError("displacement", "array", "a file has it; give a file, or times and displacement")
-        return (), [str(path) for path in paths]
+        return [str(path) for path in paths]
     if displacement is None:
         raise InputError("displacement", None, "times need displacements; or give the path of a file")
-    return (of_arrays(data, displacement, force),), []  # type: ignore[arg-type]
+    return []
 
 
 def identified(finding: Finding) -> Identification:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from bench.config.schema import Job
 from bench.contract.prior import Prior
-from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
+from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
 from bench.records.models import smoothing_velocity
 from bench.records.reading import Recording, Signal, read_recording
@@ -70,31 +69,6 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     _check_scale(problem, mass)
     notes = tuple(note for recording in recordings for note in recording.notes)
     return Measured(recordings, problem, notes, mass)
-
-
-def of_arrays(times: ArrayLike, displacement: ArrayLike, force: ArrayLike | None = None) -> Recording:
-    """A recording of arrays in SI units, of one length; raises InputError."""
-    given = {"times": times, "displacement": displacement, **({} if force is None else {"force": force})}
-    columns = {}
-    for name, values in given.items():
-        try:
-            columns[name] = np.array(values, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(name, "array", "numbers are needed") from None
-        if not np.all(np.isfinite(columns[name])):
-            raise InputError(
-                name, "array", f"sample {np.argmin(np.isfinite(columns[name]))} is not finite; leave it out"
-            )
-        if columns[name].ndim != 1 or columns[name].size != columns["times"].size:
-            remedy = "one-dimensional, with a number for each of the times"
-            raise InputError(name, f"array of shape {columns[name].shape}", remedy)
-    if columns["times"].size < MIN_SAMPLES:
-        raise InputError("data", "arrays", f"{columns['times'].size} samples; at least {MIN_SAMPLES} are needed")
-    clock = columns["times"] - columns["times"][0]
-    signals = [Signal("x", "displacement", 0, columns["displacement"], "m", clock)]
-    if "force" in columns:
-        signals.append(Signal("f", "force", 0, columns["force"], "N", clock))
-    return Recording(tuple(signals), (), "arrays", "")
 
 
 def _system(request: Request, recording: Recording) -> System:

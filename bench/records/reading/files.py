@@ -1,45 +1,47 @@
-"""A file of any kind to a table: what it is, is seen from its first bytes, not from its name."""
+"""A file of any kind to a table: its first bytes, not its name, say what it is.
+
+What is packed or large is read in a process of its own, which ends where it takes more memory or time than any record
+needs; see ``formats`` for what is bounded before it is read.
+"""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
 import io
+import multiprocessing
+import pickle
 import re
 import stat
-import zipfile
 import zlib
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from bench.errors import InputError
-from bench.records.reading.arrays import read_mat, read_npy, read_npz, read_parquet
-from bench.records.reading.spreadsheets import read_workbook
+from bench.isolation.limits import limit_memory
+from bench.isolation.processes import READY_S, Children, Died
+from bench.records.reading import formats
 from bench.records.reading.table import Table
-from bench.records.reading.tdms import read_tdms
 from bench.records.reading.text import read_text
-from bench.records.reading.universal import read_universal
 
 MAX_BYTES = 256 * 2**20
-MAX_UNPACKED = MAX_BYTES
+"""Largest file, packed or unpacked."""
+SMALL = 4 * 2**20
+"""A plain text or array up to here is read at once: it takes at most some twenty times its size in memory."""
+MEMORY_MB, TIME_S = 1500.0, 120.0
+"""Limits of the process that reads: about twice what the largest record allowed takes."""
 
 
 def read_file(path: Path) -> tuple[Table, str]:
-    """The table in a file and the sha256 of its bytes.
+    """Return the table in a file and the sha256 of its bytes.
 
     Raises:
         InputError: it is not there, too large, damaged, or of no kind that is read.
     """
     data = _bytes(path)
-    try:
-        table = _table(data, path)
-    except InputError:
-        raise
-    except Exception as error:  # what damaged bytes raise in a library is anything
-        reason = " ".join(str(error).split())[:80] or type(error).__name__
-        raise InputError(
-            "data", path, f"it is damaged or not of the kind it seems ({reason}); write it again"
-        ) from None
-    return table, hashlib.sha256(data).hexdigest()
+    plain = len(data) <= SMALL and _reader(data, path) in (read_text, formats.read_numpy)
+    alone = plain or multiprocessing.current_process().daemon  # which has limits, and may start no other
+    return (_table(data, path) if alone else _table_of_child(path)), hashlib.sha256(data).hexdigest()
 
 
 def _bytes(path: Path) -> bytes:
@@ -58,50 +60,82 @@ def _bytes(path: Path) -> bytes:
     return data
 
 
+def _reader(data: bytes, path: Path) -> formats.Reader:
+    for magic, reader in MAGIC.items():
+        if re.match(magic, data):
+            return reader
+    return formats.read_mat if path.suffix.lower() == ".mat" else read_text
+
+
 def _table(data: bytes, path: Path) -> Table:
-    if data[:2] == b"\x1f\x8b":
-        return read_text(_unzipped(data, path), path)
-    if data[:4] == b"PK\x03\x04":
-        return _zip(data, path)
-    if data[:6] == b"\x93NUMPY":
-        return read_npy(data, path)
-    if data[:4] == b"PAR1":
-        return read_parquet(data, path)
-    if data[:6] == b"MATLAB" or data[:8] == b"\x89HDF\r\n\x1a\n" or path.suffix.lower() == ".mat":
-        return read_mat(data, path)
-    if data[:4] in (b"TDSm", b"TDSh"):
-        return read_tdms(data, path)
-    if data[:4] == b"\xd0\xcf\x11\xe0":
-        raise InputError("data", path, "an old workbook (xls) is not read; save it as xlsx or csv")
-    if _is_universal(data):
-        return read_universal(path)
-    return read_text(data, path)
+    try:
+        return _reader(data, path)(data, path)
+    except InputError:
+        raise
+    except MemoryError:
+        raise _too_large(path) from None
+    except Exception as error:  # what damaged bytes raise in a library is anything
+        reason = " ".join(str(error).split())[:80] or type(error).__name__
+        remedy = f"it is damaged or not of the kind it seems ({reason}); write it again"
+        raise InputError("data", path, remedy) from None
 
 
-def _is_universal(data: bytes) -> bool:
-    """Whether it starts with the mark of a data set and the number of its type."""
-    return re.match(rb"[\r\n]* {4}-1 *\r?\n {1,5}\d{1,4}[b \r\n]", data) is not None
+def _table_of_child(path: Path) -> Table:
+    with Children() as children:
+        child = children.start(_serve, MEMORY_MB)
+        try:
+            child.receive(READY_S)
+            child.send(pickle.dumps(path))
+            answer = pickle.loads(child.receive(TIME_S, MEMORY_MB))
+        except Died as died:
+            if died.reason in ("oom", "timeout"):
+                raise _too_large(path) from None
+            raise InputError("data", path, f"it is damaged: {died.message}; write it again") from None
+        child.retire()
+    if isinstance(answer, InputError):
+        raise answer
+    assert isinstance(answer, Table)
+    return answer
 
 
-def _unzipped(data: bytes, path: Path) -> bytes:
+def _serve(connection: Connection, memory_mb: float) -> None:
+    """Read the file that is asked for, in a process of its own."""
+    connection.send_bytes(b"ready")
+    path = pickle.loads(connection.recv_bytes())
+    limit_memory(memory_mb)
+    answer: Table | InputError
+    try:
+        answer = _table(_bytes(path), path)
+    except InputError as error:
+        answer = error
+    connection.send_bytes(pickle.dumps(answer))
+
+
+def _too_large(path: Path) -> InputError:
+    remedy = f"reading it takes more than {MEMORY_MB:g} MB or {TIME_S:g} s; keep the columns that matter, as csv or npz"
+    return InputError("data", path, remedy)
+
+
+def _read_gzip(data: bytes, source: Path) -> Table:
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
             text = file.read(MAX_BYTES + 1)
     except (OSError, EOFError, zlib.error):
-        raise InputError("data", path, "the gzip file is damaged; write it again") from None
+        raise InputError("data", source, "the gzip file is damaged; write it again") from None
     if len(text) > MAX_BYTES:
-        raise InputError("data", path, f"more than {MAX_BYTES // 2**20} MiB when unzipped; thin or cut it")
-    return text
+        raise InputError("data", source, f"more than {MAX_BYTES // 2**20} MiB when unzipped; thin or cut it")
+    return read_text(text, source)
 
 
-def _zip(data: bytes, path: Path) -> Table:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        names = archive.namelist()
-        unpacked = sum(info.file_size for info in archive.infolist())
-    if unpacked > MAX_UNPACKED:
-        raise InputError("data", path, f"more than {MAX_UNPACKED // 2**20} MiB when unzipped; thin or cut it")
-    if any(name.startswith("xl/") for name in names):
-        return read_workbook(data, path)
-    if names and all(name.endswith(".npy") for name in names):
-        return read_npz(data, path)
-    raise InputError("data", path, "a zip file is not read; give one file out of it")
+MAGIC: dict[bytes, formats.Reader] = {
+    rb"\x1f\x8b": _read_gzip,
+    rb"PK\x03\x04": formats.read_zip,
+    rb"\x93NUMPY": formats.read_numpy,
+    rb"PAR1": formats.read_parquet,
+    rb"MATLAB|\x89HDF\r\n\x1a\n": formats.read_mat,
+    rb"TDS[mh]": formats.read_tdms,
+    rb"\xd0\xcf\x11\xe0": formats.read_xls,
+    rb"RIFF....WAVE|RF64|fLaC|FORM....AIF": formats.read_sound,
+    rb"[\r\n]* {4}-1 *\r?\n {1,5}\d{1,4}[b \r\n]": formats.read_universal,
+}
+"""Patterns of a file's first bytes; a universal file starts with the mark of a data set and the number of its type."""

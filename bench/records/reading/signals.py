@@ -28,9 +28,13 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The signals of a file, what was done to it beyond reading it, where it is from, and the sha256 of its bytes."""
+    """The signals of a file, what was done to it beyond reading it, where it is from, and the sha256 of its bytes.
+
+    ``rate_error`` is the relative standard uncertainty of the sampling rate that coarse time stamps leave.
+    """
 
     signals: tuple[Signal, ...]
     notes: tuple[str, ...]
     source: str
     sha256: str
+    rate_error: float = 0.0

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bench.errors import InputError
 from bench.records.reading.units import Measures
 
-MAX_ROWS = 1_000_000
+MAX_ROWS, MAX_COLUMNS, MAX_VALUES = 1_000_000, 64, 20_000_000
+"""Of a table; a matrix wider than that is a picture, no set of signals. All values together take 160 MB."""
 LISTED = 24
 
 
@@ -58,3 +61,19 @@ def check_rows(n: int, source: object) -> None:
     """Raise InputError where a file has more rows than are read."""
     if n > MAX_ROWS:
         raise InputError("data", source, f"{n} rows; at most {MAX_ROWS}, thin the record or cut a part out of it")
+
+
+def check_values(n: int, source: object) -> None:
+    """Raise InputError where a file holds more numbers than are read."""
+    if n > MAX_VALUES:
+        remedy = f"{n} numbers in all; at most {MAX_VALUES}, keep the columns that matter or thin the record"
+        raise InputError("data", source, remedy)
+
+
+def optional(package: str, source: object) -> Any:
+    """Import a package that only some kinds of file need; raise InputError that says how to install it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        remedy = f'this kind of file needs the package {package}: pip install "vibration-bench[files]"'
+        raise InputError("data", source, remedy) from None

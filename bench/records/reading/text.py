@@ -26,9 +26,11 @@ from bench.records.reading.grid import (
 )
 from bench.records.reading.table import Table, check_rows
 
-COMMENTS = ("#", "%", "!")
+COMMENTS = ("#", "%", "!", "//")
 MARKS = (("utf-8-sig", b"\xef\xbb\xbf"), ("utf-16", b"\xff\xfe"), ("utf-16", b"\xfe\xff"))
 LOOKED_AT = 4096
+HEAD_LETTERS = 100_000
+"""So much of a text shows whether its rows end in a mark."""
 SAMPLED, BLOCK = 3000, 600
 """A file of more lines than this is judged by three blocks of lines."""
 HEADER_LINES = 30
@@ -105,8 +107,8 @@ def read_text(data: bytes, source: object) -> Table:
         InputError: it is no text, holds no table, or more than one reading is possible.
     """
     _check_shape(data.rstrip(b"\0"), source)  # loggers fill up a block with zeros
-    text = decode(data, source)
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    text = decode(data, source).replace("\r\n", "\n").replace("\r", "\n")
+    lines = _without_marks_of_rows(text).split("\n")
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
     body = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENTS)]
     if not body:
@@ -126,6 +128,16 @@ def read_text(data: bytes, source: object) -> Table:
     elif chosen.separator == ",":
         _check_commas(sample, span, above[0] if above else None, source)
     return make_table(rows, span, heading_above(above, span), notes)
+
+
+def _without_marks_of_rows(text: str) -> str:
+    """Return a matrix as MATLAB and others write it, ``[1 2; 3 4];``, as rows: a semicolon that only ends rows goes."""
+    ends, matrix = re.compile(r";[ \t]*$", re.M), re.match(r"((?:\s*[#%!/].*\n)*)\s*(?:\w+\s*=\s*)?\[", text)
+    if matrix and "]" in text:
+        inside = ends.sub("", text[matrix.end() : text.rindex("]")])
+        return matrix[1] + inside.replace(";", "\n") if re.search(r"\d", inside) else text
+    rows = re.findall(r"^.*\d.*$", text[:HEAD_LETTERS], re.M)[:-1]
+    return ends.sub("", text) if rows and all(row.count(";") == 1 and ends.search(row) for row in rows) else text
 
 
 def _check_shape(data: bytes, source: object) -> None:
@@ -153,7 +165,7 @@ def decode(data: bytes, source: object) -> str:
             continue
         if not re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]", text):
             return text.replace("\x1a", "")
-    kinds = "text, xlsx, mat, npz, npy, Parquet, UFF 58 or TDMS"
+    kinds = "text, xlsx, xls, mat, npz, npy, Parquet, UFF 58, TDMS or wav"
     raise InputError("data", source, f"it is a binary file of no known kind; {kinds} is read")
 
 

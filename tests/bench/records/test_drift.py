@@ -7,9 +7,8 @@ import pytest
 
 import bench
 from bench.errors import InputError
-from bench.records.reading import Recording
+from bench.records.reading import Recording, of_arrays
 from bench.records.reading.drift import detrended
-from bench.records.record import of_arrays
 from bench.scenario.truth import closed_form
 
 T = np.linspace(0.0, 10.0, 300)

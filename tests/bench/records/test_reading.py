@@ -7,20 +7,24 @@ import hashlib
 import io
 import math
 import sys
+import tracemalloc
+import zipfile
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
 from bench.errors import InputError
-from bench.records.reading import ReadOptions, Recording, read_recording
+from bench.records.reading import ReadOptions, Recording, files, of_arrays, read_recording
 from bench.records.reading.headings import heading_of
 from bench.records.reading.table import Column
-from bench.records.reading.times import rebuilt
+from bench.records.reading.times import rebuilt as clock_of
 from bench.records.reading.units import unit_of
 
 SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "data"
@@ -44,6 +48,16 @@ def write(folder: Path, content: str | bytes, encoding: str = "utf-8", name: str
 def rows(separator: str = ",", decimal: str = ".", times: list[float] = T, values: list[float] = X) -> str:
     lines = [f"{t!r}{separator}{x!r}" for t, x in zip(times, values, strict=True)]
     return "\n".join(line.replace(".", decimal) for line in lines) + "\n"
+
+
+def rebuilt(stamps: np.ndarray, unit: float) -> tuple[np.ndarray, list[str]]:
+    clock = clock_of(stamps, unit)
+    return clock.times, list(clock.notes)
+
+
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read every file in the process of the test, which is faster than one of its own for each."""
+    monkeypatch.setattr(files, "_table_of_child", lambda path: files._table(path.read_bytes(), path))
 
 
 def check(recording: Recording, signals: dict[str, tuple[list[float], str]], times: list[float] = T) -> None:
@@ -355,6 +369,106 @@ def test_a_part_is_cut_out_on_the_clock_of_the_record(tmp_path: Path) -> None:
         assert str(error.value).startswith(part)
 
 
+@pytest.mark.parametrize(("rate", "phase", "n"), [(30, 0.37, 600), (29.97, 0.71, 600), (3, 0.2, 60), (12.3, 0.9, 200)])
+def test_the_rate_of_whole_seconds_has_its_uncertainty(rate: float, phase: float, n: int, tmp_path: Path) -> None:
+    stamps = np.floor(phase + np.arange(n) / rate).astype(int)
+    text = "t [s],x [mm]\n" + "".join(f"{t},{math.sin(i)}\n" for i, t in enumerate(stamps))
+    recording = read(write(tmp_path, text))
+    error = 1 / np.diff(recording.signals[0].times).mean() / rate - 1
+    assert abs(error) < 2 * recording.rate_error
+    assert 1 / n / 6 < recording.rate_error < 1 / n
+    assert "known to" in recording.notes[0]
+
+
+def test_stamps_of_three_significant_digits_are_rebuilt(tmp_path: Path) -> None:
+    true = np.arange(900) * 1001 / 30000
+    lines = "".join(f"{t:.3g},{math.sin(7 * t):.6f}\n" for t in true)
+    recording = read(write(tmp_path, "t [s],x [mm]\n" + lines))
+    np.testing.assert_allclose(recording.signals[0].times, true, atol=1e-3)
+    assert 0 < recording.rate_error < 1e-4
+
+
+def test_two_distinct_stamps_determine_no_rate(tmp_path: Path) -> None:
+    text = "t [s],x [mm]\n" + "".join(f"{i // 20},{math.sin(i)}\n" for i in range(40))
+    with pytest.raises(InputError, match="2 distinct time stamps leave the sampling rate open"):
+        read(write(tmp_path, text))
+    assert read(write(tmp_path, text.replace("t [s]", "frame")), columns={"x": 1}, rate=20).rate_error == 0.0
+
+
+@pytest.mark.parametrize("header", ["dt [ms]", "t [ms]", "Time since last (ms)"])
+def test_times_since_the_last_sample_are_summed(header: str, tmp_path: Path) -> None:
+    gaps = np.random.default_rng(0).choice([19, 20, 20, 21], 300)
+    gaps[0] = 0
+    text = f"a [m/s^2],{header}\n" + "".join(f"{math.sin(i / 5)},{gap}\n" for i, gap in enumerate(gaps))
+    recording = read(write(tmp_path, text))
+    np.testing.assert_allclose(recording.signals[0].times, np.cumsum(gaps) / 1000, atol=1e-9)
+    assert "holds the time since the sample before" in recording.notes[0]
+    assert recording.rate_error == pytest.approx(1 / (20 * math.sqrt(12 * 299)), rel=0.01)
+
+
+CELLS = [f"{i} {t} {x}" for i, (t, x) in enumerate(zip(T, X, strict=True))]
+MATRIX = "[ Sample  Time  Position ;\n" + "".join(f"  {row};\n" for row in CELLS)
+MATRICES = {
+    "as printed": MATRIX + "]\n",
+    "with a name": "M = " + MATRIX + "];\n",
+    "comments around it": "% rig 3\n" + MATRIX.replace(" ;\n", " ;\n// begun\n") + "];\n",
+    "in one line": f"% Sample Time Position\n[{'; '.join(CELLS)}]",
+    "without brackets": MATRIX[2:].replace("Position ;", "Position;"),
+}
+
+
+@pytest.mark.parametrize("what", MATRICES)
+def test_a_matrix_written_as_text(what: str, tmp_path: Path) -> None:
+    check(read(write(tmp_path, MATRICES[what]), units={"t": "s", "x": "m"}), {"x": (X, "m")})
+
+
+# arrays from Python
+
+
+def test_dates_and_their_differences_are_times() -> None:
+    start = datetime(2026, 11, 26, 12, 0, 0)
+    moments = [start + timedelta(seconds=t) for t in T]
+    stamps = np.array(moments, dtype="datetime64[ns]")
+    berlin = [moment.replace(tzinfo=timezone(timedelta(hours=1))) for moment in moments]
+    for times in (moments, stamps, berlin, pd.DatetimeIndex(moments), [m - start for m in moments], stamps - stamps[0]):
+        recording = of_arrays(times, X)
+        check(recording, {"x": (X, "m")})
+        assert "they count in s from the first" in recording.notes[0]
+
+
+def test_masked_samples_are_left_out_with_a_note() -> None:
+    recording = of_arrays(np.arange(5.0), np.ma.masked_equal([1.0, -9.0, 3.0, 4.0, 5.0], -9.0))
+    check(recording, {"x": ([1, 3, 4, 5], "m")}, [0, 2, 3, 4])
+    assert "displacement: 1 of 5 samples are masked and left out" in recording.notes
+    masked = np.ma.masked_array(np.arange(5.0), [0, 0, 1, 0, 0])
+    np.testing.assert_array_equal(of_arrays(masked, np.arange(5.0)).signals[0].times, [0, 1, 3, 4])
+
+
+@pytest.mark.parametrize(
+    ("times", "x", "part"),
+    [
+        (T, [1, 2, 3 + 1j, 4], "displacement=array: complex numbers"),
+        (T, np.array([1, 2, 3j, 4], dtype=object), "complex numbers"),
+        (T, np.arange("2026-01-01", "2026-01-05", dtype="datetime64[D]"), "dates are no samples"),
+        (T, ["a", "b", "c", "d"], "numbers are needed"),
+        (T, [1, 2, math.nan, 4], "displacement=array: sample 2 is not finite"),
+        (T, [1, 2, 3], "a number for each time"),
+        ([T, T], [X, X], "one-dimensional"),
+        (["2026-01-01"] * 4, X, "times=array: numbers are needed"),
+    ],
+)
+def test_arrays_that_are_no_samples(times: Any, x: Any, part: str) -> None:
+    with pytest.raises(InputError) as error:
+        of_arrays(times, x)
+    assert part in str(error.value)
+
+
+def test_arrays_take_the_options_of_files() -> None:
+    options = ReadOptions(units={"t": "ms", "x": "mm"}, start=0.5e-3)
+    recording = of_arrays(T, X, options=options)
+    check(recording, {"x": ([1e-3 * x for x in X[1:]], "m")}, [0, 0.5e-3, 2e-3])
+
+
 # what is refused, and what it says
 
 REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
@@ -364,7 +478,6 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "prose": ("Dear all,\nplease find attached\n", {}, "no rows of numbers"),
     "a binary file": (bytes(range(256)) * 4, {}, "binary file"),
     "a picture": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00", {}, "binary file"),
-    "an old workbook": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100), {}, "save it as xlsx or csv"),
     "a damaged gzip": (b"\x1f\x8b\x08\x00abc", {}, "gzip file is damaged"),
     "a damaged zip": (b"PK\x03\x04abc", {}, "damaged"),
     "a damaged Parquet": (b"PAR1abcPAR1", {}, "damaged"),
@@ -519,6 +632,7 @@ def test_options_that_cannot_be_meant(options: dict[str, Any], part: str) -> Non
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_this_process(monkeypatch)
     monkeypatch.setitem(sys.modules, "pyuff", None)
     with pytest.raises(InputError, match=r'pip install "vibration-bench\[files\]"'):
         read(write(tmp_path, "    -1\n    58\nNONE\n    -1\n"))
@@ -557,6 +671,31 @@ def test_a_workbook(tmp_path: Path) -> None:
     np.testing.assert_allclose(f.values, [10.0, 35.0, 1.25])
     np.testing.assert_allclose(f.times, [0.0, 1.0, 2.5])
     assert "the workbook has 2 sheets; 'data' is read" in recording.notes
+
+
+def test_an_old_workbook(tmp_path: Path) -> None:
+    xlwt = pytest.importorskip("xlwt")
+    pytest.importorskip("xlrd")
+    book = xlwt.Workbook()
+    sheet = book.add_sheet("data")
+    for i, row in enumerate([("t [s]", "x [mm]", "ok"), *zip(T, [1000 * x for x in X], [True] * 4, strict=True)]):
+        for j, value in enumerate(row):
+            sheet.write(i, j, value)
+    book.save(str(tmp_path / "r.xls"))
+    check(read(tmp_path / "r.xls"), {"x": (X, "m")})
+
+
+@pytest.mark.parametrize("form", ["WAV", "FLAC", "AIFF"])
+def test_sound_files(form: str, tmp_path: Path) -> None:
+    sound = pytest.importorskip("soundfile")
+    values = 0.5 * np.sin(np.arange(200) / 5)
+    sound.write(tmp_path / "r", np.column_stack([values, -values]), 100, subtype="PCM_24", format=form)
+    with pytest.raises(InputError, match=r"columns=x:1"):
+        read(tmp_path / "r")
+    recording = read(tmp_path / "r", columns={"a": "channel 2"}, units={"a": "g"})
+    check(recording, {"a": (recording.signals[0].values.tolist(), "m/s²")}, GRID.tolist())
+    np.testing.assert_allclose(recording.signals[0].values, -9.80665 * values, atol=1e-5)
+    assert "parts of its full scale" in recording.notes[0]
 
 
 def test_a_workbook_without_numbers(tmp_path: Path) -> None:
@@ -614,7 +753,7 @@ def test_pickles_are_never_opened(tmp_path: Path) -> None:
 def test_an_array_that_claims_to_be_huge_is_refused(tmp_path: Path) -> None:
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(buffer, {"shape": (10**12,), "fortran_order": False, "descr": "<f8"})
-    with pytest.raises(InputError, match="at most 1000000"):
+    with pytest.raises(InputError, match="keep the columns that matter"):
         read(write(tmp_path, buffer.getvalue(), name="r.npy"))
 
 
@@ -627,6 +766,62 @@ def test_parquet(tmp_path: Path) -> None:
     recording = read(tmp_path / "r.parquet")
     check(recording, {"x": ([1e-3, -2.25e-3, 0.125e-3], "m")}, [0.0, 0.5, 2.5])
     assert "x: 1 of 4 values are missing and left out" in recording.notes
+
+
+# sizes are bounded before they are read
+
+
+def sheet_of(rows_of_xml: str) -> bytes:
+    """Return a workbook of one sheet with these rows."""
+    openpyxl = pytest.importorskip("openpyxl")
+    buffer, made = io.BytesIO(), io.BytesIO()
+    openpyxl.Workbook().save(buffer)
+    head = '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>'
+    with zipfile.ZipFile(buffer) as book, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in book.namelist():
+            sheet = name == "xl/worksheets/sheet1.xml"
+            archive.writestr(name, f"{head}{rows_of_xml}</sheetData></worksheet>" if sheet else book.read(name))
+    return made.getvalue()
+
+
+def mat_of(n: int) -> bytes:
+    file = io.BytesIO()
+    scipy.io.savemat(file, {f"v{i}": np.zeros(2**17) for i in range(n)}, do_compression=True)
+    return file.getvalue()
+
+
+def parquet_of(n: int) -> bytes:
+    sink = io.BytesIO()
+    pq.write_table(pa.table({f"v{i}": np.zeros(10**6) for i in range(n)}), sink)
+    return sink.getvalue()
+
+
+BOMBS = {
+    "cells far to the right": (lambda: sheet_of('<row r="1"><c r="XFD1"><v>1</v></c></row>' * 9), "beyond column 64"),
+    "many packed variables": (lambda: mat_of(300), "MiB when unzipped"),
+    "many constant columns": (lambda: parquet_of(30), "30000000 numbers in all; at most 20000000"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BOMBS)
+def test_small_files_of_large_tables_are_refused(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, part = BOMBS[what]
+    path = write(tmp_path, make())
+    assert path.stat().st_size < 10**6
+    in_this_process(monkeypatch)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=part):
+        read(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 100e6
+
+
+def test_a_reader_that_takes_too_much_memory_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MEMORY_MB", 1.0)
+    np.savez_compressed(tmp_path / "r.npz", t=np.zeros(10**6))
+    with pytest.raises(InputError, match="keep the columns that matter"):
+        read(tmp_path / "r.npz")
 
 
 def universal_set(values: np.ndarray, **other: Any) -> dict[str, Any]:
@@ -710,7 +905,8 @@ def refusal(path: Path, **options: Any) -> str:
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_bytes_at_random_raise_nothing_else(start: bytes, tmp_path: Path) -> None:
+def test_bytes_at_random_raise_nothing_else(start: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_this_process(monkeypatch)
     rng = np.random.default_rng(len(start))
     cells = np.frombuffer(b'0123456789.,;\t\n -eE"x[s]#', np.uint8)
     for n in (1, 7, 64, 300, 3000):
@@ -720,7 +916,8 @@ def test_bytes_at_random_raise_nothing_else(start: bytes, tmp_path: Path) -> Non
                 assert "\n" not in refusal(path, columns={"t": 0, "x": 1}, units={"t": "s"})
 
 
-def test_whole_files_with_a_byte_changed_raise_nothing_else(tmp_path: Path) -> None:
+def test_whole_files_with_a_byte_changed_raise_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_this_process(monkeypatch)
     np.savez_compressed(tmp_path / "r.npz", t_s=T, x_m=X)
     scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_m": X}, do_compression=True)
     pq.write_table(pa.table({"t_s": T, "x_m": X}), tmp_path / "r.parquet")
