@@ -9,8 +9,9 @@ where the method's own covariance is not larger, and the error of the clock.
 *A repeat*: to this the variance between repeats is added. It is estimated from the differences between parts of the
 record (:mod:`bench.records.parts`) by a random-effects model in which each part counts by its own variance (R. C.
 Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982), and drawn towards a prior spread as by a scaled inverse
-chi-square prior (A. Gelman and others, Bayesian Data Analysis, 3rd ed. 2013, section 2.6). Of several records it is the
-variance between the records.
+chi-square prior (A. Gelman and others, Bayesian Data Analysis, 3rd ed. 2013, section 2.6). A dependence on the
+amplitude that the parts show is the same in every repeat, and only the amplitude of the release differs. Of several
+records it is the variance between the records.
 
 A quantity whose interval would be wider than a factor of three either way is not determined: one limit is stated.
 Degrees of freedom: F. E. Satterthwaite, Biometrics Bull. 2:110, 1946.
@@ -35,10 +36,17 @@ from bench.systems import Quantity
 UPPER = 0.975
 HALF = float(standard_quantile(UPPER, None))
 """Half of a 95 % interval over the standard error."""
-PRIOR_SPREAD: Mapping[str, float] = {"mass": 0.004, "stiffness": 0.004, "damping": 0.08, "other": 0.02}
-"""Standard deviation of a log-parameter between parts of a record, by the parameter's kind, before any data."""
-PRIOR_DOF = 3.0
-"""Degrees of freedom of the prior spread: it weighs as much as four parts."""
+PRIOR_SPREAD: Mapping[str, float] = {"mass": 0.002, "stiffness": 0.002, "damping": 0.04, "other": 0.02}
+"""Standard deviation of a log-parameter by its kind: between repeats, which parts of one record cannot show (another
+temperature, another clamping), and once more between parts, before the data."""
+PRIOR_DOF = 5.0
+"""Degrees of freedom of the spread between parts before the data: it weighs as much as six parts."""
+PRIOR_SLOPE: Mapping[str, float] = {"mass": 0.02, "stiffness": 0.02, "damping": 0.3, "other": 0.1}
+"""Standard deviation of a log-parameter's derivative by the log of the amplitude, before the data."""
+AMPLITUDES = 0.15
+"""Standard deviation of the log of the amplitude between repeats: a release by hand."""
+SWEEPS = 5
+"""Alternations between slope and variance; they settle within three."""
 WIDEST = math.log(3.0)
 """Half-width of a logarithm beyond which the value is not determined and a limit is stated."""
 ASSUMED_DOF = 60.0
@@ -208,13 +216,16 @@ def covariances_of(
     back = np.linalg.inv(to)
     white, coloured = (to @ covariance[:k, :k] @ to.T for covariance in (fit.white, fit.coloured))
     least = np.diag(white)
-    scale = np.sqrt(np.maximum(least / np.diag(coloured), 1.0)) * _over_least_error(estimate, fit, np.sqrt(least))
+    over = _over_least_error(estimate, fit, np.sqrt(least))
+    scale = np.sqrt(np.maximum(least / np.diag(coloured), 1.0)) * over
     clock = np.array([fit.model.system.dimensions[name].time for name in fit.model.free]) * rate_error
-    spread = _spread(fit, parts, to)
+    spread, record = _spread(fit, parts, to), coloured * np.outer(scale, scale)
+    # the differences between parts hold what the colour of the noise does, so that the two do not add up
+    added = np.maximum(spread.added - (np.diag(record) - least * over**2), 0.0)
     return Covariances(
         fit,
-        back @ (coloured * np.outer(scale, scale)) @ back.T + np.outer(clock, clock),
-        back @ np.diag(spread.added) @ back.T,
+        back @ record @ back.T + np.outer(clock, clock),
+        back @ np.diag(added) @ back.T,
         max(independent_samples(fit) - fit.used, LEAST_DOF),
         spread.dof,
         back @ np.diag(spread.variance) @ back.T,
@@ -273,20 +284,59 @@ class RepeatSpread:
 
 def _spread(fit: Linearised, parts: Sequence[Linearised], to: np.ndarray) -> RepeatSpread:
     """Estimate the variances between parts of a record, or between several records."""
-    k = len(fit.model.free)
+    k, free = len(fit.model.free), fit.model.free
     kinds = {parameter.name: parameter.kind for parameter in fit.model.system.parameters}
-    expected = np.array([PRIOR_SPREAD[kinds[name]] ** 2 for name in fit.model.free])
+    expected = np.array([PRIOR_SPREAD[kinds[name]] ** 2 for name in free])
+    slopes = np.array([PRIOR_SLOPE[kinds[name]] ** 2 for name in free])
     if len(parts) < 2:
-        return RepeatSpread(expected, expected, expected, ASSUMED_DOF)
+        return RepeatSpread(expected, expected, 2.0 * expected + slopes * AMPLITUDES**2, ASSUMED_DOF)
     logs = np.array([to @ part.theta[:k] for part in parts])
     errors = np.array([part_variances(part, to) for part in parts])
-    variance = np.array([shrunk_variance(logs[:, i], errors[:, i], expected[i]) for i in range(k)])
-    weights = 1.0 / (errors + variance)
-    shares = np.sum(weights**2, axis=0) / np.sum(weights, axis=0) ** 2
-    several = len(fit.model.problem.records) > 1
-    return RepeatSpread(
-        variance, expected, variance * (1.0 + shares if several else shares), PRIOR_DOF + len(parts) - 1
-    )
+    dof = PRIOR_DOF + len(parts) - 1
+    if len(fit.model.problem.records) > 1:
+        variance = np.array([shrunk_variance(logs[:, i], errors[:, i], expected[i]) for i in range(k)])
+        return RepeatSpread(variance, expected, variance * (1.0 + _share(errors + variance)), dof)
+    sizes = np.log([motion_size(part) for part in parts])
+    sloped = [sloped_spread(logs[:, i], errors[:, i], sizes, expected[i], slopes[i]) for i in range(k)]
+    variance, added = np.array(sloped).T
+    return RepeatSpread(variance, expected, added, dof)
+
+
+def _share(variances: np.ndarray) -> np.ndarray:
+    """Return one over the number of values that count, of values (n, ...) with such variances in a weighted mean."""
+    weights = 1.0 / variances
+    return np.asarray(np.sum(weights**2, axis=0) / np.sum(weights, axis=0) ** 2)
+
+
+def motion_size(part: Linearised) -> float:
+    """Return the root mean square of the fitted motion of the first channel."""
+    samples = part.channels[0]
+    return float(np.std(part.model.data[samples] - part.residuals[samples])) or 1.0
+
+
+def sloped_spread(
+    values: np.ndarray, errors: np.ndarray, sizes: np.ndarray, prior: float, prior_slope: float
+) -> tuple[float, float]:
+    """Estimate what parts differ by beyond a dependence on the amplitude, which every repeat has alike.
+
+    A line goes through the ``values`` (n,) with variances ``errors`` (n,) over ``sizes`` (n,), the logs of the
+    amplitudes. Its slope has a normal prior about zero of variance ``prior_slope``; the variance about it is drawn
+    towards ``prior``.
+
+    Returns:
+        Variance between parts beyond the line; variance of a whole record's value between repeats, whose amplitudes
+        differ too.
+    """
+    variance, slope = prior, 0.0
+    for _ in range(SWEEPS):
+        weights = 1.0 / (errors + variance)
+        away = sizes - np.sum(weights * sizes) / np.sum(weights)
+        determined = np.sum(weights * away**2)
+        of_slope = 1.0 / (determined + 1.0 / prior_slope)
+        slope = of_slope * np.sum(weights * away * values)
+        variance = shrunk_variance(values - slope * away, errors, prior, 1.0 + determined * of_slope)
+    added = prior + variance * float(_share(errors + variance)) + (slope * AMPLITUDES) ** 2
+    return variance, float(added)
 
 
 def part_variances(part: Linearised, to: np.ndarray) -> np.ndarray:
@@ -296,22 +346,25 @@ def part_variances(part: Linearised, to: np.ndarray) -> np.ndarray:
     return np.max(both, axis=0)
 
 
-def shrunk_variance(values: np.ndarray, errors: np.ndarray, prior: float) -> float:
-    """Return the variance between ``values`` (n,) with variances ``errors`` (n,), drawn towards a prior variance."""
-    dof = values.size - 1
-    return (dof * paule_mandel(values, errors) + PRIOR_DOF * prior) / (dof + PRIOR_DOF)
+def shrunk_variance(values: np.ndarray, errors: np.ndarray, prior: float, used: float = 1.0) -> float:
+    """Return the variance between ``values`` (n,) with variances ``errors`` (n,), drawn towards a prior variance.
+
+    ``used``: degrees of freedom of the values that their mean, and a slope, have taken.
+    """
+    dof = max(values.size - used, 0.0)
+    return (dof * paule_mandel(values, errors, used) + PRIOR_DOF * prior) / (dof + PRIOR_DOF)
 
 
-def paule_mandel(values: np.ndarray, errors: np.ndarray) -> float:
+def paule_mandel(values: np.ndarray, errors: np.ndarray, used: float = 1.0) -> float:
     """Return the variance at which the weighted sum of squares equals its degrees of freedom; at least 0."""
     from scipy.optimize import brentq
 
     def excess(variance: float) -> float:
         weights = 1.0 / (errors + variance)
         mean = np.sum(weights * values) / np.sum(weights)
-        return float(np.sum(weights * (values - mean) ** 2)) - (values.size - 1)
+        return float(np.sum(weights * (values - mean) ** 2)) - (values.size - used)
 
-    if excess(0.0) <= 0:
+    if values.size <= used or excess(0.0) <= 0:
         return 0.0
-    high = float(np.sum((values - np.mean(values)) ** 2))
+    high = float(np.sum((values - np.mean(values)) ** 2)) / (values.size - used)
     return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-8))
