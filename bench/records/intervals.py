@@ -294,7 +294,7 @@ def _spread(fit: Linearised, parts: Sequence[Linearised], to: np.ndarray) -> Rep
     errors = np.array([part_variances(part, to) for part in parts])
     dof = PRIOR_DOF + len(parts) - 1
     if len(fit.model.problem.records) > 1:
-        variance = np.array([shrunk_variance(logs[:, i], errors[:, i], expected[i]) for i in range(k)])
+        variance = np.maximum([paule_mandel(logs[:, i], errors[:, i]) for i in range(k)], expected)
         return RepeatSpread(variance, expected, variance * (1.0 + _share(errors + variance)), dof)
     sizes = np.log([motion_size(part) for part in parts])
     sloped = [sloped_spread(logs[:, i], errors[:, i], sizes, expected[i], slopes[i]) for i in range(k)]
