@@ -20,7 +20,7 @@ import numpy as np
 
 from bench.contract.belief import standard_quantile
 from bench.records.finding import Finding, Run
-from bench.records.intervals import HALF, PRIOR_SPREAD, UPPER, StatedInterval, paule_mandel
+from bench.records.intervals import HALF, PRIOR_SPREAD, UPPER, WIDEST, StatedInterval, paule_mandel
 from bench.records.record import Measured
 from bench.records.verdict import Reason, Trust
 from bench.systems import Quantity, System
@@ -61,13 +61,13 @@ def combined(measured: Measured, alone: Sequence[Finding]) -> Finding | None:
     spreads = {name: spread for q in system.quantities if (spread := _spread(kept, q, system)) for name in (q.name,)}
     shown = _representative(kept, spreads)
     intervals = {name: spreads[name].interval if name in spreads else own for name, own in shown.intervals.items()}
-    by_run = {name: tuple(run.finding.intervals[name].value for run in kept) for name in spreads}
+    by_run = {name: tuple(own.value for own in _determining(kept, name).values()) for name in spreads}
     said = f"{len(kept)} runs, each answered alone; between them {_differences(spreads)}"
     reasons = (*_reasons(runs, spreads), *(Reason(r.verdict, f"{_name_of(shown)}: {r.text}") for r in shown.reasons))
     stands = all(reason.verdict is not Trust.NO for reason in reasons)
     return replace(
         shown,
-        measured=replace(shown.measured, notes=(*shown.measured.notes, said)),
+        measured=replace(shown.measured, notes=(*dict.fromkeys(shown.measured.notes), said)),
         intervals=intervals if stands else {},
         withdrawn={} if stands else intervals,
         reasons=reasons,
@@ -86,27 +86,33 @@ class RandomEffects:
 
 
 def _spread(kept: Sequence[Run], quantity: Quantity, system: System) -> RandomEffects | None:
-    """Fit the random-effects model; None where not every run determines the quantity."""
-    stated = [run.finding.intervals.get(quantity.name) for run in kept]
-    if not all(_determined(own) for own in stated):
+    """Fit the random-effects model to the runs that determine a quantity; None for fewer than two of them."""
+    stated = list(_determining(kept, quantity.name).values())
+    if len(stated) < 2:
         return None
-    y, v = _logs(stated)  # type: ignore[arg-type]
+    y, v = _logs(stated)
     prior = _prior_variance(quantity, system)
     variance, dof = _variance(y, v, prior)
     mean, error = _mean(y, v + variance)
-    quantile = float(standard_quantile(UPPER, dof))
-    white = HALF / math.sqrt(sum((2 * HALF / math.log(own.white_high / own.white_low)) ** 2 for own in stated if own))
-    halves = (quantile * math.sqrt(variance + error), quantile * math.sqrt(error), white)
-    value, uneven = math.exp(mean), math.sqrt(paule_mandel(y, v) / prior)
-    ends = (value * math.exp(sign * half) for half in halves for sign in (-1.0, 1.0))
-    return RandomEffects(
-        StatedInterval(value, *ends, quantity.unit, unevenness=uneven), float(np.std(y, ddof=1)), uneven
+    value, quantile = math.exp(mean), float(standard_quantile(UPPER, dof))
+    white = HALF / math.sqrt(sum((2 * HALF / math.log(own.white_high / own.white_low)) ** 2 for own in stated))
+    repeat, own = quantile * math.sqrt(variance + error), quantile * math.sqrt(error)
+    low, high, record_low, record_high, white_low, white_high = (
+        value * math.exp(sign * half) for half in (repeat, own, white) for sign in (-1.0, 1.0)
     )
+    uneven = math.sqrt(paule_mandel(y, v) / prior)
+    interval = StatedInterval(
+        value, low, high, record_low, record_high, white_low, white_high, quantity.unit, unevenness=uneven
+    )
+    if repeat > WIDEST:
+        interval = replace(interval, low=0.0, limit="at most")
+    return RandomEffects(interval, float(np.std(y, ddof=1)), uneven)
 
 
-def _determined(own: StatedInterval | None) -> bool:
-    """Return whether an interval has two ends, and a logarithm."""
-    return own is not None and not own.limit and all(0 < end < math.inf for end in (own.record_low, own.white_low))
+def _determining(runs: Sequence[Run], name: str) -> dict[Run, StatedInterval]:
+    """Return the intervals of a quantity that have two ends, and a logarithm, by run."""
+    stated = {run: run.finding.intervals[name] for run in runs if name in run.finding.intervals}
+    return {run: own for run, own in stated.items() if not own.limit and min(own.record_low, own.white_low) > 0}
 
 
 def _logs(stated: Sequence[StatedInterval]) -> tuple[np.ndarray, np.ndarray]:
@@ -147,18 +153,18 @@ def _odd_run(kept: Sequence[Run]) -> tuple[Run, str] | None:
         return None
     system = kept[0].finding.problem.system
     worst: tuple[float, Run, str] | None = None
-    groups = [q for q in system.groups if all(_determined(run.finding.intervals.get(q.name)) for run in kept)]
+    groups = [q for q in system.groups if len(_determining(kept, q.name)) > LEAST_OTHERS]
     for quantity in groups:
-        stated = [run.finding.intervals[quantity.name] for run in kept]
-        y, v = _logs(stated)
-        for i, run in enumerate(kept):
+        stated = _determining(kept, quantity.name)
+        y, v = _logs(list(stated.values()))
+        for i, (run, own) in enumerate(stated.items()):
             others = np.arange(y.size) != i
             variance, dof = _variance(y[others], v[others], _prior_variance(quantity, system))
             mean, error = _mean(y[others], v[others] + variance)
             chance = _two_sided((y[i] - mean) / math.sqrt(v[i] + variance + error), dof)
             if chance * y.size * len(groups) < LEVEL and (worst is None or chance < worst[0]):
                 name = quantity.name.replace("_over_", "/")
-                said = f"not a repeat of the others: {name} = {stated[i].value:.4g}, theirs {math.exp(mean):.4g}"
+                said = f"not a repeat of the others: {name} = {own.value:.4g}, theirs {math.exp(mean):.4g}"
                 worst = (chance, run, said)
     return None if worst is None else worst[1:]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,26 @@ def test_repeats_that_alone_have_no_answer_are_left_out_and_two_of_five_are_too_
     assert found.trust is Trust.NO
     assert found.reasons[0].text == "only 2 of 5 runs agree and can be answered"
     assert combined(measured, answers(measured, [100, 0, 0, 0, 0], [1.0] * 5)) is None
+
+
+def test_a_run_that_does_not_determine_the_damping_is_kept_and_leaves_it_to_the_others() -> None:
+    measured = several(4)
+    alone = answers(measured, [100, 101, 99, 100], [1.0, 1.1, 0.9, 5.0])
+    damping = replace(alone[3].intervals["c_over_m"], low=0.0, record_low=0.0, limit="at most")
+    alone[3] = replace(alone[3], intervals={**alone[3].intervals, "c_over_m": damping})
+    found = combined(measured, alone)
+    assert found is not None
+    assert found.intervals["c_over_m"].value == pytest.approx(np.cbrt(1.0 * 1.1 * 0.9), rel=1e-3)
+    assert len(found.by_part["c_over_m"]) == 3
+    assert len(found.by_part["k_over_m"]) == 4
+
+
+def test_damping_that_runs_do_not_agree_on_has_a_limit_in_place_of_an_interval() -> None:
+    measured = several(3)
+    found = combined(measured, answers(measured, [100, 101, 99], [0.2, 1.0, 4.0]))
+    assert found is not None
+    assert (found.intervals["c_over_m"].limit, found.intervals["k_over_m"].limit) == ("at most", "")
+    assert found.intervals["c_over_m"].high > 4.0
 
 
 def test_a_single_record_has_no_runs() -> None:
