@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.contract.problem import Problem
+from bench.contract.problem import Channel, Problem
 from bench.likelihood.autoregression import even_times
 from bench.likelihood.output_error import OutputError
 from bench.records.colour import autocorrelation, cumulative_periodogram
@@ -17,7 +17,7 @@ from bench.records.linearised import Linearised
 from bench.records.model_error import ModelError
 from bench.records.modes import Mode, alias_of, line, modes_of
 from bench.records.strongest import strongest_frequency
-from bench.records.verdict import Reason, Trust
+from bench.records.verdict import Reason, Trust, verdict
 from bench.scoring.statistics import whiteness
 
 FALSE_ALARM = 1e-3
@@ -95,8 +95,13 @@ def diagnose(
     if at is None:
         return Diagnosis((Reason(Trust.NO, "the answer's response is not finite"),))
     several = _several_modes(at, problem)
-    reasons = [*_steady_sine(at, problem), *several.reasons, *(reason for check in CHECKS for reason in check(at))]
-    reasons += _of_intervals(intervals, lacking)
+    reasons = [*several.reasons, *(reason for check in CHECKS for reason in check(at))]
+    if len(several.modes) < 2:
+        reasons += _start_up(at)
+    if sine := steady_sine(problem, part_of_signal(at)):
+        reasons.insert(0, Reason(Trust.NO, sine))
+    if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
+        reasons += _few(at) + _of_intervals(intervals, lacking)
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
     return Diagnosis(tuple(dict.fromkeys(reasons)), several.modes)
@@ -246,37 +251,52 @@ def _line(at: Linearised) -> Diagnosis:
     return Diagnosis()
 
 
-def _steady_sine(at: Linearised, problem: Problem) -> list[Reason]:
-    """Test whether force and motion are one settled sine: its amplitude and phase are two numbers for m, c and k."""
+def steady_sine(problem: Problem, left: float | None = None) -> str:
+    """Describe force and motion where both are one settled sine: two numbers, from which m, c and k do not follow.
+
+    Args:
+        problem: The records, in the user's units.
+        left: What a fit leaves of the motion's standard deviation; without one, the motion has settled where a sine
+            leaves no line in its spectrum.
+
+    Returns:
+        A sentence, empty where the records may hold more.
+    """
     if not problem.forced or len(problem.records) > 1 or problem.system.n_dof > 1 or problem.prior is not None:
-        return []
+        return ""
     (record,) = problem.records
-    (force, *more), channel = record.forces, record.channels[0]
+    if len(record.forces) != 1 or record.channels[0].n < 8 or record.forces[0].times.size < 8:
+        return ""
+    force, channel = record.forces[0], record.channels[0]
     modes = modes_of(force.times, force.values, most=1)
-    if more or not modes or channel.n < 8:
-        return []
+    if not modes:
+        return ""
     frequency = modes[0].frequency
-    (push, push_left), (way, way_left) = (_sine(one.times, one.values, frequency) for one in (force, channel))
-    residuals = at.residuals[at.channels[0]]
-    left = float(np.std(residuals) / np.std(at.model.data[at.channels[0]]))
-    if push_left > PURE_SINE or way_left > SETTLED * max(left, 1e-9):
-        return []
-    response = way / push
-    said = (
+    push, rest_of_force = _sine(force.times, force.values, frequency)
+    response, rest = _sine(channel.times, channel.values, frequency)
+    if np.std(rest_of_force) > PURE_SINE * np.std(force.values):
+        return ""
+    moving = line(channel.times, rest, channel.values)[1] > 0 if left is None else _over(rest, channel) > SETTLED * left
+    if moving:
+        return ""
+    ratio = response / push
+    return (
         f"the force is one steady sine at {frequency:.4g} Hz and the motion has settled: the record determines the "
-        f"response there, {abs(response):.4g} {channel.unit}/N at {np.degrees(np.angle(response)):.3g}°, and of m, c "
-        "and k no more than that; record the start, or another frequency"
+        f"response there, {abs(ratio):.4g} {channel.unit}/N at {np.degrees(np.angle(ratio)):.3g}°, but not m, c and k; "
+        "record the start, or another frequency"
     )
-    return [Reason(Trust.NO, said)]
 
 
-def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[complex, float]:
-    """Return the complex amplitude of a sine fitted to values, and what it leaves of their standard deviation."""
+def _over(rest: np.ndarray, channel: Channel) -> float:
+    return float(np.std(rest) / (np.std(channel.values) or 1.0))
+
+
+def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[complex, np.ndarray]:
+    """Fit a sine and a constant to values (n,): return the complex amplitude, and what is left of the values."""
     phase = 2 * np.pi * frequency * times
     basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones(times.size)])
     sizes = np.linalg.lstsq(basis, values, rcond=None)[0]
-    left = values - basis @ sizes
-    return complex(sizes[0], -sizes[1]), float(np.std(left) / (np.std(values) or 1.0))
+    return complex(sizes[0], -sizes[1]), values - basis @ sizes
 
 
 def _growth(at: Linearised) -> list[Reason]:
@@ -350,7 +370,7 @@ def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
 
 
 CHECKS: tuple[Callable[[Linearised], list[Reason]], ...] = (
-    _motion, _clipping, _growth, _residual, _cycles, _few, _start_up, _outliers, _turned_force,
+    _motion, _clipping, _growth, _residual, _cycles, _turned_force, _outliers,
 )  # fmt: skip
 """Checks of record and residuals, the gravest first."""
 

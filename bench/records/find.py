@@ -14,9 +14,9 @@ from bench.entrants.registry import missing_package
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.records.classes import best_class, fitted_class
-from bench.records.diagnostics import OUTLIERS
+from bench.records.diagnostics import OUTLIERS, steady_sine
 from bench.records.finding import Finding, judged
-from bench.records.fit import fit, within_time
+from bench.records.fit import Outcome, fit, within_time
 from bench.records.intervals import StatedInterval
 from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
 from bench.records.repeats import combined, runs_of
@@ -67,6 +67,8 @@ def _found(job: Job, measured: Measured) -> Finding:
 
 def _answer(job: Job, measured: Measured) -> Finding:
     """Judge the method's answer, with the colour of the noise where it can be given and outliers looked into."""
+    if sine := steady_sine(measured.problem):
+        return Finding(job.label, measured, Outcome(None, Status.UNSUPPORTED, sine), reasons=(Reason(Trust.NO, sine),))
     return _with_robust(_coloured(judged(job.label, measured, fit(job, measured.problem)), job), job)
 
 
