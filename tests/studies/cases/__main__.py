@@ -68,7 +68,8 @@ def judged(case: Case, found: Any) -> Judgment:
     if found.trust == "do not trust" or not found.estimates:
         return _refusal(case, found.trust, said)
     named = _named(case.frequencies, said)
-    faults = [_fault(name, true, found.estimates.get(name)) for name, true in case.truth.items()]
+    asked = {**dict.fromkeys(found.estimates), **case.truth}
+    faults = [_fault(name, true, found.estimates.get(name)) for name, true in asked.items()]
     worst, why = max(faults, key=lambda fault: OUTCOMES.index(fault[0]), default=("right", ""))
     if case.frequencies and not named and (worst != "right" or not case.truth):
         worst, why = "wrong", f"{case.frequencies} Hz not named; {why}"

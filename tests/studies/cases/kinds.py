@@ -260,13 +260,14 @@ def beyond_nyquist(rng: np.random.Generator, to: Path) -> Case:
 
 
 def matrix_text(rng: np.random.Generator, to: Path) -> Case:
+    """A step response as a matrix in text; a constant force and an unknown offset leave the mass open."""
     d, m = decay(rng, frequency=(1.0, 5.0)), rng.uniform(0.5, 5)
     wd = np.sqrt(d.w**2 - d.s**2)
     x = (1 - np.exp(-d.s * d.t) * (np.cos(wd * d.t) + d.s / wd * np.sin(wd * d.t))) / (m * d.w**2)
     rows = np.c_[d.t, noisy(rng, x, 0.01), np.ones_like(x)]
     text = "".join(f"  {i}   {t:.4f}   {y:.8f}   {f:.4f};\n" for i, (t, y, f) in enumerate(rows))
     (to / "x.txt").write_text("[ Sample   Time   Position   Force ;\n" + text + "]\n", encoding="utf-8")
-    return Case(to / "x.txt", {**d.truth, "m": m}, {"units": {"t": "s", "x": "m", "f": "N"}})
+    return Case(to / "x.txt", d.truth, {"units": {"t": "s", "x": "m", "f": "N"}})
 
 
 def comment_lines(rng: np.random.Generator, to: Path) -> Case:
