@@ -40,11 +40,16 @@ def find_all(request: Request, measured: Measured) -> list[Finding]:
 def find(job: Job, measured: Measured) -> Finding:
     """Identify the records with the job's method, in a process of its own: repeats alone, and then by their spread.
 
+    Repeats that are too short to be answered alone are fitted together.
+
     Raises:
         InputError: The method cannot take a measured record.
     """
-    alone = [_found(job, run) for run in runs_of(measured)]
-    return (combined(measured, alone) if alone else None) or _found(job, measured)
+    repeats = combined([_found(job, run) for run in runs_of(measured)])
+    if repeats is not None and repeats.intervals:
+        return repeats
+    together = _found(job, measured)
+    return together if together.intervals or repeats is None else repeats
 
 
 def _found(job: Job, measured: Measured) -> Finding:

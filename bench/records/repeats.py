@@ -48,21 +48,21 @@ def runs_of(measured: Measured) -> list[Measured]:
     ]
 
 
-def combined(measured: Measured, alone: Sequence[Finding]) -> Finding | None:
-    """Combine what each of several records says alone; None where fewer than two of them have an answer that stands."""
-    runs = [Run(_name(recording.source), f) for recording, f in zip(measured.recordings, alone, strict=True)]
+def combined(alone: Sequence[Finding]) -> Finding | None:
+    """Combine what each of several records says alone; None where none of them has an answer that stands."""
+    runs = [Run(_name_of(finding), finding) for finding in alone]
     runs = [run if run.finding.intervals else replace(run, left_out=_failed(run)) for run in runs]
     while (odd := _odd_run(_kept(runs))) is not None:
         runs = [replace(run, left_out=odd[1]) if run is odd[0] else run for run in runs]
     kept = _kept(runs)
-    if len(kept) < 2:
+    if not kept:
         return None
-    system = measured.problem.system
+    system = kept[0].finding.problem.system
     spreads = {name: spread for q in system.quantities if (spread := _spread(kept, q, system)) for name in (q.name,)}
     shown = _representative(kept, spreads)
     intervals = {name: spreads[name].interval if name in spreads else own for name, own in shown.intervals.items()}
     by_run = {name: tuple(own.value for own in _determining(kept, name).values()) for name in spreads}
-    said = f"{len(kept)} runs, each answered alone; between them {_differences(spreads)}"
+    said = f"{len(runs)} runs, each answered alone; {_differences(spreads) or f'{len(kept)} of them stands'}"
     reasons = (*_reasons(runs, spreads), *(Reason(r.verdict, f"{_name_of(shown)}: {r.text}") for r in shown.reasons))
     stands = all(reason.verdict is not Trust.NO for reason in reasons)
     return replace(
@@ -178,7 +178,7 @@ def _two_sided(statistic: float, dof: float) -> float:
 def _reasons(runs: Sequence[Run], spreads: dict[str, RandomEffects]) -> list[Reason]:
     """Return a reason for each run that is left out, and for runs that are hardly of one rig."""
     reasons = [Reason(Trust.CAUTION, f"{run.name} is left out: {run.left_out}") for run in runs if run.left_out]
-    if 2 * len(_kept(runs)) <= len(runs):
+    if 2 * len(_kept(runs)) < len(runs):
         reasons.insert(0, Reason(Trust.NO, f"only {len(_kept(runs))} of {len(runs)} runs agree and can be answered"))
     name, most = max(spreads.items(), key=lambda item: item[1].unevenness, default=("", None))
     if most is not None and most.unevenness > UNALIKE:
@@ -200,7 +200,7 @@ def _representative(kept: Sequence[Run], spreads: dict[str, RandomEffects]) -> F
 def _differences(spreads: dict[str, RandomEffects]) -> str:
     """Return the standard deviations between the runs, of two quantities, in words."""
     shown = [f"{name.replace('_over_', '/')} differs by {100 * s.deviation:.2g} %" for name, s in spreads.items()]
-    return f"{' and '.join(shown[:2])} (standard deviation)" if shown else "no quantity can be compared"
+    return f"between them {' and '.join(shown[:2])} (standard deviation)" if shown else ""
 
 
 def _failed(run: Run) -> str:

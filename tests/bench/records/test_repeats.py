@@ -56,7 +56,7 @@ def answers(measured: Measured, k: Sequence[float], c: Sequence[float], error: f
 def test_the_interval_of_a_repeat_is_the_prediction_interval_of_the_random_effects_model(n: int) -> None:
     k = np.array([100.0, 101.0, 99.0, 102.0, 100.4])[:n]
     measured = several(n)
-    found = combined(measured, answers(measured, k, [1.0] * n))
+    found = combined(answers(measured, k, [1.0] * n))
     assert found is not None
     y, more = np.log(k), max(4 - n, 0)
     tau2 = ((n - 1) * (np.var(y, ddof=1) - 1e-8) + more * PRIOR_SPREAD["stiffness"] ** 2) / (n - 1 + more)
@@ -69,7 +69,7 @@ def test_the_interval_of_a_repeat_is_the_prediction_interval_of_the_random_effec
 
 def test_the_frequency_is_half_as_wide_as_the_stiffness_and_agrees_with_it() -> None:
     measured = several(3)
-    found = combined(measured, answers(measured, [50.0, 50.4, 49.9], [1.0, 1.2, 0.9]))
+    found = combined(answers(measured, [50.0, 50.4, 49.9], [1.0, 1.2, 0.9]))
     assert found is not None
     k, f = found.intervals["k_over_m"], found.intervals["natural_frequency"]
     assert f.value == pytest.approx(np.sqrt(k.value) / 2 / np.pi)
@@ -80,7 +80,7 @@ def test_the_frequency_is_half_as_wide_as_the_stiffness_and_agrees_with_it() -> 
 def test_a_run_of_another_rig_is_left_out_by_its_name(n: int) -> None:
     measured, k = several(n), [100.0 * (1 + 0.001 * (-1) ** i) for i in range(n)]
     k[1] = 118.0
-    found = combined(measured, answers(measured, k, [1.0] * n))
+    found = combined(answers(measured, k, [1.0] * n))
     assert found is not None
     assert [run.name for run in found.runs if run.left_out] == ["run2.csv"]
     assert found.trust is Trust.CAUTION
@@ -90,7 +90,7 @@ def test_a_run_of_another_rig_is_left_out_by_its_name(n: int) -> None:
 
 def test_repeats_that_scatter_are_all_kept_and_said_to_be_unalike() -> None:
     measured = several(5)
-    found = combined(measured, answers(measured, [100, 110, 93, 104, 88], [1.0] * 5))
+    found = combined(answers(measured, [100, 110, 93, 104, 88], [1.0] * 5))
     assert found is not None
     assert not any(run.left_out for run in found.runs)
     assert "the runs differ by" in found.reasons[0].text
@@ -99,11 +99,21 @@ def test_repeats_that_scatter_are_all_kept_and_said_to_be_unalike() -> None:
 
 def test_repeats_that_alone_have_no_answer_are_left_out_and_two_of_five_are_too_few() -> None:
     measured = several(5)
-    found = combined(measured, answers(measured, [100, 0, 100.2, 0, 0], [1.0] * 5))
+    found = combined(answers(measured, [100, 0, 100.2, 0, 0], [1.0] * 5))
     assert found is not None
     assert found.trust is Trust.NO
     assert found.reasons[0].text == "only 2 of 5 runs agree and can be answered"
-    assert combined(measured, answers(measured, [100, 0, 0, 0, 0], [1.0] * 5)) is None
+    assert not found.intervals
+    assert combined(answers(measured, [0, 0, 0, 0, 0], [1.0] * 5)) is None
+
+
+def test_the_only_run_of_two_that_has_an_answer_is_the_answer_with_caution() -> None:
+    measured = several(2)
+    alone = answers(measured, [100, 0], [1.0] * 2)
+    found = combined(alone)
+    assert found is not None
+    assert found.trust is Trust.CAUTION
+    assert dict(found.intervals) == dict(alone[0].intervals)
 
 
 def test_a_run_that_does_not_determine_the_damping_is_kept_and_leaves_it_to_the_others() -> None:
@@ -111,7 +121,7 @@ def test_a_run_that_does_not_determine_the_damping_is_kept_and_leaves_it_to_the_
     alone = answers(measured, [100, 101, 99, 100], [1.0, 1.1, 0.9, 5.0])
     damping = replace(alone[3].intervals["c_over_m"], low=0.0, record_low=0.0, limit="at most")
     alone[3] = replace(alone[3], intervals={**alone[3].intervals, "c_over_m": damping})
-    found = combined(measured, alone)
+    found = combined(alone)
     assert found is not None
     assert found.intervals["c_over_m"].value == pytest.approx(np.cbrt(1.0 * 1.1 * 0.9), rel=1e-3)
     assert len(found.by_part["c_over_m"]) == 3
@@ -120,7 +130,7 @@ def test_a_run_that_does_not_determine_the_damping_is_kept_and_leaves_it_to_the_
 
 def test_damping_that_runs_do_not_agree_on_has_a_limit_in_place_of_an_interval() -> None:
     measured = several(3)
-    found = combined(measured, answers(measured, [100, 101, 99], [0.2, 1.0, 4.0]))
+    found = combined(answers(measured, [100, 101, 99], [0.2, 1.0, 4.0]))
     assert found is not None
     assert (found.intervals["c_over_m"].limit, found.intervals["k_over_m"].limit) == ("at most", "")
     assert found.intervals["c_over_m"].high > 4.0
