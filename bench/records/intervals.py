@@ -141,16 +141,16 @@ def stated_intervals(
     for quantity in estimate.system.quantities:
         marginal = estimate.marginal(quantity)
         if marginal is not None:
-            intervals[quantity.name] = _stated(quantity, marginal, covariances)
+            intervals[quantity.name] = _stated(quantity, marginal, covariances, estimate.system.gauge)
     return intervals
 
 
-def _stated(quantity: Quantity, marginal: Marginal, covariances: Covariances | None) -> StatedInterval:
+def _stated(quantity: Quantity, marginal: Marginal, covariances: Covariances | None, gauge: str) -> StatedInterval:
     low, high = marginal.interval(0.95)
     value = float(marginal.value)
     of_method = StatedInterval(value, low, high, low, high, low, high, quantity.unit)
     if covariances is None or marginal.ppf is None:
-        return of_method
+        return _limited_alone(quantity, of_method, gauge)
     free = covariances.fit.model.free
     gradient = np.array(quantity.vector(free))
     if not np.any(gradient) or not value >= 0:
@@ -187,6 +187,19 @@ def _limited(
         return replace(of_method, low=0.0, high=high, record_low=0.0, record_high=high, limit="at most")
     low = of_method.value / factor
     return replace(of_method, low=low, high=math.inf, record_low=low, record_high=math.inf, limit="at least")
+
+
+def _limited_alone(quantity: Quantity, of_method: StatedInterval, gauge: str) -> StatedInterval:
+    """State a limit by the method's own interval, where no covariance of the residuals' colour is known.
+
+    Where the scale is open all parameters may be infinite together; what is over the mass may vanish.
+    """
+    low, high = of_method.low, of_method.high
+    if not 0 < low < math.inf or math.log(high / low) <= 2.0 * WIDEST:
+        return of_method
+    if quantity.exponents.get(gauge, 1.0) > 0:
+        return replace(of_method, high=math.inf, record_high=math.inf, limit="at least")
+    return replace(of_method, low=0.0, record_low=0.0, limit="at most")
 
 
 # ------------------------------------------------------------------------------------------------ covariances

@@ -1,23 +1,27 @@
-"""Siblings: records of one rig, or parts of one record, that tell the same quantities; and how well they agree.
+"""Siblings: records of one rig, or parts of one record, that determine the same quantities; and how well they agree.
 
-There is no truth of a measured record. That its siblings agree within what is stated of each is what can be asked:
-``R`` is the standard deviation between siblings over the median standard error stated of one, 1 where the stated
-errors are right, and of the intervals it is counted how many hold the mean of the other siblings. That mean has an
-error of its own, so that right intervals of 95 % hold it in 83 % of cases with two siblings, 91 % with four, 93 % with
-six.
+There is no truth of a measured record. Its siblings are what an interval of a repeat can be scored on: by the interval
+score of its logarithm against the mean of the other siblings, over that of the ideal interval, which is as wide as the
+siblings scatter. 1 is ideal; too narrow and too wide intervals both have more. Beside it stand how many intervals hold
+that mean, ``R``, the standard deviation between siblings over the median stated standard error, and the median width.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.records.intervals import HALF
+from bench.records.intervals import HALF, StatedInterval
 from bench.records.reading import Recording, Signal
 from bench.records.sets import MeasuredSet
+
+KINDS = {"repeat": "", "record": "record_", "white": "white_"}
+"""Kinds of interval, and how the names of their ends begin."""
+LEAST_END = 1e-3
+"""An end below this part of the value, or below zero, counts as this: a logarithm is needed."""
 
 
 def pieces(recording: Recording, of: MeasuredSet) -> list[Recording]:
@@ -53,127 +57,110 @@ def _thinned(signal: Signal, of: MeasuredSet) -> Signal:
 
 
 @dataclass(frozen=True)
-class Stated:
-    """A value with its 95 % interval, and that which takes the noise for white."""
+class IntervalScore:
+    """How intervals of one kind do: ``score`` over the ideal's, how many are ``covered``, R, and the median width.
 
-    value: float
-    low: float
-    high: float
-    white_low: float
-    white_high: float
+    ``width`` is the factor by which an interval reaches to either side of its value.
+    """
 
-    def error(self, white: bool) -> float:
-        """The standard error: half of the interval over 1.96."""
-        low, high = self.ends(white)
-        return (high - low) / 2.0 / HALF
-
-    def ends(self, white: bool) -> tuple[float, float]:
-        return (self.white_low, self.white_high) if white else (self.low, self.high)
+    score: float = math.nan
+    covered: int = 0
+    ratio: float = math.nan
+    width: float = math.nan
 
 
 @dataclass(frozen=True)
 class SiblingAgreement:
-    """How siblings agree on one quantity: R, and how many of ``counted`` intervals hold the mean of the others.
+    """How siblings agree on one quantity, by kind of interval.
 
-    ``n`` answers stand, with an interval or without; ``error`` is the median distance to the known value over it (%),
-    NaN where nothing is known.
+    ``n`` answers stand, of which ``counted`` have intervals that can be compared and ``limits`` state one end only;
+    ``error`` is the median distance to the known value over it (%), NaN where nothing is known.
     """
 
     n: int
     median: float
     error: float
-    ratio: float
-    ratio_white: float
-    covered: int
-    covered_white: int
     counted: int
+    limits: int
+    kinds: Mapping[str, IntervalScore]
 
 
-def agreement(found: Sequence[Stated], known: float | None = None) -> SiblingAgreement:
-    """The agreement of the siblings that have an answer that stands; one without an interval states nothing."""
-    values = [one.value for one in found]
-    bounded = [one for one in found if all(map(math.isfinite, (*one.ends(False), *one.ends(True))))]
-    counted = bounded if len(bounded) > 1 else []
-    spread = float(np.std([one.value for one in counted], ddof=1)) if counted else math.nan
-    covered = {False: 0, True: 0}
-    for one in counted:
-        mean = float(np.mean([other.value for other in counted if other is not one]))
-        for white in covered:
-            low, high = one.ends(white)
-            covered[white] += low <= mean <= high
+def agreement(stated: Sequence[StatedInterval], known: float | None = None) -> SiblingAgreement:
+    """Compare the siblings that have an answer that stands."""
+    values = np.array([own.value for own in stated])
+    compared = [own for own in stated if not own.limit and own.value > 0 and _bounded(own)]
+    compared = compared if len(compared) > 1 else []
     error = math.nan
-    if known is not None and values:
-        error = 100.0 * float(np.median(np.abs(np.array(values) - known))) / abs(known)
+    if known is not None and values.size:
+        error = 100.0 * float(np.median(np.abs(values - known))) / abs(known)
     return SiblingAgreement(
-        n=len(found),
-        median=float(np.median(values)) if values else math.nan,
+        n=len(stated),
+        median=float(np.median(values)) if values.size else math.nan,
         error=error,
-        ratio=_ratio(spread, [one.error(False) for one in counted]),
-        ratio_white=_ratio(spread, [one.error(True) for one in counted]),
-        covered=covered[False],
-        covered_white=covered[True],
-        counted=len(counted),
+        counted=len(compared),
+        limits=sum(bool(own.limit) for own in stated),
+        kinds={kind: interval_score_of(compared, kind) if compared else IntervalScore() for kind in KINDS},
     )
 
 
-def _ratio(spread: float, errors: Sequence[float]) -> float:
-    middle = float(np.median(errors)) if errors else math.nan
-    return spread / middle if middle > 0 else math.nan
+def _bounded(own: StatedInterval) -> bool:
+    return all(math.isfinite(end) for end in (own.low, own.high, own.white_low, own.white_high))
+
+
+def interval_score_of(stated: Sequence[StatedInterval], kind: str) -> IntervalScore:
+    """Score the intervals of a kind of two or more siblings with positive values, on the scale of the logarithm."""
+    values = np.log([own.value for own in stated])
+    low, high = (
+        np.log([max(getattr(own, f"{KINDS[kind]}{end}"), LEAST_END * own.value) for own in stated])
+        for end in ("low", "high")
+    )
+    others = (np.sum(values) - values) / (values.size - 1)
+    spread, half = float(np.std(values, ddof=1)), float(np.median(high - low)) / 2.0
+    ideal = _interval_scores(values - HALF * spread, values + HALF * spread, others)
+    return IntervalScore(
+        score=float(np.mean(_interval_scores(low, high, others)) / np.mean(ideal)) if spread > 0 else math.nan,
+        covered=int(np.sum((low <= others) & (others <= high))),
+        ratio=HALF * spread / half if half > 0 else math.nan,
+        width=math.exp(half),
+    )
+
+
+def _interval_scores(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return the width of 95 % intervals, and forty times the distance by which they miss the truth.
+
+    T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102:359, 2007, section 6.2.
+    """
+    missed = np.maximum(low - truth, 0.0) + np.maximum(truth - high, 0.0)
+    return np.asarray(high - low + 2.0 / 0.05 * missed)
 
 
 @dataclass(frozen=True)
-class Total:
-    """Agreements taken together: coverage as stated and white, and the median of R."""
+class TotalScore:
+    """Agreements taken together: median and worst score, coverage, medians of R and of the width."""
 
+    score: float
+    worst: float
     covered: int
-    covered_white: int
     counted: int
     ratio: float
-    ratio_white: float
-
-    @property
-    def coverage(self) -> float:
-        return self.covered / self.counted if self.counted else math.nan
-
-    @property
-    def coverage_white(self) -> float:
-        return self.covered_white / self.counted if self.counted else math.nan
+    width: float
 
 
-def total(agreements: Iterable[SiblingAgreement]) -> Total:
-    """The sums of the counts, and the medians of R over those that have one."""
-    several = [one for one in agreements if one.counted]
-    return Total(
-        covered=sum(one.covered for one in several),
-        covered_white=sum(one.covered_white for one in several),
-        counted=sum(one.counted for one in several),
-        ratio=_middle([one.ratio for one in several]),
-        ratio_white=_middle([one.ratio_white for one in several]),
+def total(agreements: Iterable[SiblingAgreement], kind: str = "repeat") -> TotalScore:
+    """Add the counts, and take medians over the agreements that have a score."""
+    several = [each for each in agreements if each.counted]
+    scores = [each.kinds[kind] for each in several]
+    finite = [each.score for each in scores if math.isfinite(each.score)]
+    return TotalScore(
+        score=_middle([each.score for each in scores]),
+        worst=max(finite, default=math.nan),
+        covered=sum(each.covered for each in scores),
+        counted=sum(each.counted for each in several),
+        ratio=_middle([each.ratio for each in scores]),
+        width=_middle([each.width for each in scores]),
     )
 
 
-def _middle(ratios: Sequence[float]) -> float:
-    finite = [ratio for ratio in ratios if math.isfinite(ratio)]
+def _middle(values: Sequence[float]) -> float:
+    finite = [value for value in values if math.isfinite(value)]
     return float(np.median(finite)) if finite else math.nan
-
-
-def interval_score(low: float, high: float, truth: float, level: float = 0.95) -> float:
-    """Return the width of an interval, and 2 / (1 - level) times the distance by which it misses the truth.
-
-    T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102:359, 2007, section 6.2. The smaller the better.
-    """
-    return (high - low) + 2.0 / (1.0 - level) * (max(low - truth, 0.0) + max(truth - high, 0.0))
-
-
-def interval_score_ratio(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
-    """Score intervals of siblings' values (n,) against the mean of the others, over the score of the ideal intervals.
-
-    The ideal ones are as wide as 1.96 standard deviations between siblings to either side. Returns the ratio, and the
-    share of the intervals that cover the mean of the others.
-    """
-    others = (np.sum(values) - values) / (values.size - 1)
-    half = HALF * float(np.std(values, ddof=1))
-    stated = [interval_score(*each) for each in zip(low, high, others, strict=True)]
-    ideal = [interval_score(v - half, v + half, mean) for v, mean in zip(values, others, strict=True)]
-    covered = float(np.mean((low <= others) & (others <= high)))
-    return float(np.mean(stated) / np.mean(ideal)) if half > 0 else math.nan, covered

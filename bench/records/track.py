@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +27,12 @@ from bench.records.reading import Recording, read_recording
 from bench.records.record import Measured, read_measured, with_system
 from bench.records.request import Request, request_of
 from bench.records.sets import MeasuredSet
-from bench.records.siblings import Stated, pieces
+from bench.records.siblings import pieces
 from bench.store.results import read_result, write_result
 from bench.systems.sums import Sum
 
 ANALYSES, ANALYSIS_S = 50.0, 3600.0
 """Limit of a fit with all its diagnostics: so many times the limit of the fit alone, and so many seconds more."""
-ENDS = ("value", "low", "high", "white_low", "white_high")
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,8 @@ class TrackFit:
     wall_s: float
     timeout_s: float
     samples: int
-    estimates: Mapping[str, Stated] = field(default_factory=dict)
-    withdrawn: Mapping[str, Stated] = field(default_factory=dict)
+    estimates: Mapping[str, StatedInterval] = field(default_factory=dict)
+    withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
     held_out: float = math.nan
     offset: float = math.nan
 
@@ -70,7 +69,7 @@ class TrackFit:
         """Return the fit of such a text."""
         content = json.loads(text)
         for name in ("estimates", "withdrawn"):
-            content[name] = {quantity: Stated(**interval) for quantity, interval in content[name].items()}
+            content[name] = {quantity: StatedInterval(**interval) for quantity, interval in content[name].items()}
         return TrackFit(**{**content, "reasons": tuple(content["reasons"])})
 
 
@@ -94,7 +93,7 @@ class MeasuredFit:
         parts = [
             self.name, self.of.definition(), self.request.system, self.sibling, self.recording.sha256,
             self.job.config.method["name"], load_method(self.job.config.method["name"]).version, settings,
-            self.job.config.seed,
+            self.job.config.seed, [field.name for field in fields(StatedInterval)],
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
@@ -174,15 +173,11 @@ def fitted(task: MeasuredFit) -> TrackFit:
         reasons=tuple(reason.text for reason in finding.reasons),
         wall_s=finding.outcome.wall_s,
         samples=finding.problem.n,
-        estimates=_stated(finding.intervals),
-        withdrawn=_stated(finding.withdrawn),
+        estimates=dict(finding.intervals),
+        withdrawn=dict(finding.withdrawn),
         held_out=held_out,
         offset=_offset(finding),
     )
-
-
-def _stated(intervals: Mapping[str, StatedInterval]) -> dict[str, Stated]:
-    return {name: Stated(*(float(getattr(one, end)) for end in ENDS)) for name, one in intervals.items()}
 
 
 def _offset(finding: Finding) -> float:

@@ -12,8 +12,9 @@ import numpy as np
 
 from bench.config.records import primary_method
 from bench.contract.belief import standard_quantile
+from bench.records.intervals import ENDS, StatedInterval
 from bench.records.sets import Known, MeasuredSet
-from bench.records.siblings import SiblingAgreement, Stated, Total, agreement, total
+from bench.records.siblings import KINDS, SiblingAgreement, TotalScore, agreement, total
 from bench.records.track import TrackFit
 from bench.reporting.rounding import number, readable
 from bench.reporting.tables.common import csv, markdown_table
@@ -24,23 +25,25 @@ CERTIFIED_DOF = 28
 SAME = 1e-3
 """Widths that differ by less agree to three digits."""
 VERDICTS = ("trust", "use with caution", "do not trust")
+SCORES = ("score", "covered", "ratio", "width")
 COLUMNS = (
-    "set", "system", "method", "quantity", "sibling", "status", "trust", "value", "low", "high", "white_low",
-    "white_high", "known", "error_pct", "ratio", "ratio_white", "covered", "covered_white", "counted", "withdrawn",
-    "held_out", "wall_s",
+    "set", "system", "method", "quantity", "sibling", "status", "trust", *ENDS, "limit", "known", "error_pct",
+    *(f"{name}_{kind}" for kind in KINDS for name in SCORES), "counted", "limits", "withdrawn", "held_out", "wall_s",
 )  # fmt: skip
 HEAD = """# Table 11. The measured track
 
 Real records, cut into siblings or repeated, fitted by each method without a prior, the start and a sensor's offset
 unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
-**R**: standard deviation between siblings over the median stated standard error (half of the 95 % interval over 1.96);
+**score**: interval score (Gneiting and Raftery, 2007) of the logarithm's 95 % interval of a repeat against the mean of
+the other siblings, over that of the ideal interval, which is as wide as the siblings scatter; 1 is ideal, and neither
+too narrow nor too wide intervals pay. **R**: standard deviation between siblings over the median stated standard error;
 1 is right, above it the statement is too narrow. **cov.**: how many siblings' intervals hold the mean of the other
-siblings; that mean has an error of its own, so right intervals hold it in 83 % of cases with two siblings, 91 % with
-four, 93 % with six. In brackets the same for the method's own interval, which takes the noise for white. **error**:
-median distance to what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last
-40 %, predicted from a fit of the first 60 % (median). **verdicts**: answers by trust / use with caution / do not
-trust, which is withdrawn: it has no interval and counts in no coverage. Siblings of a decay have other amplitudes, and
-differ by what the named system leaves out, too."""
+siblings. **x/÷**: the median factor by which the interval reaches to either side. In brackets the same for the interval
+assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median distance to
+what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %, predicted
+from a fit of the first 60 % (median). **verdicts**: answers by trust / use with caution / do not trust, which is
+withdrawn: it has no interval and counts in no score. Parts of a decay have other amplitudes and differ by what the
+named system leaves out, more than repeats of the whole record would."""
 
 FREE_RUN = "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
 
@@ -94,13 +97,16 @@ class Track:
     free_runs: Sequence[FreeRun] = field(default_factory=list)
     missing: int = 0
 
-    def total(self, quantity: str, methods: Sequence[str] | None = None) -> Total:
-        """Agreements on a quantity over all panels with siblings, of some methods or all."""
+    def total(self, quantity: str, kind: str, methods: Sequence[str] | None = None) -> TotalScore:
+        """Take agreements on a quantity over all panels with siblings together, of some methods or all."""
         return total(
-            panel.agreement(method, quantity)
-            for panel in self.panels
-            for method in panel.methods
-            if methods is None or method in methods
+            (
+                panel.agreement(method, quantity)
+                for panel in self.panels
+                for method in panel.methods
+                if methods is None or method in methods
+            ),
+            kind,
         )
 
 
@@ -124,16 +130,12 @@ def markdown(track: Track, command: str) -> str:
 def summary(track: Track) -> str:
     """The totals in sentences."""
     found = []
-    for who, methods in (("All methods", None), (f"{primary_method()} alone", [primary_method()])):
-        totals = {name: track.total(name, methods) for name in MAIN}
-        if not any(one.counted for one in totals.values()):
-            continue
-        said = "; ".join(
-            f"{readable(name)} {_share(one.covered, one.counted)} stated, {_share(one.covered_white, one.counted)} "
-            f"white, median R {number(one.ratio)} stated, {number(one.ratio_white)} white"
-            for name, one in totals.items()
-        )
-        found.append(f"- {who}: intervals that hold the mean of the other siblings: {said}.")
+    for who, methods in ((f"{primary_method()} alone", [primary_method()]), ("All methods", None)):
+        for name in MAIN:
+            totals = {kind: track.total(name, kind, methods) for kind in KINDS}
+            if totals["repeat"].counted:
+                said = "; ".join(f"{kind} {_total(one)}" for kind, one in totals.items())
+                found.append(f"- {who}, {readable(name)}: {said}.")
     fits = [fit for panel in track.panels for fit in panel.fits]
     counts, silent = _verdicts(fits), sum(fit.status != "ok" for fit in fits)
     verdicts = ", ".join(f"{counts[word]} {word}" for word in VERDICTS)
@@ -148,39 +150,54 @@ def _verdicts(fits: Sequence[TrackFit]) -> Counter[str]:
     return Counter(fit.trust for fit in fits if fit.status == "ok")
 
 
+def _total(one: TotalScore) -> str:
+    return (
+        f"score {number(one.score)} in the median and {number(one.worst)} at worst, {_share(one.covered, one.counted)} "
+        f"covered, R {number(one.ratio)}, x/÷ {one.width:.3f}"
+    )
+
+
 def _share(part: int, whole: int) -> str:
     return f"{part}/{whole} ({part / whole:.0%})" if whole else "-"
 
 
 def overview(track: Track) -> tuple[list[list[str]], list[str]]:
     """One row a set and system: shooting's, and all methods' together."""
+    headers = ["set", "system", "siblings"]
+    headers += [f"{readable(name)} {what}" for name in MAIN for what in (*CELLS, "score, all methods")]
+    headers += ["held-out %"]
     rows = []
     for panel in track.panels:
         row = [panel.name, panel.system]
         if panel.absent:
-            rows.append([*row, panel.absent, *[""] * 7])
+            rows.append([*row, panel.absent, *[""] * (len(headers) - 3)])
             continue
-        siblings = len({fit.sibling for fit in panel.fits})
-        row.append(str(siblings))
+        row.append(str(len({fit.sibling for fit in panel.fits})))
         for name in MAIN:
-            alone = panel.agreement(primary_method(), name)
-            pooled = total(panel.agreement(method, name) for method in panel.methods)
-            row += [*_cells(alone), _both(pooled.covered, pooled.covered_white, pooled.counted)]
-        held = [fit.held_out for fit in panel.own(primary_method())]
-        rows.append([*row, _median(held)])
-    headers = ["set", "system", "siblings"]
-    headers += [f"{readable(name)} {what}" for name in MAIN for what in ("R", "cov.", "cov., all methods")]
-    return rows, [*headers, "held-out %"]
+            pooled = [
+                total((panel.agreement(m, name) for m in panel.methods), kind).score for kind in ("repeat", "white")
+            ]
+            row += [*_cells(panel.agreement(primary_method(), name)), _beside(*pooled)]
+        rows.append([*row, _median([fit.held_out for fit in panel.own(primary_method())])])
+    return rows, headers
+
+
+CELLS = ("score", "R", "cov.", "x/÷")
 
 
 def _cells(one: SiblingAgreement) -> list[str]:
+    """The cells :data:`CELLS` of an agreement: of a repeat, and assuming white noise."""
     if not one.counted:
-        return ["-", "-"]
-    return [f"{number(one.ratio)} ({number(one.ratio_white)})", _both(one.covered, one.covered_white, one.counted)]
+        return [f"{one.limits} limits" if one.limits else "-", *["-"] * (len(CELLS) - 1)]
+    repeat, white = one.kinds["repeat"], one.kinds["white"]
+    covered = f"{repeat.covered}/{one.counted} ({white.covered}/{one.counted})"
+    covered += f", {one.limits} limits" if one.limits else ""
+    width = f"{repeat.width:.3f} ({white.width:.3f})"
+    return [_beside(repeat.score, white.score), _beside(repeat.ratio, white.ratio), covered, width]
 
 
-def _both(stated: int, white: int, counted: int) -> str:
-    return f"{stated}/{counted} ({white}/{counted})" if counted else "-"
+def _beside(repeat: float, white: float) -> str:
+    return f"{number(repeat)} ({number(white)})" if math.isfinite(repeat) else "-"
 
 
 def _median(values: Sequence[float]) -> str:
@@ -246,7 +263,7 @@ def method_rows(panel: TrackPanel) -> tuple[list[list[str]], list[str]]:
     headers = ["method"]
     for name in quantities:
         error = ["error"] if name in panel.of.known else []
-        headers += [f"{readable(name)} {what}".rstrip() for what in ("", *error, "R", "cov.")]
+        headers += [f"{readable(name)} {what}".rstrip() for what in ("", *error, *CELLS)]
     return rows, [*headers, "held-out %", "s", "verdicts", "without an answer"]
 
 
@@ -268,18 +285,18 @@ def certified_rows(panel: TrackPanel) -> tuple[list[list[str]], list[str]]:
     return rows, ["method", *headers]
 
 
-def digits(one: Stated, known: Known) -> float:
+def digits(one: StatedInterval, known: Known) -> float:
     """Digits of a value that match: minus the decimal logarithm of its relative error."""
     return -math.log10(max(abs(one.value / known.value - 1.0), 1e-15))
 
 
-def certified_ratio(one: Stated, known: Known) -> float:
+def certified_ratio(one: StatedInterval, known: Known) -> float:
     """Half of the white interval over Student's t, 28 degrees of freedom, times the certified standard deviation."""
     assert known.sd is not None
     return (one.white_high - one.white_low) / 2.0 / (float(standard_quantile(0.975, CERTIFIED_DOF)) * known.sd)
 
 
-def _width(one: Stated, known: Known) -> str:
+def _width(one: StatedInterval, known: Known) -> str:
     ratio = certified_ratio(one, known)
     return f"{ratio:.4f}, {'the same' if abs(ratio - 1.0) < SAME else 'other'} to three digits"
 
@@ -303,16 +320,21 @@ def _lines(panel: TrackPanel) -> list[dict[str, Any]]:
             both = {**fit.withdrawn, **fit.estimates}
             more = {"withdrawn": int(bool(fit.withdrawn)), "held_out": fit.held_out, "wall_s": fit.wall_s}
             found += [
-                {**head, "method": method, "quantity": name, **what, **vars(one), **more} for name, one in both.items()
+                {**head, "method": method, "quantity": name, **what, **_stated(one), **more}
+                for name, one in both.items()
             ] or [{**head, "method": method, **what, **more}]
         withdrawn = sum(bool(fit.withdrawn) for fit in panel.own(method))
         for name in panel.quantities:
             one, known = panel.agreement(method, name), panel.of.known.get(name)
+            scores = {f"{what}_{kind}": getattr(own, what) for kind, own in one.kinds.items() for what in SCORES}
             line = {
                 **head, "method": method, "quantity": name, "sibling": "all", "value": one.median,
-                "known": known.value if known else None, "error_pct": one.error, "ratio": one.ratio,
-                "ratio_white": one.ratio_white, "covered": one.covered, "covered_white": one.covered_white,
-                "counted": one.counted, "withdrawn": withdrawn,
+                "known": known.value if known else None, "error_pct": one.error, **scores,
+                "counted": one.counted, "limits": one.limits, "withdrawn": withdrawn,
             }  # fmt: skip
             found.append(line)
     return found
+
+
+def _stated(own: StatedInterval) -> dict[str, Any]:
+    return {name: getattr(own, name) for name in (*ENDS, "limit")}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.records.siblings import Stated
+from bench.records.intervals import StatedInterval
 from bench.reporting.inline_svg import INK, LINE, MUTED, RC, SERIES, pyplot, row_axis, svg
 from bench.reporting.rounding import readable
 from bench.reporting.tables.track_table import MAIN, Track, TrackPanel
@@ -66,9 +66,10 @@ def _forest_of(axis: Any, panel: TrackPanel, name: str, methods: Sequence[str]) 
     row_axis(axis)
 
 
-def _interval(axis: Any, row: float, one: Stated, low: float, high: float) -> None:
-    """The stated interval as a line, the method's own over it, and the value; arrows where they lie outside."""
-    wide, own = (np.clip(ends, low, high) for ends in (one.ends(False), one.ends(True)))
+def _interval(axis: Any, row: float, one: StatedInterval, low: float, high: float) -> None:
+    """Draw the interval of a repeat, over it that assuming white noise, and the value; arrows point outside."""
+    both = ((one.low, one.high), (one.white_low, one.white_high))
+    wide, own = (np.clip(ends, low, high) for ends in both)
     if np.all(np.isfinite(wide)):
         axis.plot(wide, [row, row], color=BLUE, lw=1.1, solid_capstyle="butt")
     if np.all(np.isfinite(own)):
@@ -77,12 +78,12 @@ def _interval(axis: Any, row: float, one: Stated, low: float, high: float) -> No
     axis.plot(np.clip(one.value, low, high), row, marker, color=INK, ms=2.8, clip_on=False)
 
 
-def _limits(told: Sequence[Stated], known: float | None) -> tuple[float, float]:
+def _limits(told: Sequence[StatedInterval], known: float | None) -> tuple[float, float]:
     """Most values whole, and of their intervals no more than :data:`OUTER` times the spread of the values."""
     values = np.array([one.value for one in told] + ([known] if known is not None else []))
     middle = float(np.median(values))
     spread = 1.4826 * float(np.median(np.abs(values - middle))) or 0.01 * abs(middle) or 1.0
-    ends = [end for one in told for end in one.ends(False) if math.isfinite(end)] or [middle]
+    ends = [end for one in told for end in (one.low, one.high) if math.isfinite(end)] or [middle]
     low, high = max(min(ends), middle - OUTER * spread), min(max(ends), middle + OUTER * spread)
     if known is not None:
         low, high = min(low, known), max(high, known)
@@ -91,7 +92,7 @@ def _limits(told: Sequence[Stated], known: float | None) -> tuple[float, float]:
 
 
 def coverage(track: Track) -> str:
-    """How many intervals hold the mean of the other siblings, by set: stated and the methods' own; empty without."""
+    """Draw how many intervals of a repeat, and assuming white noise, hold the mean of the other siblings, by set."""
     shares = [(f"{p.name}, {p.system}", _shares(p)) for p in track.panels]
     shown = [(name, found) for name, found in shares if found]
     if not shown:
@@ -118,8 +119,8 @@ def _coverage_of(axis: Any, name: str, shares: Sequence[Mapping[str, tuple[float
         if name in found:
             stated, own = found[name]
             axis.plot([own, stated], [row, row], color=LINE, lw=2.0)
-            axis.plot(own, row, "s", color=ORANGE, ms=5, label="method's own")
-            axis.plot(stated, row, "o", color=BLUE, ms=6, label="stated")
+            axis.plot(own, row, "s", color=ORANGE, ms=5, label="assuming white noise")
+            axis.plot(stated, row, "o", color=BLUE, ms=6, label="of a repeat")
     axis.set(xlim=(-4, 104), title=readable(name))
     row_axis(axis)
 
@@ -131,6 +132,6 @@ def _shares(panel: TrackPanel) -> dict[str, tuple[float, float]]:
         every = [panel.agreement(method, name) for method in panel.methods]
         counted = sum(one.counted for one in every)
         if counted:
-            stated, white = sum(one.covered for one in every), sum(one.covered_white for one in every)
+            stated, white = (sum(one.kinds[kind].covered for one in every) for kind in ("repeat", "white"))
             found[name] = (100.0 * stated / counted, 100.0 * white / counted)
     return found

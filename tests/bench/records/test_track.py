@@ -18,9 +18,10 @@ from bench.commands.declaration import read_arguments
 from bench.commands.measured_track import measured
 from bench.engine import pool
 from bench.records.free_run import free_run_error, part_problem
+from bench.records.intervals import StatedInterval
 from bench.records.reading import Recording, Signal
 from bench.records.sets import MeasuredSet, measured_set, set_names
-from bench.records.siblings import Stated, agreement, pieces, total
+from bench.records.siblings import agreement, pieces, total
 from bench.records.track import TrackFit, tasks
 from bench.reporting.tables.track_table import Track, TrackPanel, certified_ratio, digits, lines, markdown
 from bench.reporting.track.page import page
@@ -30,44 +31,56 @@ HALF = 1.959964
 TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files": ["x.csv"], "systems": ["sdof"]}
 
 
-def stated(value: float, error: float, white: float) -> Stated:
-    return Stated(value, value - HALF * error, value + HALF * error, value - HALF * white, value + HALF * white)
+def stated(value: float, error: float, white: float) -> StatedInterval:
+    """An interval of a repeat, of the record and assuming white noise, of such errors of the logarithm."""
+    ends = [value * math.exp(sign * HALF * e) for e in (error, error, white) for sign in (-1.0, 1.0)]
+    return StatedInterval(value, *ends, "")
 
 
-def fit(sibling: str, one: Stated, trust: str = "trust") -> TrackFit:
+def fit(sibling: str, one: StatedInterval, trust: str = "trust") -> TrackFit:
     where = "withdrawn" if trust == "do not trust" else "estimates"
     found = {where: {"k_over_m": one}}
     return TrackFit(sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **found, held_out=90.0)
 
 
 def test_siblings_that_scatter_as_stated() -> None:
-    """Values 9, 10, 11: standard deviation 1. The others' means are 10.5, 10, 9.5."""
-    found = agreement([stated(v, 1.0, 0.25) for v in (9.0, 10.0, 11.0)], known=8.0)
-    assert found.ratio == pytest.approx(1.0, rel=1e-6)
-    assert found.ratio_white == pytest.approx(4.0, rel=1e-6)
-    assert (found.covered, found.covered_white, found.counted) == (3, 1, 3)
-    assert (found.median, found.error) == (10.0, pytest.approx(25.0))
+    """Logarithms 0, 1, 2: standard deviation 1. The others' means are 1.5, 1, 0.5.
+
+    An interval of half-width h about the value scores ``2 h + 40 max(d - h, 0)`` at a distance d from the mean, 1.5, 0
+    and 1.5 here: 2 h of the ideal one with h = 1.96, and ``0.98 + (2/3) 40 (1.5 - 0.49)`` of the white one.
+    """
+    found = agreement([stated(math.exp(v), 1.0, 0.25) for v in (0.0, 1.0, 2.0)], known=2 * math.e)
+    repeat, white = found.kinds["repeat"], found.kinds["white"]
+    assert (repeat.ratio, white.ratio) == (pytest.approx(1.0, rel=1e-5), pytest.approx(4.0, rel=1e-5))
+    assert (repeat.covered, white.covered, found.counted) == (3, 1, 3)
+    assert repeat.score == pytest.approx(1.0, rel=1e-6)
+    assert white.score == pytest.approx((0.98 + 2 / 3 * 40 * (1.5 - 0.49)) / 3.92, rel=1e-3)
+    assert white.width == pytest.approx(math.exp(0.49), rel=1e-3)
+    assert (found.median, found.error) == (pytest.approx(math.e), pytest.approx(50.0))
 
 
 def test_one_sibling_alone_is_not_compared() -> None:
     found = agreement([stated(9.0, 1.0, 1.0)])
     assert found.counted == 0
-    assert math.isnan(found.ratio)
+    assert math.isnan(found.kinds["repeat"].ratio)
     assert math.isnan(found.error)
 
 
-def test_an_answer_without_an_interval_states_nothing() -> None:
-    nothing = Stated(100.0, math.nan, math.nan, math.nan, math.nan)
-    found = agreement([stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing])
-    assert (found.n, found.counted, found.covered) == (3, 2, 2)
+def test_an_answer_without_an_interval_states_nothing_and_a_limit_is_counted() -> None:
+    nothing = StatedInterval(100.0, *[math.nan] * 6, "")
+    limit = StatedInterval(1.0, 0.0, 4.0, 0.0, 4.0, 0.1, 10.0, "", "at most")
+    found = agreement([stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing, limit])
+    assert (found.n, found.counted, found.limits, found.kinds["repeat"].covered) == (4, 2, 1, 2)
 
 
-def test_totals_add_counts_and_take_the_median_of_the_ratios() -> None:
-    good = agreement([stated(v, 1.0, 1.0) for v in (9.0, 10.0, 11.0)])
-    bad = agreement([stated(v, 0.1, 0.1) for v in (9.0, 10.9)])
+def test_totals_add_counts_and_take_medians() -> None:
+    good = agreement([stated(math.exp(v), 1.0, 1.0) for v in (0.0, 1.0, 2.0)])
+    bad = agreement([stated(math.exp(v), 0.1, 0.1) for v in (0.0, 2.0)])
     found = total([good, bad, agreement([])])
-    assert (found.covered, found.counted, found.coverage) == (3, 5, 0.6)
-    assert found.ratio == pytest.approx((1.0 + 1.9 / np.sqrt(2) / 0.1) / 2.0, rel=1e-6)
+    assert (found.covered, found.counted) == (3, 5)
+    assert found.ratio == pytest.approx((1.0 + 2 / np.sqrt(2) / 0.1) / 2.0, rel=1e-5)
+    assert found.worst == bad.kinds["repeat"].score
+    assert found.score == pytest.approx((1.0 + found.worst) / 2.0)
 
 
 def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
@@ -77,6 +90,7 @@ def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     assert panel.agreement("ls", "k_over_m").counted == 2
     text = markdown(Track([panel]), "again")
     assert "2 / 0 / 1" in text
+    assert "score" in text
     assert "2 trust, 0 use with caution, 1 do not trust (withdrawn)" in text
     assert [line["withdrawn"] for line in lines(Track([panel])) if line["sibling"] == "all"] == [1]
 
@@ -86,7 +100,7 @@ def test_digits_and_widths_against_certified_values() -> None:
     assert known.sd is not None
     half = 2.0484071 * known.sd  # Student's t, 28 degrees of freedom
     value = known.value * (1 + 1e-5)
-    one = Stated(value, 0.0, 1.0, value - half, value + half)
+    one = StatedInterval(value, *(0.0, 1.0) * 2, value - half, value + half, "")
     assert digits(one, known) == pytest.approx(5.0, abs=1e-4)
     assert certified_ratio(one, known) == pytest.approx(1.0, abs=1e-6)
 
@@ -106,7 +120,7 @@ def test_a_recording_is_cut_scaled_and_thinned() -> None:
 
 
 def test_a_fit_comes_back_as_it_was() -> None:
-    one = fit("1", Stated(1.0, math.nan, 2.0, 0.5, 1.5))
+    one = fit("1", StatedInterval(1.0, math.nan, 2.0, 0.5, 1.5, 0.5, 1.5, "", "at most"))
     again = TrackFit.of_json(one.as_json())
     assert again.estimates["k_over_m"].value == 1.0
     assert math.isnan(again.estimates["k_over_m"].low)
@@ -186,7 +200,7 @@ def test_the_page_draws_no_more_than_there_is() -> None:
     of = MeasuredSet(**TINY)
     silent = TrackFit("1", "s", "sdof", "1", "ls", "diverged", "", "do not trust", (), 1.0, 60.0, 10)
     assert page(Track([TrackPanel("s", of, "sdof", [silent])]), "").count("<svg") == 0
-    alone = fit("1", Stated(10.0, 9.0, math.inf, 9.5, 10.5))
+    alone = fit("1", StatedInterval(10.0, 9.0, math.inf, 9.0, 11.0, 9.5, 10.5, "", "at least"))
     assert page(Track([TrackPanel("s", of, "sdof", [alone])]), "").count("<svg") == 1
 
 

@@ -20,7 +20,7 @@ from bench.likelihood.output_error import OutputError, estimate_at
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.parts import parts_of
-from bench.records.siblings import interval_score_ratio
+from bench.records.siblings import KINDS, interval_score_of
 from bench.records.strongest import strongest_frequency
 from bench.systems.sums import sum_from
 from tests.studies.common import study, tracked
@@ -52,19 +52,16 @@ def stated(fit: Linearised) -> dict[str, StatedInterval]:
 
 
 def scores(group: Group) -> Iterator[tuple[str, str, float, float, float]]:
-    """Yield quantity, kind of interval, score over the ideal's, coverage and median half-width of a group."""
+    """Yield quantity, kind of interval, score over the ideal's, coverage and median width of a group."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fits = [fitted(t, y, group.measures) for t, y in group.repeats]
         intervals = [stated(fit) for fit in fits if fit is not None]
     for name in MAIN:
-        values = np.log([interval[name].value for interval in intervals])
-        for kind in ("", "record_", "white_"):
-            ends = np.log([
-                [max(getattr(interval[name], f"{kind}{end}"), 1e-9 * interval[name].value) for end in ("low", "high")]
-                for interval in intervals
-            ])  # fmt: skip
-            yield (name, kind, *interval_score_ratio(values, *ends.T), float(np.median(ends[:, 1] - ends[:, 0]) / 2))
+        compared = [interval[name] for interval in intervals if not interval[name].limit]
+        for kind in KINDS if len(compared) > 1 else ():
+            own = interval_score_of(compared, kind)
+            yield name, kind, own.score, own.covered / len(compared), own.width
 
 
 def repeats(
@@ -75,14 +72,14 @@ def repeats(
     """Score the intervals of a repeat, of the record and assuming white noise on measured and simulated groups."""
     groups = [*measured(data), *simulated(count, seed)]
     rows = [(group, *row) for group in tracked(groups, "group") for row in scores(group)]
-    for group, name, kind, score, covered, half in rows:
-        print(f"{group.name:18s} {name} {kind or 'repeat':8s} {score:8.2f} {covered:5.2f} {half:9.4g}")
+    for group, name, kind, score, covered, width in rows:
+        print(f"{group.name:18s} {name} {kind:6s} {score:8.2f} {covered:5.2f} {width:9.4g}")
     for held_out in (False, True):
         for name in MAIN:
-            for kind in ("", "record_", "white_"):
+            for kind in KINDS:
                 some = np.array([row[3:] for row in rows if row[0].held_out == held_out and row[1:3] == (name, kind)])
                 middle, worst = np.median(some[:, 0]), np.max(some[:, 0])
-                print(f"held out {held_out}: {name} {kind or 'repeat':8s} median {middle:.2f} worst {worst:.1f} ",
+                print(f"held out {held_out}: {name} {kind:6s} median {middle:.2f} worst {worst:.1f} ",
                       f"coverage {np.mean(some[:, 1]):.2f}")  # fmt: skip
     return 0
 
