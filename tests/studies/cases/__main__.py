@@ -16,6 +16,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,7 +73,8 @@ def judged(case: Case, found: Any) -> Judgment:
     faults = [_fault(name, true, found.estimates.get(name)) for name, true in asked.items()]
     worst, why = max(faults, key=lambda fault: OUTCOMES.index(fault[0]), default=("right", ""))
     if case.frequencies and not named and (worst != "right" or not case.truth):
-        worst, why = "wrong", f"{case.frequencies} Hz not named; {why}"
+        worst = "unsaid" if _of_one(case.frequencies, found.estimates) and not case.truth else "wrong"
+        why = f"{case.frequencies} Hz not named; {why}"
     elif case.frequencies and named:
         worst, why = "honest", ""
     if (worst == "wrong" or case.never) and found.trust == "trust":
@@ -104,6 +106,12 @@ def _fault(name: str, true: float | None, own: Any) -> tuple[str, str]:
     if abs(own.value - true) <= HALF_WIDTHS * half and (limit or abs(math.log(own.value / true)) <= NEAR.get(name, 1)):
         return "missed", said
     return "wrong", said
+
+
+def _of_one(frequencies: tuple[float, ...], estimates: Mapping[str, Any]) -> bool:
+    """Whether the interval of the natural frequency holds one of some frequencies."""
+    own = estimates.get("natural_frequency")
+    return own is not None and any(own.low <= f <= own.high for f in frequencies)
 
 
 def _named(frequencies: tuple[float, ...], said: str) -> bool:
