@@ -57,7 +57,8 @@ class Identification:
     quantities that the data tell, by name, each with the interval that the records support (``low``, ``high``) and the
     method's own, which takes the noise for white (``white_low``, ``white_high``); there are none where the answer is
     not to be trusted, and ``withdrawn`` keeps what the method said. ``status`` is ``ok``, or says with ``message`` why
-    there is no answer. ``modes`` are offered where the record holds several, or an alias fits as well.
+    there is no answer. ``modes`` are offered where the record holds several, or an alias fits as well;
+    ``runs`` hold what each of several records says alone.
     ``scale_is_free`` where nothing tells mass, damping and stiffness themselves from their ratios.
     """
 
