@@ -57,7 +57,7 @@ class Config:
     from_: Annotated[float | None, "s of the record's own clock, where the part to use begins"] = None
     to: Annotated[float | None, "s, where it ends"] = None
     decimate: Annotated[int, Within(ge=1, le=10_000), "keep every n-th sample, after a low-pass filter"] = 1
-    detrend: Annotated[bool, "remove a straight line from the displacement"] = False
+    detrend: Annotated[bool | None, "remove a straight line from the motion; by default where significant"] = None
     force_gain: Annotated[float, "factor of the column of the force; -1 turns its sign"] = 1
     hold: Annotated[Hold, "how the force runs between its samples"] = "linear"
     fixed: Annotated[Mapping[str, Annotated[float, Within(ge=0)]], "known parameters: fixed.l=1"] = field(

@@ -164,7 +164,7 @@ def identify(
         rate: samples a second, where no column is the time.
         span: first and last time (s) to use, on the file's own clock.
         decimate: every n-th sample is kept, after a low-pass filter.
-        detrend: whether a drift of the displacement's sensor is taken away.
+        detrend: whether the drift of a sensor is taken away; by default where it is significant.
         fixed: parameters that are told: ``{"l": 1.0}``.
         prior: how well the nominal values are known; by default nothing is.
         nominal: with a prior, what is stated of each parameter: ``{"m": 1.2, "c": 0.3, "k": 8.0}`` in SI units.

@@ -13,9 +13,10 @@ from bench.config.schema import Job
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
+from bench.records.decimation import decimated
 from bench.records.models import smoothing_velocity
+from bench.records.prepare import prepare
 from bench.records.reading import Recording, Signal, read_recording
-from bench.records.reading.decimation import decimated
 from bench.records.request import AUTO, Request
 from bench.records.strongest import strongest_frequency
 from bench.systems import System, make_system
@@ -54,8 +55,9 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     """The records of a request, read from its files unless they are given; raises InputError."""
     recordings = tuple(recordings) or tuple(read_recording(path, request.options) for path in request.files)
     job = request.job
+    start, n_dof = _start(job), _system(request, recordings[0]).n_dof
+    recordings = prepare(recordings, request.options, known_state=start is not None, n_dof=n_dof)
     system = _system(request, recordings[0])
-    start = _start(job)
     records = tuple(_record(recording, system, start, job) for recording in recordings)
     for name, value in (("force_gain", job.config.force_gain), ("hold", job.config.hold)):
         if name in job.explicit and not any(record.forces for record in records):
@@ -67,7 +69,7 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
         raise InputError("data", f"{names} ({error.field} {error.value})", error.remedy) from None
     mass = job.config.fixed.get("m")
     _check_scale(problem, mass)
-    notes = tuple(note for recording in recordings for note in recording.notes)
+    notes = tuple(dict.fromkeys(note for recording in recordings for note in recording.notes))
     return Measured(recordings, problem, notes, mass)
 
 

@@ -24,7 +24,7 @@ class ReadOptions:
         start: keep from here, in seconds of the record's own clock
         end: keep up to here
         decimate: keep every n-th sample, after a low-pass filter
-        detrend: take the drift of the sensor away
+        detrend: take the drift of the sensors away; by default where it is significant
 
     Raises:
         InputError: a role that does not exist or is given twice, or a number that cannot be meant.
@@ -36,7 +36,7 @@ class ReadOptions:
     start: float | None = None
     end: float | None = None
     decimate: int = 1
-    detrend: bool = False
+    detrend: bool | None = None
 
     def __post_init__(self) -> None:
         _check_roles("columns", list(self.columns))

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.records.reading.arrays import table_of
-from bench.records.reading.decimation import decimated
-from bench.records.reading.drift import detrended
 from bench.records.reading.files import read_file
 from bench.records.reading.options import ReadOptions
 from bench.records.reading.picks import Pick, pick
@@ -81,12 +79,7 @@ def _recording(table: Table, options: ReadOptions, source: str, sha256: str = ""
         errors.append(clock.rate_error)
     start = min(float(signal.times[0]) for signal in made)
     made = [replace(signal, times=signal.times - start) for signal in made]
-    return prepared(Recording(tuple(made), tuple(dict.fromkeys(notes)), source, sha256, max(errors)), options)
-
-
-def prepared(recording: Recording, options: ReadOptions) -> Recording:
-    """Return a recording without drift and decimated, where the user says so; raises InputError."""
-    return decimated(detrended(recording) if options.detrend else recording, options.decimate)
+    return Recording(tuple(made), tuple(dict.fromkeys(notes)), source, sha256, max(errors))
 
 
 def _check_size(name: str, values: np.ndarray, source: str) -> None:

@@ -13,7 +13,7 @@ from scipy.signal import lsim
 import bench
 from bench.errors import InputError
 from bench.records.reading import ReadOptions, Recording, Signal, of_arrays, read_recording
-from bench.records.reading.decimation import decimated
+from bench.records.decimation import decimated
 from bench.scenario.truth import closed_form
 
 RATE = 1000.0

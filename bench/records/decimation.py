@@ -15,7 +15,7 @@ from scipy.signal import resample_poly
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
-from bench.records.reading.signals import Recording, Signal
+from bench.records.reading import Recording, Signal
 from bench.records.strongest import strongest_frequency
 
 REACH = 10
