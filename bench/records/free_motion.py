@@ -22,7 +22,7 @@ from bench.records.strongest import strongest_frequency
 REACH = 2.0
 """Cycles on either side of a place."""
 A_CYCLE = 12
-"""Samples of a cycle; denser ones are averaged, which keeps white noise white."""
+"""Least samples of a cycle that denser ones are averaged to, which keeps white noise white."""
 FEWEST_A_CYCLE = 5.0
 """Samples of a cycle below which a wave of five unknowns follows anything over two cycles."""
 RATES = np.exp(np.linspace(-0.35, 0.35, 9))
@@ -34,11 +34,11 @@ MEDIANS = 20.0
 """Least change over the median change in the record; of pure noise the largest of a thousand is 7 times the median."""
 ALIVE = 0.02
 """Least energy around a place, over the largest of the record: elsewhere the motion has died out."""
-DRIFT_CYCLES = 1.5
-"""Length of a stretch whose constant is one point of the line through a drift."""
+DRIFT_CYCLES, MOST_STRETCHES = 1.5, 100
+"""Length of a stretch whose constant is one point of the line through a drift, and their largest number."""
 SECOND_RATES = (1.3, 0.1)
 """Lowest rate of a second mode over the first, and the step to the next; slower ones are like the hand's motion."""
-MODE = 0.4
+MODE = 0.3
 """Part of the misfit of one wave left by a second one, below which the change is a mode that dies out."""
 QUIET, DEPARTED, FLAT = 12, 10.0, 3.0
 """Least samples of silence; least size of the motion after it over its scatter; least length over the time in which
@@ -112,14 +112,14 @@ def first_change(times: np.ndarray, values: np.ndarray) -> Cut | None:
 
 
 @dataclass(frozen=True)
-class Drift:
+class SensorDrift:
     """Slope (1/s) of a straight line under a free motion, and the p-value of no slope."""
 
     slope: float
     p_value: float
 
 
-def drift(times: np.ndarray, values: np.ndarray) -> Drift | None:
+def drift(times: np.ndarray, values: np.ndarray) -> SensorDrift | None:
     """Fit a line through the constants of decaying sines, each fitted to one and a half cycles; None for too few.
 
     The scatter of the constants about the line gives the standard error of its slope, whatever the noise's colour.
@@ -133,7 +133,7 @@ def drift(times: np.ndarray, values: np.ndarray) -> Drift | None:
     frequency = strongest_frequency(times, level)
     times, values = _even(times, values, frequency)
     step = float(times[1] - times[0])
-    count = max(int(values.size * frequency * step / DRIFT_CYCLES), 4)
+    count = min(max(int(values.size * frequency * step / DRIFT_CYCLES), 4), MOST_STRETCHES)
     n, turn = values.size // count, 2 * np.pi * frequency * step
     if n < 8:
         return None
@@ -145,25 +145,40 @@ def drift(times: np.ndarray, values: np.ndarray) -> Drift | None:
     if places.size < 4:
         return None
     best = np.argmax(np.sum(np.einsum("kip,wi->wkp", bank, windows) ** 2, axis=2), axis=1)
-    fits = [np.linalg.lstsq(_columns(n, *waves[k]), w, rcond=None)[0] for k, w in zip(best, windows, strict=True)]
-    constants = np.array([fit[0] for fit in fits])
+    constants = np.array([_constant(w, *waves[k]) for k, w in zip(best, windows, strict=True)])
     away = places - np.mean(places)
     slope = float(away @ constants / (away @ away))
     left = constants - np.mean(constants) - slope * away
     error = float(np.sqrt(left @ left / (places.size - 2) / (away @ away)))
-    return Drift(slope, 0.0 if error == 0 else float(2 * student.sf(abs(slope) / error, places.size - 2)))
+    return SensorDrift(slope, 0.0 if error == 0 else float(2 * student.sf(abs(slope) / error, places.size - 2)))
+
+
+def _constant(values: np.ndarray, turn: float, decay: float) -> float:
+    """Return the constant of the decaying sine that is closest to the values (n,), by Gauss and Newton's method."""
+    constant = 0.0
+    for _ in range(4):
+        columns = _columns(values.size, turn, decay)
+        constant, a, b, da, db = np.linalg.lstsq(columns, values, rcond=None)[0]
+        size = a * a + b * b or 1.0
+        rate = decay * turn - float(np.clip((a * da + b * db) / size, -0.1 * turn, 0.1 * turn))
+        turn += float(np.clip((b * da - a * db) / size, -0.1 * turn, 0.1 * turn))
+        decay = rate / turn
+    return float(constant)
 
 
 def _even(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return values at even times, ``A_CYCLE`` to the cycle at most: means of denser samples."""
-    usual = float(np.median(np.diff(times)))
-    step = max(1.0 / (A_CYCLE * frequency), usual)
-    n = max(int((times[-1] - times[0]) / step + 0.5), 2)
-    centres = times[0] + step * (np.arange(n) + (0.5 if step > usual else 0.0))
-    bins = np.clip(((times - centres[0]) / step + 0.5).astype(int), 0, n - 1)
-    counts = np.bincount(bins, minlength=n)
-    means = np.bincount(bins, values, minlength=n) / np.maximum(counts, 1)
-    return centres, np.where(counts > 0, means, np.interp(centres, times, values))
+    """Return values at even times: means of so many neighbours that ``A_CYCLE`` samples or more are left of a cycle."""
+    from scipy.interpolate import PchipInterpolator  # slow to import, and few records need it
+
+    block = max(int((times.size - 1) / (float(np.ptp(times)) * frequency * A_CYCLE)), 1)
+    n = times.size // block
+    times, values = (part[: n * block].reshape(n, block).mean(axis=1) for part in (times, values))
+    steps = np.diff(times)
+    step = float(np.median(steps))
+    if np.max(np.abs(steps - step)) < 0.02 * step:
+        return times[0] + np.mean(steps) * np.arange(n), values
+    even = np.arange(times[0], times[-1], step)
+    return even, PchipInterpolator(times, values)(even)
 
 
 def _changes(values: np.ndarray, reach: int, turn: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -186,8 +201,9 @@ def _changes(values: np.ndarray, reach: int, turn: float) -> tuple[np.ndarray, n
         change[place] = _left(early, turn)[0] - sides[place]
         change[n - place] = _left(late, turn)[0] - sides[n - reach - place]
         energy[place], after[place] = early.size * np.var(early), early.size * np.var(values[place : place + reach])
-        energy[n - place], after[n - place] = late.size * np.var(late), late.size * np.mean(
-            (values[n - place :] - np.mean(late)) ** 2
+        energy[n - place], after[n - place] = (
+            late.size * np.var(late),
+            late.size * np.mean((values[n - place :] - np.mean(late)) ** 2),
         )
     return np.maximum(change, 0.0), energy, after
 

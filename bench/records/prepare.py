@@ -1,4 +1,4 @@
-"""Prepare measured signals for a fit: each step is done where it is certain, and is a sentence in the recording's notes.
+"""Prepare measured signals for a fit: each step is done where it is certain, and is a sentence in the notes.
 
 Only free motion is cut: a known force explains what a start-up, a pause or a second push do. Nothing is cut at the
 start where ``from=`` or a known initial state says where the motion begins.
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.records.decimation import decimated
-from bench.records.free_motion import Drift, drift, first_change, silence
+from bench.records.free_motion import SensorDrift, drift, first_change, silence
 from bench.records.reading import ReadOptions, Recording, Signal
 from bench.records.strongest import strongest_frequency
 
@@ -26,6 +27,8 @@ LIVELY = 0.05
 """Least mean square of a run over that of the liveliest one of its file."""
 GROWTH = 1.5
 """Largest mean square in the second half of a run over that in its first: free motion loses energy."""
+BLOCK_CYCLES = 1.5
+"""Least cycles of a block of samples that is there again, value for value, to be a copy and not a periodic motion."""
 LEVEL = 3.0
 """Constant level over the standard deviation from which it is taken off, so that it sets no scale of the search."""
 DETREND_CYCLES = 4.0
@@ -82,10 +85,10 @@ def _motions(recording: Recording) -> list[Signal]:
 
 
 def _without_copies(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return recordings without those that repeat another's every value, and without a second half that repeats."""
+    """Return recordings without those that repeat another's every value, and without what repeats within one."""
     kept: list[Recording] = []
     for recording in recordings:
-        recording = _first_half(recording)
+        recording = _once(recording)
         same = [i for i, other in enumerate(kept) if _equal(recording, other)]
         if same:
             twice = f"{recording.source} repeats every value of {kept[same[0]].source} and is left out"
@@ -102,16 +105,26 @@ def _equal(one: Recording, other: Recording) -> bool:
     )
 
 
-def _first_half(recording: Recording) -> Recording:
-    """Return the first of two halves that are the same, value for value."""
+def _once(recording: Recording) -> Recording:
+    """Return a recording whose samples are the same block again and again, value for value, with the first block."""
     sizes = {signal.values.size for signal in recording.signals}
-    half = max(sizes, default=0) // 2
-    alike = all(np.array_equal(s.values[:half], s.values[half:]) for s in recording.signals)
-    moves = any(np.ptp(s.values) > 0 for s in _motions(recording))
-    if len(sizes) != 1 or sizes != {2 * half} or half < LEAST_SAMPLES or not (alike and moves):
+    motions = [signal for signal in _motions(recording) if np.ptp(signal.values) > 0]
+    if len(sizes) != 1 or not motions:
         return recording
-    first = tuple(replace(s, times=s.times[:half], values=s.values[:half]) for s in recording.signals)
-    return _said(replace(recording, signals=first), f"the record is there twice: the second {half} samples are left out")
+    n = sizes.pop()
+    block = next(
+        (p for p in range(1, n // 2 + 1) if n % p == 0 and all(_repeats(s.values, p) for s in recording.signals)), n
+    )
+    cycles = block / n * float(np.ptp(motions[0].times)) * strongest_frequency(motions[0].times, motions[0].values)
+    if block == n or block < LEAST_SAMPLES or cycles < BLOCK_CYCLES:  # a sine without noise repeats itself
+        return recording
+    first = tuple(replace(s, times=s.times[:block], values=s.values[:block]) for s in recording.signals)
+    said = f"the record is there {n // block} times, value for value: its first {block} samples are kept"
+    return _said(replace(recording, signals=first), said)
+
+
+def _repeats(values: np.ndarray, period: int) -> bool:
+    return bool(values[0] == values[period]) and np.array_equal(values[period:], values[:-period])
 
 
 def _without_computed(recording: Recording) -> Recording:
@@ -181,7 +194,7 @@ def _runs(recording: Recording, begun: bool) -> list[Recording]:
     ends = _ends(signal)
     if len(ends) == 2:
         return [recording]
-    pieces = list(zip(ends[:-1], ends[1:], strict=True))
+    pieces = list(pairwise(ends))
     runs = [piece for piece in pieces if _is_run(signal, *piece)]
     sizes = [_power(signal, *run) for run in runs]
     runs = [run for run, size in zip(runs, sizes, strict=True) if size >= LIVELY * max(sizes)]
@@ -254,7 +267,7 @@ def _straightened(recording: Recording, wanted: bool | None, free: bool) -> Reco
     return _said(replace(recording, signals=tuple(signals)), *said)
 
 
-def _drift(signal: Signal, wanted: bool, source: str) -> Drift | None:
+def _drift(signal: Signal, wanted: bool, source: str) -> SensorDrift | None:
     level = signal.values - np.polynomial.Polynomial.fit(signal.times, signal.values, 1)(signal.times)
     cycles = float(np.ptp(signal.times)) * strongest_frequency(signal.times, level)
     if wanted and cycles < DETREND_CYCLES:

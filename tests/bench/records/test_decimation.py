@@ -12,8 +12,9 @@ from scipy.signal import lsim
 
 import bench
 from bench.errors import InputError
-from bench.records.reading import ReadOptions, Recording, Signal, of_arrays, read_recording
 from bench.records.decimation import decimated
+from bench.records.prepare import prepare
+from bench.records.reading import ReadOptions, Recording, Signal, of_arrays, read_recording
 from bench.scenario.truth import closed_form
 
 RATE = 1000.0
@@ -95,7 +96,8 @@ def test_what_cannot_be_decimated_is_refused_in_one_line(tmp_path: Path) -> None
     np.savetxt(path, np.column_stack([TIMES, sine(2.0)]), delimiter=",", header="t [s],x [m]", comments="", fmt="%.6f")
     with pytest.raises(InputError, match=r"start=.*decimate= leaves the first samples out"):
         bench.identify(path, method="output_error", decimate=10, start=(0.0, 1.0))
-    assert only(read_recording(path, ReadOptions(decimate=10))).values.size == 1180
+    (prepared,) = prepare([read_recording(path)], ReadOptions(decimate=10))
+    assert only(prepared).values.size == 1180
 
 
 def test_a_fit_that_reaches_its_limit_is_told_which_decimation_would_do() -> None:
