@@ -75,6 +75,7 @@ class Certificate:
     """
 
     request: Request
+    measured: Measured
     findings: tuple[Finding, ...]
     compared: tuple[MethodComparison, ...]
     classes: tuple[ModelClass, ...] = ()
@@ -125,7 +126,9 @@ def certify(
     if not answer.what_if:
         missing["what_if"] = "the answer is not to be trusted, or the data leave a direction open"
     findings = (primary, *others)
-    return Certificate(request, findings, compared, classes, answer.prediction, drawn, answer.what_if, missing)
+    return Certificate(
+        request, measured, findings, compared, classes, answer.prediction, drawn, answer.what_if, missing
+    )
 
 
 # ------------------------------------------------------------------------------------------------ methods
@@ -269,6 +272,7 @@ def _replicas(
     say: Callable[[str], None],
     missing: dict[str, str],
 ) -> tuple[ReplicaCoverage, ...]:
+    primary = next((run.finding for run in primary.runs if run.finding.at is primary.at), primary)
     if n == 0:
         missing["replicas"] = "none were asked for (twins=0)"
     elif primary.trust is Trust.NO or primary.at is None:

@@ -90,7 +90,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
         parts = parts_of(at, _frequency(at)) if at is not None else []
         lacking = model_error(at) if at is not None else NOTHING_LACKING
         noise = at if white is None or at is None else _whitened(at)
-        rate_error = max(recording.rate_error for recording in measured.recordings)
+        rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
         intervals = _beside_white(stated_intervals(estimate, noise, parts, rate_error), white)
         intervals = _with_mass(intervals, estimate, measured)
     diagnosis = diagnose(at, measured.problem, intervals, lacking, outcome.message)

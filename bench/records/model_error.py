@@ -15,7 +15,7 @@ all of the colour on the forces. The first are said to be missing, the second to
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar
 
@@ -34,6 +34,8 @@ SMALL = 1e-3
 """Size of an added force, over the spring's, in the differences that give its derivative."""
 TURNS = 0.05
 """Speed at which the sign of dry friction turns, over the largest speed."""
+MOST_SAMPLES = 1000
+"""Samples that a longer record is thinned to: the derivatives by the forces are simulated step by step."""
 LARGEST = 3.0
 """Of a change of a logarithm."""
 STRONG = 6.0
@@ -108,6 +110,7 @@ def model_error(at: Linearised) -> ModelError:
     channel = record.channels[0]
     if len(record.channels) > 1 or channel.measures != "displacement" or not even_times(channel.times):
         return NOTHING_LACKING
+    at = _thinned(at)
     p = {name: float(value) for name, value in model.parameters(at.theta).items()}
     rate = np.sqrt(p["k"] / p["m"])
     amplitudes = _amplitudes(at, rate)
@@ -120,6 +123,15 @@ def model_error(at: Linearised) -> ModelError:
     damping, stiffness = np.max(changes, axis=0)
     named, likely = (tuple(NAMES[name] for name in one.sizes) for one in (missing, suspected))
     return ModelError(named, likely, float(damping), float(stiffness), missing.gain)
+
+
+def _thinned(at: Linearised) -> Linearised:
+    """Return the likelihood of every so many samples of one record with one channel."""
+    kept = slice(None, None, -(-at.residuals.size // MOST_SAMPLES))
+    record = at.model.problem.records[0]
+    channel = replace(record.channels[0], times=record.channels[0].times[kept], values=record.channels[0].values[kept])
+    problem = replace(at.model.problem, records=(replace(record, channels=(channel,)),))
+    return Linearised(replace(at.model, problem=problem), at.theta, at.residuals[kept], at.slopes[kept])
 
 
 @dataclass(frozen=True)

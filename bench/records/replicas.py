@@ -95,7 +95,7 @@ def coverage_on_replicas(
         Call(answered, (job, finding.at, finding.problem, some), LIMIT_S * len(some), job.config.memory_mb)
         for some in numbers
     ]
-    for number, result in workers.perform(tasks):
+    for number, result in workers.perform(tasks, keep=True):
         done += len(numbers[number])
         answers += [] if isinstance(result, Died) else result
         on_replicas(done, (time.monotonic() - started) / done * (n - done))

@@ -49,10 +49,11 @@ class Workers:
     def __exit__(self, *raised: object) -> None:
         self._children.close()
 
-    def perform(self, tasks: Iterable[Call]) -> Iterator[tuple[int, Any]]:
+    def perform(self, tasks: Iterable[Call], keep: bool = False) -> Iterator[tuple[int, Any]]:
         """Perform tasks side by side; yield the number and the result of each as it ends.
 
-        The result of a task that went beyond a limit, or whose process ended, is a ``Died``.
+        ``keep`` the processes for tasks alike, which then find their programmes compiled; the memory of unlike ones
+        would add up. The result of a task that went beyond a limit, or whose process ended, is a ``Died``.
 
         Raises:
             InputError: A task raised one.
@@ -70,7 +71,7 @@ class Workers:
                 if child.connection not in ready and over is None:
                     continue
                 del busy[child]
-                yield number, self._result(child, over)
+                yield number, self._result(child, over, keep)
 
     def one(self, task: Call) -> Any:
         """Perform one task; raises Died where it went beyond a limit or its process ended."""
@@ -79,7 +80,7 @@ class Workers:
             raise result
         return result
 
-    def _result(self, child: Child, over: Died | None) -> Any:
+    def _result(self, child: Child, over: Died | None, keep: bool) -> Any:
         if over is not None:
             child.kill()
             return over
@@ -87,7 +88,10 @@ class Workers:
             result = pickle.loads(child.receive(READ_S))
         except Died as died:
             return died
-        self._idle.append(child)
+        if keep:
+            self._idle.append(child)
+        else:
+            child.retire()
         if isinstance(result, InputError):
             raise result
         return result

@@ -1,18 +1,20 @@
-"""The answer of a measured record in a line: each quantity with an uncertainty, in units that an engineer reads."""
+"""The answer of a measured record in words and tables, for the terminal and for the page of a certificate.
+
+All take plain values: intervals are those of :class:`bench.records.intervals.StatedInterval`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.reporting.rounding import decimals, readable, rounded
+from bench.reporting.rounding import decimals, number, readable, rounded
 
 Interval = Mapping[str, Any]
-"""A :class:`bench.records.intervals.StatedInterval` as plain values."""
+Rows = tuple[tuple[str, ...], list[tuple[str, ...]]]
+"""Headers and rows of text."""
 MEANING = "of a repeat: what another test of the same rig would give; of this record: what its noise leaves open"
 """What the two intervals are, in one line."""
-ASYMMETRY = 0.3
-"""Difference of the two half-widths over their mean up to which ``±`` states both."""
 
 
 def in_shown_unit(name: str, interval: Interval) -> Interval:
@@ -30,37 +32,100 @@ def unit_text(unit: str) -> str:
 def ends_text(interval: Interval, of: str = "") -> str:
     """Return an interval as text: ``51.9 to 52.3``, or the limit that the data determine; ``of`` names the ends."""
     if interval["limit"] and of != "white_":
-        return f"{interval['limit']} {limit_text(interval)}"
+        return limit_text(interval)
     _, low, high = rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])
     return f"{low} to {high}"
 
 
-def value_text(interval: Interval) -> str:
+def value_text(interval: Interval, of: str = "") -> str:
     """Return the value with as many digits as its interval justifies; a dash where only a limit is determined."""
-    return "–" if interval["limit"] else rounded(interval["value"], interval["low"], interval["high"])[0]
+    return "–" if interval["limit"] else rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])[0]
 
 
 def limit_text(interval: Interval) -> str:
-    """Return the one end of an interval that the data determine, to two significant digits."""
-    return f"{interval['high'] if interval['limit'] == 'at most' else interval['low']:.2g}"
+    """Return the one end of an interval that the data determine: ``at most 0.41``."""
+    return f"{interval['limit']} {interval['high'] if interval['limit'] == 'at most' else interval['low']:.2g}"
+
+
+def uncertain_text(interval: Interval) -> str:
+    """Return ``52.10 ± 0.20``, or the value with its ends where they are uneven to the digits that are printed."""
+    value, low, high = (interval[end] for end in ("value", "low", "high"))
+    text, places, half = rounded(value, low, high)[0], decimals(low, high), 0.5 * (high - low)
+    if places is None or "e" in text or round(abs(high + low - 2 * value) * 10.0**places) > 1:
+        return f"{text} ({ends_text(interval)})"
+    return f"{text} ± {half:.{max(places, 0)}f}"
 
 
 def quantity_text(name: str, interval: Interval) -> str:
-    """Return ``k/m = 52.1 ± 0.2 1/s²``, the ends where they are uneven, or ``c/m at most 0.4 1/s``."""
+    """Return ``k/m = 52.10 ± 0.20 1/s²``, or ``c/m at most 0.4 1/s``."""
     shown = in_shown_unit(name, interval)
-    unit = f" {shown['unit']}" if unit_text(shown["unit"]) else ""
-    if shown["limit"]:
-        return f"{readable(name)} {shown['limit']} {limit_text(shown)}{unit}"
-    value, low, high = (shown[end] for end in ("value", "low", "high"))
-    text, places, half = rounded(value, low, high)[0], decimals(low, high), 0.5 * (high - low)
-    if places is None or "e" in text or abs(high + low - 2 * value) > ASYMMETRY * half:
-        return f"{readable(name)} = {text}{unit} ({ends_text(shown)})"
-    return f"{readable(name)} = {text} ± {half:.{max(places, 0)}f}{unit}"
+    text = limit_text(shown) if shown["limit"] else f"= {uncertain_text(shown)}"
+    return f"{readable(name)} {text} {unit_text(shown['unit'])}".rstrip()
 
 
-def answer(intervals: Mapping[str, Interval]) -> str:
-    """Return the answer: parameters where their scale is determined, else frequency, damping ratio and other groups."""
+def answer(intervals: Mapping[str, Interval], modes: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Return the answer: parameters where their scale is determined, else frequency, damping ratio and other groups.
+
+    Without intervals the ``modes`` are the answer, if there are any.
+    """
+    if not intervals:
+        return _modes_text(modes) if modes else "no value can be stated"
     modal = [name for name in intervals if name.startswith(("natural_frequency", "damping_ratio"))]
     groups = [name for name in intervals if "_over_" in name and not (modal and name in ("k_over_m", "c_over_m"))]
     parameters = [name for name in intervals if "_over_" not in name and name not in modal]
     return ", ".join(quantity_text(name, intervals[name]) for name in parameters or [*modal, *groups])
+
+
+def _modes_text(modes: Sequence[Mapping[str, Any]]) -> str:
+    pairs = [[uncertain_text(own) for own in _mode_intervals(mode)] for mode in modes]
+    if any(mode["alias"] for mode in modes):
+        return f"{' or '.join(f'{frequency} Hz' for frequency, _ in pairs)}: the sampling cannot distinguish them"
+    return f"{len(pairs)} modes: " + "; ".join(f"{f} Hz, damping ratio {ratio} %" for f, ratio in pairs)
+
+
+def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:
+    """Return the intervals of frequency (Hz) and damping ratio (%) of a mode."""
+    frequency, ratio = (
+        {"value": mode[name], "low": mode[f"{name}_low"], "high": mode[f"{name}_high"], "limit": "", "unit": "Hz"}
+        for name in ("frequency", "damping_ratio")
+    )
+    return frequency, in_shown_unit("damping_ratio", ratio)
+
+
+# ------------------------------------------------------------------------------------------------ tables
+
+
+def values_table(stated: Mapping[str, Interval], withdrawn: Mapping[str, Interval]) -> Rows:
+    """Tabulate values with their intervals, or withdrawn values alone: intervals about them would mislead."""
+    if not stated:
+        shown = {name: in_shown_unit(name, own) for name, own in withdrawn.items()}
+        values = [(readable(name), number(own["value"]), unit_text(own["unit"])) for name, own in shown.items()]
+        return ("Quantity", "Withdrawn value", "Unit"), [*values]
+    rows: list[tuple[str, ...]] = []
+    for name, interval in stated.items():
+        own = in_shown_unit(name, interval)
+        ends = [ends_text(own, of) for of in ("", "record_", "white_")]
+        rows.append((readable(name), value_text(own), unit_text(own["unit"]), *ends))
+    return ("Quantity", "Value", "Unit", "95 % interval of a repeat", "Of this record", "White-noise interval"), rows
+
+
+def modes_table(modes: Iterable[Mapping[str, Any]]) -> Rows:
+    """Tabulate the modes of a record with their intervals, and aliases."""
+    rows = []
+    for mode in modes:
+        cells = [text for own in _mode_intervals(mode) for text in (value_text(own), ends_text(own))]
+        rows.append((*cells, "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"))
+    return ("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share"), rows
+
+
+def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Rows:
+    """Tabulate what each of several records says alone, with its own 95 % interval."""
+    names = list(next((run["estimates"] for run in runs.values() if run["estimates"]), {}))[:2]
+    rows = []
+    for name, run in runs.items():
+        stated = [run["estimates"].get(quantity) for quantity in names]
+        pairs = [(value_text(own, "record_"), ends_text(own, "record_")) if own else ("–", "–") for own in stated]
+        left_out = f"left out: {run['left_out']}" if run["left_out"] else ""
+        rows.append((name, *(text for pair in pairs for text in pair), left_out))
+    headers = [text for quantity in names for text in (readable(quantity), "95 % interval")]
+    return ("Run alone", *headers, ""), rows

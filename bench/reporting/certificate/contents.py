@@ -40,12 +40,13 @@ OPENING = {
 def contents(certificate: Certificate, command: str) -> dict[str, Any]:
     """Return all of a certificate; ``command`` reproduces it."""
     primary, prediction = certificate.primary, certificate.prediction
-    record = summary_of(primary.measured)
+    record = summary_of(certificate.measured)
     names = [Path(file).name for file in record["files"]]
+    modes = [dict(vars(mode)) for mode in primary.modes]
     record |= {"names": names, "hashes": [list(pair) for pair in zip(names, record["sha256"], strict=True)]}
     values = _intervals(primary.intervals)
     return {
-        "answer": answer(values) if values else "No value can be stated",
+        "answer": answer(values, modes),
         "verdict": primary.trust.value,
         "method": primary.method,
         "system": " + ".join(getattr(primary.problem.system, "terms", ())) or primary.problem.system.name,
@@ -54,6 +55,10 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "record": record,
         "values": values,
         "withdrawn": _intervals(primary.withdrawn),
+        "modes": modes,
+        "runs": {
+            run.name: {"estimates": _intervals(run.finding.intervals), "left_out": run.left_out} for run in primary.runs
+        },
         "residuals": _residuals(primary),
         "prediction": None if prediction is None else {"split": prediction.split, "fit_pct": prediction.fit},
         "classes": [_class(one) for one in certificate.classes],
@@ -73,8 +78,10 @@ def sentences(certificate: Certificate) -> list[str]:
     """Return the verdict with its first reason, and what supports the answer."""
     primary = certificate.primary
     reason = f": {primary.reasons[0].text}" if primary.reasons else ""
-    record = summary_of(primary.measured)
-    support = [f"{primary.method} on {record['samples']} samples over {number(record['seconds'])} s"]
+    record = summary_of(certificate.measured)
+    length = f"{record['samples']} samples over {number(record['seconds'])} s"
+    runs = [run.name for run in primary.runs if not run.left_out]
+    support = [f"{primary.method} on " + (f"{len(runs)} runs, each alone" if runs else length)]
     if primary.at is not None:
         support.append(f"residual RMS: {100 * part_of_signal(primary.at):.2g} % of signal RMS")
     others = {one.method for one in certificate.findings[1:] if one.intervals}
@@ -145,6 +152,7 @@ def series(certificate: Certificate) -> dict[str, Any]:
     primary, prediction = certificate.primary, certificate.prediction
     channel, at = primary.problem.records[0].channels[0], primary.at
     series: dict[str, Any] = {
+        "source": Path(primary.measured.recordings[0].source).name,
         "unit": channel.unit, "measures": channel.measures, "times": channel.times, "values": channel.values,
         "fit": None, "residuals": None, "spectrum": None, "autocorrelation": None, "prediction": None,
     }  # fmt: skip

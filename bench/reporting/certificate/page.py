@@ -7,11 +7,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.records.intervals import HALF
-from bench.reporting.answer import MEANING, ends_text, in_shown_unit, unit_text, value_text
+from bench.reporting.answer import (
+    MEANING,
+    Rows,
+    ends_text,
+    in_shown_unit,
+    modes_table,
+    runs_table,
+    value_text,
+    values_table,
+)
 from bench.reporting.certificate.figures import pictures
 from bench.reporting.grid import Grid, rendered, style
 from bench.reporting.page.words import joined, number, seconds
-from bench.reporting.rounding import readable, rounded
+from bench.reporting.rounding import readable
 from bench.scoring.statistics import wilson_interval
 
 
@@ -23,7 +32,9 @@ def page(shown: Mapping[str, Any]) -> str:
         shown=shown,
         meaning=MEANING,
         pictures=pictures(shown),
-        values=values_grid(shown),
+        values=grid_of(values_table(shown["values"], shown["withdrawn"])),
+        modes=grid_of(modes_table(shown["modes"])),
+        runs=grid_of(runs_table(shown["runs"])),
         classes=classes_grid(shown["classes"]),
         methods=methods_grid(shown),
         off=disagreement(shown),
@@ -34,18 +45,9 @@ def page(shown: Mapping[str, Any]) -> str:
     )
 
 
-def values_grid(shown: Mapping[str, Any]) -> Grid:
-    """Tabulate the primary method's values with intervals; where they were withdrawn, only what it stated itself."""
-    stated = bool(shown["values"])
-    rows = []
-    for name, interval in (shown["values"] or shown["withdrawn"]).items():
-        own = in_shown_unit(name, interval)
-        white = rounded(own["value"], own["white_low"], own["white_high"])
-        texts = [ends_text(own), ends_text(own, "record_")] if stated else ["not stated"] * 2
-        value = value_text(own) if stated else white[0]
-        rows.append((readable(name), value, unit_text(own["unit"]), *texts, ends_text(own, "white_")))
-    headers = ("Quantity", "Value", "Unit", "95 % interval of a repeat", "Of this record", "White-noise interval")
-    return Grid(headers, tuple(rows))
+def grid_of(rows: Rows) -> Grid:
+    """Return headers and rows as a table of the page."""
+    return Grid(rows[0], tuple(rows[1]))
 
 
 def classes_grid(classes: Sequence[Mapping[str, Any]]) -> Grid:

@@ -185,7 +185,7 @@ def test_replicas_and_better_records_are_shown(made: Certificate) -> None:
 
 
 def test_the_first_line_is_the_answer_with_an_uncertainty(shown: Mapping[str, Any], text: str) -> None:
-    assert re.fullmatch(r"natural frequency = 0.9\d+ ± 0.0\d+ Hz, damping ratio = \d.\d+ ± 0.\d+ %", shown["answer"])
+    assert re.fullmatch(r"natural frequency = 0.9\d+ ± 0.0\d+ Hz, damping ratio = \d.\d+ [^=]* %", shown["answer"])
     assert re.findall("<h1>(.*?)</h1>", text) == [shown["answer"]]
 
 
@@ -193,7 +193,7 @@ def test_the_first_line_is_the_answer_with_an_uncertainty(shown: Mapping[str, An
     ("name", "own", "expected"),
     [
         ("k_over_m", interval(52.1, 51.9, 52.3), "k/m = 52.10 ± 0.20 1/s²"),
-        ("k_over_m", interval(52.1, 40.0, 80.0), "k/m = 52 1/s² (40 to 80)"),
+        ("k_over_m", interval(52.1, 40.0, 80.0), "k/m = 52 (40 to 80) 1/s²"),
         ("damping_ratio", interval(0.0213, 0.0195, 0.0231), "damping ratio = 2.13 ± 0.18 %"),
         ("c_over_m", replace(interval(0.1, 0.0, 0.4123), limit="at most"), "c/m at most 0.41 1/s²"),
         ("m", replace(interval(3.0, 2.0, math.inf), limit="at least"), "m at least 2 1/s²"),
