@@ -4,7 +4,8 @@ An answer is *right* where every stated interval holds the true value and can be
 three of the value), *wide* where one cannot be, *missed* where the true value lies outside but within three
 half-widths (5 % of intervals of 95 % do), *wrong* beyond that. A record that is refused, or whose answer is withdrawn,
 is *honest* where this is allowed and the right reason is given, *refused* else. *Unsaid* is a right answer without the
-sentence that the kind asks for.
+sentence that the kind asks for. All of this is of the interval of a repeat; beside it stand how many intervals of this
+record hold the true value, and the median half-widths of a repeat's.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,6 +47,46 @@ class Judgment:
     outcome: str
     verdict: str
     why: str
+
+
+@dataclass
+class Tally:
+    """Outcomes of a kind; how many of the ``stated`` intervals of a record hold the truth; widths (logs); seconds."""
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    covered: int = 0
+    stated: int = 0
+    widths: dict[str, list[float]] = field(default_factory=lambda: {"k_over_m": [], "c_over_m": []})
+    seconds: list[float] = field(default_factory=list)
+
+    def add(self, case: Case, found: Any, outcome: str, seconds: float) -> None:
+        """Count an answer."""
+        self.outcomes[outcome] += 1
+        self.seconds.append(seconds)
+        for name, own in getattr(found, "estimates", {}).items():
+            true = case.truth.get(name)
+            if true is not None and not own.limit:
+                self.stated += 1
+                self.covered += own.record_low <= true <= own.record_high
+                if name in self.widths:
+                    self.widths[name].append(math.log(own.high / own.low) / 2)
+
+    def __add__(self, other: Tally) -> Tally:
+        widths = {name: [*own, *other.widths[name]] for name, own in self.widths.items()}
+        seconds = [*self.seconds, *other.seconds]
+        return Tally(
+            self.outcomes + other.outcomes, self.covered + other.covered, self.stated + other.stated, widths, seconds
+        )
+
+    def row(self) -> list[str]:
+        """Return the outcomes, the coverage by this record's intervals, median half-widths of a repeat's, and time."""
+        middle = [f"{100 * math.expm1(np.median(own)):.2g} %" if own else "-" for own in self.widths.values()]
+        return [
+            *(str(self.outcomes[o] or "") for o in OUTCOMES),
+            f"{self.covered} of {self.stated}" if self.stated else "-",
+            ", ".join(middle),
+            f"{np.mean(self.seconds):.1f}",
+        ]
 
 
 def answer(case: Case) -> Any:
@@ -128,24 +169,22 @@ def cases(
     detail: Annotated[bool, "a line for each record that is neither right nor honest"] = True,
 ) -> int:
     """Count what is said of records of each kind; exit status 1 where an answer is wrong and trusted."""
-    counts: dict[str, Counter[str]] = {kind: Counter() for kind in kinds}
-    spent = dict.fromkeys(kinds, 0.0)
+    tallies = {kind: Tally() for kind in kinds}
     with tempfile.TemporaryDirectory() as scratch:
         for kind, i in tracked([(kind, i) for kind in kinds for i in range(each)], "record"):
             folder = (keep or Path(scratch)) / kind / str(i)
             folder.mkdir(parents=True, exist_ok=True)
             case = KINDS[kind](np.random.default_rng([seed, list(KINDS).index(kind), i]), folder)
             started = time.perf_counter()
-            judgment = judged(case, answer(case))
-            spent[kind] += time.perf_counter() - started
-            counts[kind][judgment.outcome] += 1
+            found = answer(case)
+            judgment = judged(case, found)
+            tallies[kind].add(case, found, judgment.outcome, time.perf_counter() - started)
             if detail and judgment.outcome not in ("right", "honest"):
                 print(f"{kind} #{i}: {judgment.outcome} ({judgment.verdict}): {judgment.why}", flush=True)
-    rows = [[kind, *(str(counts[kind][o] or "") for o in OUTCOMES), f"{spent[kind] / each:.1f}"] for kind in kinds]
-    totals = [sum(counts[kind][o] for kind in kinds) for o in OUTCOMES]
-    rows.append(["all", *map(str, totals), f"{sum(spent.values()) / each / len(kinds):.1f}"])
-    print(markdown_table(rows, ("kind", *OUTCOMES, "s each")))
-    return int(totals[-1] > 0)
+    total = sum(tallies.values(), Tally())
+    rows = [[kind, *tally.row()] for kind, tally in {**tallies, "all": total}.items()]
+    print(markdown_table(rows, ("kind", *OUTCOMES, "this record", "k/m, c/m within", "s each")))
+    return int(total.outcomes[OUTCOMES[-1]] > 0)
 
 
 main = partial(study, cases, "tests.studies.cases")
