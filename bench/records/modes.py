@@ -18,6 +18,8 @@ LINE_LEVEL = 1e-6
 """Chance that white noise has such a line: far below that of a false alarm in a life of records."""
 LINE_SHARE = 0.03
 """Least root mean square of a line over that of the signal: a mode below 3 % hardly moves the values of the others."""
+BEGINNINGS, LEAST_BEGINNING = (1, 4, 16), 100
+"""Parts of the record in whose beginning lines are sought, and the least samples there."""
 MOST_MODES = 4
 """More modes in one channel are a matter for modal analysis with several sensors."""
 MOST_SAMPLES = 20_000
@@ -51,9 +53,10 @@ def modes_of(times: np.ndarray, values: np.ndarray, most: int = MOST_MODES) -> t
     t, y = times[:MOST_SAMPLES] - times[0], values[:MOST_SAMPLES]
     poles, residuals = np.zeros((0, 2)), y - np.mean(y)
     while len(poles) < most and y.size > 6 * (len(poles) + 1):
-        if len(poles) and line(t, residuals, y)[1] < LINE_SHARE:
+        frequency, share = line(t, residuals, y) if len(poles) else (strongest_frequency(t, residuals), 1.0)
+        if share < LINE_SHARE:
             break
-        added = _search(t, y, poles, 2 * np.pi * strongest_frequency(t, residuals))
+        added = _search(t, y, poles, 2 * np.pi * frequency)
         if added is None:
             break
         poles, residuals = added, y - _fitted(t, y, added)
@@ -61,7 +64,16 @@ def modes_of(times: np.ndarray, values: np.ndarray, most: int = MOST_MODES) -> t
 
 
 def line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return frequency (1/time) and root mean square, over that of the values, of a significant line; 0 if none is."""
+    """Return frequency (1/time) and root mean square, over that of the values, of a significant line; 0 if none is.
+
+    It is sought in the whole record and in its beginning, where a mode that soon dies out is seen better.
+    """
+    parts = [slice(0, times.size // part) for part in BEGINNINGS if times.size // part >= LEAST_BEGINNING or part == 1]
+    lines = [_line(times[part], residuals[part], values[part]) for part in parts]
+    return max(lines, key=lambda found: found[1])
+
+
+def _line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
     even = np.interp(np.linspace(times[0], times[-1], times.size), times, residuals)
     power = np.abs(np.fft.rfft(even - np.mean(even))[1:]) ** 2
     total, size = float(np.sum(power)), float(np.std(values))
