@@ -51,8 +51,8 @@ WIDEST = math.log(3.0)
 """Half-width of a logarithm beyond which the value is not determined and a limit is stated."""
 ASSUMED_DOF = 60.0
 """Degrees of freedom of a spread that is the prior's alone: taken as known."""
-LEAST_DOF = 5.0
-"""Degrees of freedom of a coloured variance, at least."""
+LEAST_DOF = 14.0
+"""Degrees of freedom of a coloured variance, at least: those of a periodogram smoothed over seven frequencies."""
 
 ENDS = ("value", "low", "high", "record_low", "record_high", "white_low", "white_high")
 """The numbers of an interval that have the quantity's unit."""
