@@ -16,7 +16,7 @@ from bench.errors import InputError
 from bench.records.decimation import decimated
 from bench.records.models import smoothing_velocity
 from bench.records.prepare import prepare
-from bench.records.reading import Recording, Signal, read_recording
+from bench.records.reading import Recording, Signal, read_recordings
 from bench.records.request import AUTO, Request
 from bench.records.strongest import strongest_frequency
 from bench.systems import System, make_system
@@ -53,7 +53,9 @@ class Measured:
 
 def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Measured:
     """The records of a request, read from its files unless they are given; raises InputError."""
-    recordings = tuple(recordings) or tuple(read_recording(path, request.options) for path in request.files)
+    if not recordings:
+        recordings = [recording for path in request.files for recording in read_recordings(path, request.options)]
+    recordings = tuple(recordings)
     job = request.job
     start, n_dof = _start(job), _system(request, recordings[0]).n_dof
     recordings = prepare(recordings, request.options, known_state=start is not None, n_dof=n_dof)

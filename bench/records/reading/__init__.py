@@ -1,7 +1,7 @@
 """Reading measured records: :func:`read_recording` makes signals of a file, and refuses what it would have to guess."""
 
 from bench.records.reading.options import ReadOptions
-from bench.records.reading.recording import of_arrays, read_recording
+from bench.records.reading.recording import of_arrays, read_recording, read_recordings
 from bench.records.reading.signals import Recording, Signal
 
-__all__ = ["ReadOptions", "Recording", "Signal", "of_arrays", "read_recording"]
+__all__ = ["ReadOptions", "Recording", "Signal", "of_arrays", "read_recording", "read_recordings"]

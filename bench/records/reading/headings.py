@@ -6,27 +6,21 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from bench.records.reading.options import LETTERS
 from bench.records.reading.table import Column
 from bench.records.reading.units import Quantity, Unit, unit_of
 
-ROLE_LETTERS: dict[str, Quantity] = {
-    "t": "time", "x": "displacement", "v": "velocity", "a": "acceleration", "f": "force",
-}  # fmt: skip
-WORDS: dict[str, Quantity | Literal["other"]] = {
-    "time": "time", "times": "time", "timestamp": "time", "timestamps": "time", "elapsed": "time",
-    "displacement": "displacement", "displacements": "displacement", "disp": "displacement", "position": "displacement",
-    "pos": "displacement", "deflection": "displacement", "angle": "displacement", "theta": "displacement",
-    "phi": "displacement", "elongation": "displacement",
-    "velocity": "velocity", "vel": "velocity", "speed": "velocity", "omega": "velocity",
-    "acceleration": "acceleration", "accel": "acceleration", "acc": "acceleration", "accelerometer": "acceleration",
-    "force": "force", "torque": "force", "load": "force", "thrust": "force",
-    "mass": "other", "weight": "other", "temperature": "other", "temp": "other", "voltage": "other",
-    "pressure": "other", "frequency": "other",
-}  # fmt: skip
+NAMES: dict[Quantity | Literal["other"], str] = {
+    "time": "time times timestamp timestamps elapsed",
+    "displacement": "displacement displacements disp position pos deflection angle theta phi elongation",
+    "velocity": "velocity vel speed omega",
+    "acceleration": "acceleration accel acc accelerometer",
+    "force": "force torque load thrust",
+    "other": "mass weight temperature temp voltage pressure frequency",
+}
+WORDS = {word: quantity for quantity, words in NAMES.items() for word in words.split()}
 TRIALS = {"trial", "trials", "run", "experiment", "test"}
-LETTERS: dict[str, Quantity] = {
-    **ROLE_LETTERS, "y": "displacement", "z": "displacement", "F": "force",
-}  # fmt: skip
+FIRST_LETTERS: dict[str, Quantity] = {**LETTERS, "y": "displacement", "z": "displacement", "F": "force"}
 SHORT = {"s", "m", "g", "mg", "in", "min", "us", "rev", "N"}
 """Endings that are a unit only where the name says as much: ``x_m``, but not ``ch_m``."""
 WORD_ENDINGS = {"in", "min", "rev"}
@@ -45,22 +39,22 @@ class Heading:
 
     @property
     def certain(self) -> Quantity | None:
-        """What is measured, by the unit, unless the words of the name say something else."""
+        """Return what is measured, by the unit, unless the words of the name say something else."""
         if self.unit is None or self.says not in (None, self.unit.measures):
             return None
         return self.unit.measures
 
     @property
     def named(self) -> Quantity | None:
-        """What is measured, by the name alone: a word for it, or the letter of a role with or without a number."""
+        """Return what is measured, by the name alone: a word for it, or the letter of a role, maybe with a number."""
         match = re.fullmatch(r"([txvaf])\d*", self.name)
         if match and self.says is None:
-            return ROLE_LETTERS[match[1]]
+            return LETTERS[match[1]]
         return None if self.says == "other" else self.says
 
     @property
     def number(self) -> tuple[str, int] | None:
-        """The number that the name ends in, with what stands before it: ``("ch", 2)``."""
+        """Return the number that the name ends in, with what stands before it: ``("ch", 2)``."""
         match = re.fullmatch(r"(.*?)[ _.#-]*(\d{1,3})", self.name)
         return (match[1].lower(), int(match[2])) if match else None
 
@@ -79,46 +73,40 @@ def heading_of(column: Column) -> Heading:
 
 
 def is_trial(name: str) -> bool:
-    """Whether a column of this name counts the records of a file."""
+    """Return whether a column of this name counts the runs in a file."""
     return name.strip().lower() in TRIALS
 
 
 def _words(name: str) -> Quantity | Literal["other"] | None:
-    """The one quantity that the words of a name speak of; None where there is none, or two."""
+    """Return the one quantity that the words of a name speak of; None where there is none, or two."""
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
     found = {WORDS[word.lower()] for word in words if word.lower() in WORDS}
     return found.pop() if len(found) == 1 else None
 
 
 def _name_and_label(text: str) -> tuple[str, str]:
-    """A header in two: name and unit, as in ``t [s]``, ``Force/N``, ``Angle, deg`` and ``time_ms``."""
-    for split in (_bracketed, _after_stroke, _after_comma, _after_underscore):
-        found = split(text)
-        if found is not None:
-            return found
+    """Return a header in two: name and unit, as in ``t [s]``, ``Force/N``, ``Angle, deg`` and ``time_ms``."""
+    for split in (_bracketed, _after_mark, _after_underscore):
+        if parts := split(text):
+            return parts
     return text, ""
 
 
 def _bracketed(text: str) -> tuple[str, str] | None:
-    found = list(re.finditer(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)", text))
-    for match in reversed(found):
+    brackets = list(re.finditer(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)", text))
+    for match in reversed(brackets):
         label = (match[1] or match[2] or "").strip()
-        at_end = match is found[-1] and match.end() == len(text)
-        if unit_of(label) or (at_end and label not in ("", "-")):
+        if unit_of(label) or (match.end() == len(text) and label not in ("", "-")):
             return f"{text[: match.start()]} {text[match.end() :]}".strip(" /,_"), label
     return None
 
 
-def _after_stroke(text: str) -> tuple[str, str] | None:
-    for match in re.finditer("/", text):
+def _after_mark(text: str) -> tuple[str, str] | None:
+    """Split at the first stroke or the last comma with a unit behind it."""
+    for match in [*re.finditer("/", text), *reversed(list(re.finditer(",", text)))][: text.count("/") + 1]:
         if match.start() and unit_of(text[match.end() :]):
             return text[: match.start()].strip(), text[match.end() :].strip()
     return None
-
-
-def _after_comma(text: str) -> tuple[str, str] | None:
-    name, comma, label = text.rpartition(",")
-    return (name.strip(), label.strip()) if comma and unit_of(label) else None
 
 
 def _after_underscore(text: str) -> tuple[str, str] | None:
@@ -146,4 +134,4 @@ def _fits(name: list[str], label: str, must_say: bool) -> bool:
 
 
 def _first_says(part: str) -> Quantity | Literal["other"] | None:
-    return LETTERS.get(part.rstrip("0123456789")) or _words(part)
+    return FIRST_LETTERS.get(part.rstrip("0123456789")) or _words(part)

@@ -8,7 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bench.errors import InputError
+from bench.records.reading.units import Quantity
 
+LETTERS: dict[str, Quantity] = {
+    "t": "time", "x": "displacement", "v": "velocity", "a": "acceleration", "f": "force",
+}  # fmt: skip
+"""Roles of columns; all but the time's may have the number of a DOF."""
 ROLE = re.compile(r"t|[xvaf](?:[1-9]\d?)?")
 ROLES = "t, x, v, a, f and x1, x2, …, v1, … with the number of a DOF"
 
@@ -52,20 +57,18 @@ class ReadOptions:
             raise InputError("from", self.start, f"it must be before to={self.end:g}")
 
     def unit(self, role: str) -> str:
-        """The unit given for a role, "" without one."""
+        """Return the unit given for a role, "" without one."""
         return next((unit for other, unit in self.units.items() if slot(other) == slot(role)), "")
 
 
 def slot(role: str) -> tuple[str, int]:
-    """Letter and DOF (from 0) of a role; x and x1 are the same."""
+    """Return letter and DOF (from 0) of a role; x and x1 are the same."""
     return role[0], int(role[1:] or 1) - 1
 
 
 def _check_roles(field_name: str, roles: list[str]) -> None:
-    bad = [role for role in roles if not ROLE.fullmatch(role)]
-    if bad:
+    if bad := [role for role in roles if not ROLE.fullmatch(role)]:
         raise InputError(field_name, bad[0], f"roles are {ROLES}")
     slots = [slot(role) for role in roles]
-    twice = [role for role in roles if slots.count(slot(role)) > 1]
-    if twice:
+    if twice := [role for role in roles if slots.count(slot(role)) > 1]:
         raise InputError(field_name, ", ".join(twice), "they are the same role; give one")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from numpy.typing import ArrayLike
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.records.reading.arrays import table_of
+from bench.records.reading.columns import Pick, pick
 from bench.records.reading.files import read_file
+from bench.records.reading.headings import is_trial
 from bench.records.reading.options import ReadOptions
-from bench.records.reading.picks import Pick, pick
 from bench.records.reading.signals import Recording, Signal
 from bench.records.reading.table import Table
 from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
@@ -22,6 +24,9 @@ from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
 NO_OPTIONS = ReadOptions()
 LARGEST, SMALLEST = 1e15, 1e-30
 """In SI units: squares of larger or smaller numbers leave the range of floating point."""
+
+LEAST_RUN = 10
+"""Samples of a run; time that goes back sooner is out of order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,21 +39,28 @@ class _Clock:
     rate_error: float = 0.0
 
 
-def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
-    """Read a record from a file (text, xlsx, xls, mat, npz, npy, Parquet, UFF 58, TDMS, wav).
+def read_recordings(path: Path, options: ReadOptions = NO_OPTIONS) -> tuple[Recording, ...]:
+    """Read the records in a file (text, xlsx, xls, mat, npz, npy, Parquet, UFF 58, TDMS, wav).
+
+    A file holds several where a column named ``trial`` or ``run`` counts them, or where its time starts again.
 
     Args:
         path: the file
         options: what the user says of it; by default the file must say itself what its columns are
 
     Returns:
-        its signals; those with a known unit are in SI
+        the signals of each; those with a known unit are in SI
 
     Raises:
         InputError: in one line, what is wrong or not certain and what to add.
     """
     table, sha256 = read_file(path)
-    return _recording(table, options, str(path), sha256)
+    return _recordings(table, options, str(path), sha256)
+
+
+def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
+    """Read the one record in a file, as :func:`read_recordings`; raises InputError for several, too."""
+    return _only(read_recordings(path, options))
 
 
 def of_arrays(
@@ -57,17 +69,63 @@ def of_arrays(
     force: ArrayLike | None = None,
     options: ReadOptions = NO_OPTIONS,
 ) -> Recording:
-    """Return a recording of arrays of one length: times (s, or dates), m and N; raises InputError."""
+    """Return the record in arrays of one length: times (s, or dates), m and N; raises InputError."""
     table = table_of({"times": times, "displacement": displacement, "force": force})
-    return _recording(table, options, "arrays")
+    return _only(_recordings(table, options, "arrays"))
 
 
-def _recording(table: Table, options: ReadOptions, source: str, sha256: str = "") -> Recording:
-    """Return the signals of a table; raises InputError."""
+def _only(recordings: Sequence[Recording]) -> Recording:
+    if len(recordings) > 1:
+        source = recordings[0].source.removesuffix(" run 1")
+        remedy = "where its time goes back, or a trial is counted, another begins; give one of them"
+        raise InputError("data", source, f"it holds {len(recordings)} runs: {remedy}")
+    return recordings[0]
+
+
+def _recordings(table: Table, options: ReadOptions, source: str, sha256: str = "") -> tuple[Recording, ...]:
     picks, notes = pick(table, options, source)
     notes = [*table.notes, *notes]
-    time = picks.pop("t", None)
-    signals = list(picks.values())
+    cuts = _starts_of_runs(table, picks, source)
+    if len(cuts) == 2:
+        return (_recording(table, picks, notes, options, source, sha256),)
+    rows = np.arange(1, cuts[-1] + 1) if table.rows is None else table.rows
+    runs = []
+    for k, (first, last) in enumerate(pairwise(cuts), 1):
+        part = {role: found.part(first, last) for role, found in picks.items()}
+        said = f"run {k} of {len(cuts) - 1}: rows {rows[first]} to {rows[last - 1]}"
+        of_run = Table((), rows=rows[first:last])
+        runs.append(_recording(of_run, part, [*notes, said], options, f"{source} run {k}", sha256))
+    return tuple(runs)
+
+
+def _starts_of_runs(table: Table, picks: Mapping[str, Pick], source: str) -> list[int]:
+    """Return the samples at which runs begin, and the number of samples: where a trial's number or the time say so."""
+    n = next(iter(picks.values())).column.values.size
+    starts: set[int] = set()
+    for column in table.columns:
+        if is_trial(column.name) and not column.flaw and column.values.size == n:
+            starts |= set((np.flatnonzero(np.diff(column.values)) + 1).tolist())
+            if starts and not _long_enough(starts, n):
+                remedy = f"column '{column.name}' counts several records; keep one of them in a file of its own"
+                raise InputError("data", source, remedy)
+    if "t" in picks:
+        stamps = picks["t"].column.values
+        there = np.flatnonzero(np.isfinite(stamps))
+        again = set(there[1:][np.diff(stamps[there]) < 0].tolist())
+        if increments_summed(stamps[there], picks["t"].column.name) is None and _long_enough(starts | again, n):
+            starts |= again
+    return [0, *sorted(starts), n]
+
+
+def _long_enough(starts: Collection[int], n: int) -> bool:
+    return min(last - first for first, last in pairwise([0, *sorted(starts), n])) >= LEAST_RUN
+
+
+def _recording(
+    table: Table, picks: Mapping[str, Pick], notes: list[str], options: ReadOptions, source: str, sha256: str
+) -> Recording:
+    signals = [found for role, found in picks.items() if role != "t"]
+    time = picks.get("t")
     shared = None if time is None else _clock(table, time.column.values, time, signals, source, notes)
     made, errors = [], []
     for found in signals:

@@ -21,7 +21,7 @@ import pytest
 import scipy.io
 
 from bench.errors import InputError
-from bench.records.reading import ReadOptions, Recording, files, of_arrays, read_recording
+from bench.records.reading import ReadOptions, Recording, files, of_arrays, read_recording, read_recordings
 from bench.records.reading.headings import heading_of
 from bench.records.reading.table import Column
 from bench.records.reading.times import rebuilt as clock_of
@@ -469,6 +469,31 @@ def test_arrays_take_the_options_of_files() -> None:
     check(recording, {"x": ([1e-3 * x for x in X[1:]], "m")}, [0, 0.5e-3, 2e-3])
 
 
+# several records in a file
+
+
+RUN = [f"{i / 20},{math.cos(i):.5f}" for i in range(30)]
+RUNS = {
+    "time that starts again": "t [s],x [m]\n" + "\n".join(RUN + RUN[:20]),
+    "a trial column": "trial,t [s],x [m]\n" + "\n".join([f"1,{r}" for r in RUN] + [f"2,{r}" for r in RUN[:20]]),
+    "a trial column, and time that goes on": "run,t [s],x [m]\n"
+    + "\n".join([f"1,{r}" for r in RUN] + [f"2,{i / 20},{math.cos(i - 30):.5f}" for i in range(30, 50)]),
+}
+
+
+@pytest.mark.parametrize("what", RUNS)
+def test_runs_in_one_file_are_records_of_their_own(what: str, tmp_path: Path) -> None:
+    path = write(tmp_path, RUNS[what])
+    first, second = read_recordings(path)
+    x = np.round(np.cos(np.arange(30)), 5)
+    check(first, {"x": (x.tolist(), "m")}, (np.arange(30) / 20).tolist())
+    check(second, {"x": (x[:20].tolist(), "m")}, (np.arange(20) / 20).tolist())
+    assert "run 2 of 2: rows 32 to 51" in second.notes
+    assert second.source == f"{path} run 2"
+    with pytest.raises(InputError, match="it holds 2 runs"):
+        read(path)
+
+
 # what is refused, and what it says
 
 REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
@@ -862,7 +887,7 @@ def test_universal_files_without_units_or_with_two_sensors(tmp_path: Path) -> No
     np.testing.assert_allclose(read(path, units={"a": "m/s²"}).signals[0].values, values, rtol=1e-10)
     path.unlink()
     pyuff.UFF(str(path)).write_sets([universal_set(values), universal_set(2 * values, rsp_node=4)], "add")
-    with pytest.raises(InputError, match=r"measure acceleration: 0 'node 3', 1 'node 4'; add e\.g\. columns=a:0"):
+    with pytest.raises(InputError, match=r"measure acceleration: 0 'node 3', 1 'node 4'; add e\.g\. columns=a:1"):
         read(path)
     np.testing.assert_allclose(read(path, columns={"a2": 1}).signals[0].values, 2 * 9.80665 * values, rtol=1e-10)
 
