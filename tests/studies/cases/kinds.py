@@ -407,7 +407,7 @@ def pasted_twice(rng: np.random.Generator, to: Path) -> Case:
     d = decay(rng, ratio=(0.01, 0.03))
     x = np.tile(noisy(rng, d.x), 2)
     path = csv(to / "x.csv", "t [s],x [m]", np.arange(x.size) / d.rate, x)
-    return Case(path, d.truth, says="twice|pasted|repeats itself|copy|copies|identical", refusal=True)
+    return Case(path, d.truth, says="twice|times, value for value|pasted|copies", refusal=True)
 
 
 def derived_velocity(rng: np.random.Generator, to: Path) -> Case:
