@@ -16,16 +16,17 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from bench.commands.declaration import OneOf, Within
+from bench.config.overrides import overrides_of
 from bench.contract.estimate import Cost
-from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import at_theta, linearised
-from bench.records.models import smoothing_velocity
+from bench.records.reading import of_arrays
+from bench.records.record import read_measured
+from bench.records.request import request_of
 from bench.reporting.tables.common import markdown_table
 from bench.scoring.statistics import wilson_interval
-from bench.systems.sums import sum_from
 from tests.studies.common import Count, study, tracked
 
 QUANTITIES = ("k_over_m", "c_over_m")
@@ -60,7 +61,7 @@ KINDS: dict[str, tuple[Noise, tuple[float, float], bool]] = {
 
 
 def intervals_of(kind: str, rng: np.random.Generator) -> tuple[dict[str, StatedInterval], dict[str, float]] | None:
-    """Draw a record of 1 Hz, and return its intervals and the true values; None where the fit fails."""
+    """Draw a record of 1 Hz; return its intervals and the true values, None without an answer or where it is split."""
     noise, decibels, friction = KINDS[kind]
     rate, ratio = 2 * np.pi, float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
     cycles = rng.uniform(6.0, 6.0 + 0.5 / ratio)
@@ -71,8 +72,10 @@ def intervals_of(kind: str, rng: np.random.Generator) -> tuple[dict[str, StatedI
     x = motion(t, truth, rng.uniform(0.0, 2 * np.pi))
     size = float(np.std(x)) * 10 ** (-rng.uniform(*decibels) / 20.0)
     x = x + size * noise(rng, t.size)
-    system = sum_from("sdof+coulomb" if friction else "sdof", smoothing_velocity=smoothing_velocity(t, x))
-    problem = Problem(system, (Record((Channel(t, x, offset=True),)),))
+    words = {"method": "output_error", "data": "arrays", "system": "sdof+coulomb" if friction else "sdof"}
+    problem = read_measured(request_of(overrides_of(words)), (of_arrays(t, x),)).problem
+    if len(problem.records) > 1:
+        return None
     model = compiled_output_error(problem)
     theta = model.settle(model.vector(truth)[None])[0]
     there = at_theta(model, theta)
