@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from bench.records.colour import autocorrelation, cumulative_periodogram
 from bench.records.grown import first_guess
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
-from bench.records.model_error import ModelError
 from bench.records.modes import Mode, alias_of, line, modes_of
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
@@ -80,7 +79,7 @@ def diagnose(
     at: Linearised | None,
     problem: Problem,
     intervals: Mapping[str, StatedInterval],
-    lacking: ModelError,
+    missing: Sequence[str],
     message: str,
 ) -> Diagnosis:
     """Diagnose an answer.
@@ -89,7 +88,7 @@ def diagnose(
         at: The likelihood of the records at the answer; None where the answer has no finite response.
         problem: The records, in the user's units.
         intervals: Stated intervals.
-        lacking: What the model leaves out.
+        missing: Forces that the model lacks.
         message: The method's own message.
     """
     if at is None:
@@ -101,20 +100,17 @@ def diagnose(
     if sine := steady_sine(problem, part_of_signal(at)):
         reasons.insert(0, Reason(Trust.NO, sine))
     if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
-        reasons += _few(at) + _of_intervals(intervals, lacking)
+        reasons += _few(at) + _of_intervals(intervals, missing)
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
     return Diagnosis(tuple(dict.fromkeys(reasons)), several.modes)
 
 
-def _of_intervals(intervals: Mapping[str, StatedInterval], lacking: ModelError) -> list[Reason]:
+def _of_intervals(intervals: Mapping[str, StatedInterval], missing: Sequence[str]) -> list[Reason]:
     texts = []
-    if lacking.missing:
-        what = " and ".join(lacking.missing)
+    if missing:
+        what = " and ".join(missing)
         texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
-    elif lacking.suspected:
-        what = " or ".join(lacking.suspected)
-        texts.append(f"the residuals are coloured by their noise or by {what}, which the system lacks")
     colour = max((interval.colour for interval in intervals.values()), default=1.0)
     if colour > STRETCHED:
         texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")

@@ -15,7 +15,7 @@ from bench.records.diagnostics import diagnose, natural_frequency
 from bench.records.fit import Outcome
 from bench.records.intervals import ENDS, StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
-from bench.records.model_error import NOTHING_LACKING, ModelError, model_error
+from bench.records.model_error import missing_forces
 from bench.records.modes import Mode
 from bench.records.parts import parts_of
 from bench.records.record import Measured, spare_factor
@@ -51,7 +51,6 @@ class Finding:
     withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
     at: Linearised | None = None
-    lacking: ModelError = NOTHING_LACKING
     by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     modes: tuple[Mode, ...] = ()
     runs: tuple[Run, ...] = ()
@@ -88,16 +87,14 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
     with np.errstate(all="ignore"):
         at = linearised(measured.problem, estimate)
         parts = parts_of(at, _frequency(at)) if at is not None else []
-        lacking = model_error(at) if at is not None else NOTHING_LACKING
+        missing = () if at is None else missing_forces(at)
         noise = at if white is None or at is None else _whitened(at)
         rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
         intervals = _beside_white(stated_intervals(estimate, noise, parts, rate_error), white)
         intervals = _with_mass(intervals, estimate, measured)
-    diagnosis = diagnose(at, measured.problem, intervals, lacking, outcome.message)
+    diagnosis = diagnose(at, measured.problem, intervals, missing, outcome.message)
     values = _by_part(parts, measured)
-    finding = Finding(
-        method, measured, outcome, intervals, {}, diagnosis.reasons, at, lacking, values, modes=diagnosis.modes
-    )
+    finding = Finding(method, measured, outcome, intervals, {}, diagnosis.reasons, at, values, modes=diagnosis.modes)
     if finding.trust is Trust.NO:
         return replace(finding, intervals={}, withdrawn=intervals)
     return finding

@@ -28,7 +28,7 @@ from bench.records.intervals import (
     stated_intervals,
 )
 from bench.records.linearised import Linearised, at_theta, linearised
-from bench.records.model_error import model_error
+from bench.records.model_error import missing_forces
 from bench.records.parts import parts_of
 from bench.systems.sums import sum_from
 
@@ -335,10 +335,21 @@ def test_a_softening_spring_is_not_said_to_lack_a_cubic_one() -> None:
     guess = {"m": 1.0, "c": 0.3, "k": OMEGA**2, "k3s": OMEGA**2 / 6}
     at = at_theta(model, model.settle(model.vector(guess)[None], iterations=40)[0])
     assert at is not None
-    found = model_error(at)
-    assert "quadratic damping" in found.missing
-    assert "a cubic spring" not in (*found.missing, *found.suspected)
-    assert found.stiffness == 0.0
+    assert missing_forces(at) == ("quadratic damping",)
+
+
+def test_friction_that_a_linear_model_lacks_is_named() -> None:
+    """A decay with dry friction of 1 % of the spring's first force, in white noise of 40 dB; and one without."""
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -(OMEGA**2) * y[0] - 0.2 * y[1] - 0.01 * OMEGA**2 * np.tanh(y[1] / 1e-3)]
+
+    dry = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=T, rtol=1e-8, atol=1e-10, method="LSODA").y[0]
+    noise = 0.003 * np.random.default_rng(1).standard_normal(T.size)
+    _, with_friction, _ = fitted(dry + noise)
+    _, without, _ = fitted(MOTION + noise)
+    assert "dry friction" in missing_forces(with_friction)
+    assert missing_forces(without) == ()
 
 
 # differences of criteria
