@@ -18,6 +18,7 @@ from bench.dynamics.simulate import measurements
 from bench.likelihood.autoregression import even_times
 from bench.records.colour import information_criterion
 from bench.records.linearised import Linearised
+from bench.records.strongest import strongest_frequency
 from bench.systems import Parameter, Quantity, System
 
 NAMES = {"mu": "dry friction", "c2": "quadratic damping", "k3": "a cubic spring"}
@@ -29,8 +30,9 @@ TURNS = 0.05
 """Speed at which the sign of dry friction turns, over the largest speed."""
 STRONG = 6.0
 """Least gain in the criterion that counts (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995)."""
-MOST_SAMPLES = 4000
-"""Samples of a record that are looked at, evenly chosen: enough to see the shape of a cycle."""
+MOST_SAMPLES, MOST_CYCLES = 2000, 100.0
+"""Samples and first cycles of a record that are looked at: the shape of cycles and of a decay shows in them, and the
+motion with an added force is simulated step by step."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +78,13 @@ def missing_forces(fit: Linearised) -> tuple[str, ...]:
     if len(record.channels) > 1 or channel.measures != "displacement" or not even_times(channel.times):
         return ()
     candidates = [name for name in NAMES if name not in names and not (name == "k3" and names & SHAPED)]
-    step = -(-channel.n // MOST_SAMPLES)
-    slopes, residuals = fit.slopes[::step], fit.residuals[::step]
-    columns = _columns(fit, candidates, step)
+    cycles = channel.times * strongest_frequency(channel.times, channel.values)
+    end = int(np.searchsorted(cycles, MOST_CYCLES))
+    kept = slice(0, end, -(-end // MOST_SAMPLES))
+    slopes, residuals = fit.slopes[kept], fit.residuals[kept]
+    columns = _columns(fit, candidates, kept)
     first = information_criterion(residuals, fit.theta.size)
-    gains = {(): STRONG}
+    gains: dict[tuple[str, ...], float] = {(): STRONG}
     for count in range(1, len(columns) + 1):
         for names_added in combinations(columns, count):
             rows = np.column_stack([slopes, *(columns[name] for name in names_added)])
@@ -88,8 +92,8 @@ def missing_forces(fit: Linearised) -> tuple[str, ...]:
     return tuple(NAMES[name] for name in max(gains, key=gains.__getitem__))
 
 
-def _columns(fit: Linearised, names: list[str], step: int) -> dict[str, np.ndarray]:
-    """Return derivatives of the prediction at every so-many-th sample by each added force, by central differences."""
+def _columns(fit: Linearised, names: list[str], kept: slice) -> dict[str, np.ndarray]:
+    """Return derivatives of the prediction at the kept samples by each added force, by central differences."""
     model, record = fit.model, fit.model.problem.records[0]
     p = {name: float(value) for name, value in model.parameters(fit.theta).items()}
     motion = model.data - fit.residuals
@@ -104,7 +108,7 @@ def _columns(fit: Linearised, names: list[str], step: int) -> dict[str, np.ndarr
     state = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     x, v = (np.repeat(np.asarray(part)[:, None], 2 * len(names), axis=1) for part in state)
     channel = record.channels[0]
-    thin = replace(channel, times=channel.times[::step], values=channel.values[::step])
+    thin = replace(channel, times=channel.times[kept], values=channel.values[kept])
     system = WithForces(model.system, TURNS * rate * size)
     with np.errstate(all="ignore"):
         ends = measurements(system, sets, (x, v), replace(record, channels=(thin,)))
