@@ -27,11 +27,13 @@ from bench.records.reading.grid import (
     Above,
     Cell,
     TableRow,
+    bounds,
     cell_of,
-    check_whole,
     heading_above,
-    longest_run,
     make_table,
+    row_of,
+    shape_of,
+    shown,
 )
 from bench.records.reading.table import MAX_COLUMNS, Column, Table, check_rows, check_values, optional
 from bench.records.reading.units import Measures
@@ -92,47 +94,37 @@ def _first_table(sheets: Mapping[str, Iterable[Sequence[object]]], source: Path)
     """Return the table of the first sheet that has one, and note which where there are more sheets."""
     for title, cells in sheets.items():
         rows = _rows(cells, source)
-        span = longest_run(rows)
-        if not span.numeric or span.n < 2:
+        shape = shape_of(rows)
+        if not shape.numeric or shape.n < MIN_SAMPLES:
             continue
-        span, notes = check_whole(rows, span, f"{source} sheet '{title}'")
-        above = [Above([[_text(cell) for cell in row.cells]]) for row in reversed(rows[: span.first])]
+        first, last, notes = bounds(rows, shape, f"{source} sheet '{title}'")
+        above = [Above([[shown(cell) for cell in row.cells]]) for row in reversed(rows[:first])]
         if len(sheets) > 1:
             notes.insert(0, f"the workbook has {len(sheets)} sheets; '{title}' is read")
-        return make_table(rows, span, heading_above(above, span), notes)
+        return make_table(rows[first:last], shape, heading_above(above, shape), notes)
     raise InputError("data", source, "no sheet has rows of numbers; a table of times and values is needed")
 
 
 def _rows(sheet: Iterable[Sequence[object]], source: Path) -> list[TableRow]:
-    rows, held = [], 0
+    lines: dict[int, list[Cell]] = {}
+    held = 0
     for i, values in enumerate(sheet, 1):
         cells = [_cell(value) for value in values[:MAX_COLUMNS]]
         if any(value is not None for value in values[MAX_COLUMNS:]):
             raise InputError("data", f"{source} row {i}", f"cells beyond column {MAX_COLUMNS}; keep those that matter")
         held += len(cells)
         check_values(held, source)
-        plain = not any(isinstance(cell, str) or math.isnan(cell) for cell in cells)
-        if plain or any(isinstance(cell, str) or not math.isnan(cell) for cell in cells):
-            rows.append(TableRow(i, cells, plain))
-            check_rows(len(rows) - PREAMBLE, source)
-    width = max((len(row.cells) for row in rows), default=0)
-    for row in rows:
-        if len(row.cells) < width:
-            row.cells.extend([NAN] * (width - len(row.cells)))
-            row.plain = False
-    return rows
+        check_rows(len(lines) - PREAMBLE, source)
+        if any(isinstance(cell, str) or not math.isnan(cell) for cell in cells):
+            lines[i] = cells
+    width = max(map(len, lines.values()), default=0)
+    return [row_of(i, cells + [NAN] * (width - len(cells))) for i, cells in lines.items()]
 
 
 def _cell(value: object) -> Cell:
-    if value is None:
-        return NAN
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
-    return cell_of(str(value))
-
-
-def _text(cell: Cell) -> str:
-    return cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:g}"
+    return NAN if value is None else cell_of(str(value))
 
 
 # named arrays

@@ -1,11 +1,13 @@
-"""The table among the rows of a sheet or a text: the longest run of rows alike, and the header above it."""
+"""The table among the rows of a sheet or a text: rows of one width with numbers in the same columns, and its header."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,8 +24,8 @@ MISSING = {
 }  # fmt: skip
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 NAN = float("nan")
-REPEATED_TABLE = 3
-"""So many rows like those of the table, but apart from it, are a piece of it; fewer above a line of words are not."""
+OF_PREAMBLE = 2
+"""So many rows like those of the table, above a line of words, are of a preamble; more are a piece of a table."""
 
 
 @dataclass(slots=True)
@@ -34,157 +36,133 @@ class TableRow:
     cells: list[Cell]
     plain: bool
 
+    @property
+    def numeric(self) -> bool:
+        """Whether it holds a number."""
+        return self.plain or any(_kind(cell) is False for cell in self.cells)
+
 
 @dataclass(frozen=True)
-class Span:
-    """Rows ``first`` to ``last`` (exclusive), which are alike, and whether each of their columns is text."""
+class Shape:
+    """Whether each column of a table is text (None where it is empty), and how many rows have these columns."""
 
-    first: int
-    last: int
-    texts: tuple[bool | None, ...]
-
-    @property
-    def n(self) -> int:
-        return self.last - self.first
+    texts: tuple[bool | None, ...] = ()
+    n: int = 0
 
     @property
     def numeric(self) -> int:
         """Number of columns with numbers."""
         return sum(text is False for text in self.texts)
 
+    def fits(self, row: TableRow) -> bool:
+        """Return whether a row has these columns, with a number in one of them at least."""
+        if len(row.cells) != len(self.texts):
+            return False
+        if row.plain:
+            return True not in self.texts
+        kinds = [_kind(cell) for cell in row.cells]
+        return False in kinds and all(a is None or b in (a, None) for a, b in zip(kinds, self.texts, strict=True))
+
 
 def cell_of(text: str) -> Cell:
-    """The number that a text is (1.0D-03 too, a point as its decimal mark), NaN where it says missing, or the text."""
+    """Return the number that a text is (1.0D-03 too), NaN where it says missing, or the text."""
     text = text.strip().replace("−", "-")
     if NUMBER.fullmatch(text):
         return float(text.replace("D", "e").replace("d", "e"))
     return NAN if text.lower() in MISSING else text
 
 
-def longest_run(rows: Sequence[TableRow]) -> Span:
-    """The longest run of rows of one width, with numbers in the same columns; the last of equals."""
-    best = Span(0, 0, ())
-    for span in _runs(rows):
-        if span.numeric and span.n >= best.n:
-            best = span
-    return best
-
-
-def _runs(rows: Sequence[TableRow]) -> Iterator[Span]:
-    first, kinds = 0, list[bool | None]()
-    for i, row in enumerate(rows):
-        if row.plain and i > first and len(kinds) == len(row.cells) and not any(kinds):
-            if None in kinds:
-                kinds = [False] * len(kinds)
-            continue
-        merged = _merged(kinds, row.cells) if i > first else None
-        if merged is None:
-            if i > first:
-                yield Span(first, i, tuple(kinds))
-            first, kinds = i, [_kind(cell) for cell in row.cells]
-        else:
-            kinds = merged
-    if rows:
-        yield Span(first, len(rows), tuple(kinds))
-
-
 def _kind(cell: Cell) -> bool | None:
-    """Whether a cell is text, None where it is missing."""
+    """Return whether a cell is text, None where it is missing."""
     return True if isinstance(cell, str) else None if math.isnan(cell) else False
 
 
-def _merged(kinds: list[bool | None], cells: list[Cell]) -> list[bool | None] | None:
-    """The kinds of columns with one more row; None where it does not go with them.
-
-    Rows of text alone are no part of a table of numbers, so a header with gaps does not start one.
-    """
-    if len(cells) != len(kinds):
-        return None
-    news = [_kind(cell) for cell in cells]
-    if any(old is not None and new is not None and old != new for old, new in zip(kinds, news, strict=True)):
-        return None
-    if False not in kinds and False in news and (True in kinds or True in news):
-        return None
-    return [new if old is None else old for old, new in zip(kinds, news, strict=True)]
+def row_of(line: int, cells: list[Cell]) -> TableRow:
+    """Return a row of cells that may be anything."""
+    return TableRow(line, cells, not any(isinstance(cell, str) or math.isnan(cell) for cell in cells))
 
 
-def check_whole(rows: Sequence[TableRow], span: Span, source: object) -> tuple[Span, list[str]]:
-    """Refuse a table that a bad row cuts in two; leave out lines below it and rows of numbers above it, with a note.
+def shape_of(rows: Sequence[TableRow]) -> Shape:
+    """Return the shape of most rows with numbers; a column is text where most of its cells are."""
+    numeric = [row for row in rows if row.numeric]
+    widths = Counter(len(row.cells) for row in numeric)
+    if not widths:
+        return Shape()
+    width = max(widths, key=lambda width: (widths[width], width))
+    numeric = [row for row in numeric if len(row.cells) == width]
+    plain = sum(row.plain for row in numeric)
+    kinds = [[_kind(cell) for cell in row.cells] for row in numeric if not row.plain]
+    counts = [Counter(column) for column in zip(*kinds, strict=True)]
+    texts = [n[True] > n[False] + plain if n[True] + n[False] + plain else None for n in counts]
+    shape = Shape(tuple(texts) if texts else (False,) * width)
+    return Shape(shape.texts, sum(map(shape.fits, rows)))
+
+
+def bounds(rows: Sequence[TableRow], shape: Shape, source: object) -> tuple[int, int, list[str]]:
+    """Return the first row of a table and that behind its last, and notes of rows outside that are left out.
 
     Raises:
         InputError: no table, too many rows, or a row that breaks it.
     """
-    if not span.numeric:
+    fitting = [i for i, row in enumerate(rows) if shape.fits(row)]
+    if not shape.numeric or not fitting:
         raise InputError("data", source, "no rows of numbers are found in it; a table of times and values is needed")
-    check_rows(span.n, source)
-    notes = []
-    above = [i for i in range(span.first) if _alike(rows[i], span)]
-    between = rows[above[-1] + 1 : span.first] if above else []
-    mixed = any(_kind(cell) is False for row in between for cell in row.cells)
-    if len(above) >= REPEATED_TABLE or mixed:
-        broken = next(i for i in range(above[0], span.first) if not _alike(rows[i], span))
-        raise _broken(rows[broken], span, source)
-    numbers = [(row, found) for row in rows[: span.first] if (found := _numbers_in(row))]
-    if numbers:
-        row, found = numbers[-1]
-        notes.append(f"numbers above the table are left out: row {row.line}, {', '.join(found)}")
-    below = rows[span.last :]
-    if len(below) == 1 and len(below[0].cells) < len(span.texts) and below[0].plain:
+    check_rows(len(fitting), source)
+    first, last, notes = fitting[0], fitting[-1] + 1, []
+    for i, j in pairwise(fitting[: OF_PREAMBLE + 1]):
+        if j > i + 1 and not any(row.numeric for row in rows[i + 1 : j]):
+            first = j
+    inside = fitting[fitting.index(first) :]
+    if len(inside) < last - first:
+        i = next(i for i, j in zip(range(first, last), inside, strict=False) if i != j)
+        raise _broken(rows[i], shape, source)
+    for row in reversed(rows[:first]):
+        if row.numeric and (numbers := _numbers_in(row)):
+            notes.append(f"numbers above the table are left out: row {row.line}, {', '.join(numbers)}")
+            break
+    below = rows[last:]
+    if len(below) == 1 and len(below[0].cells) < len(shape.texts) and below[0].plain:
         notes.append(f"the last row of the file is cut short and left out (row {below[0].line})")
-    elif any(_alike(row, span) or row.plain or len(row.cells) == len(span.texts) for row in below):
-        raise _broken(below[0], span, source)
+    elif any(row.plain or len(row.cells) == len(shape.texts) for row in below):
+        raise _broken(below[0], shape, source)
     elif below:
         notes.append(f"lines below the table are left out: {len(below)} from row {below[0].line}")
-    return span, notes
+    return first, last, notes
 
 
 def _numbers_in(row: TableRow) -> list[str]:
-    """The numbers of a row that holds nothing else, whatever stands between them."""
-    cells = [cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:g}" for cell in row.cells]
-    found = [text for text in re.split(r"[\s,;]+", " ".join(cells)) if text]
-    return found if all(NUMBER.fullmatch(text) for text in found) else []
+    """Return the numbers of a row that holds nothing else, whatever stands between them."""
+    texts = re.split(r"[\s,;]+", " ".join(map(shown, row.cells)).strip())
+    return texts if all(map(NUMBER.fullmatch, texts)) else []
 
 
-def _alike(row: TableRow, span: Span) -> bool:
-    if len(row.cells) != len(span.texts):
-        return False
-    kinds = [_kind(cell) for cell in row.cells]
-    fit = all(a is None or b is None or a == b for a, b in zip(kinds, span.texts, strict=True))
-    return fit and False in kinds
+def shown(cell: Cell) -> str:
+    """Return a cell as text, "" where it is missing."""
+    return cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:g}"
 
 
-def _broken(row: TableRow, span: Span, source: object) -> InputError:
-    shown = ", ".join(cell if isinstance(cell, str) else f"{cell:g}" for cell in row.cells)
-    remedy = f"{len(span.texts)} numbers are needed as in the rest of the table, found {shown[:80]}; mend or remove it"
+def _broken(row: TableRow, shape: Shape, source: object) -> InputError:
+    cells = ", ".join(cell if isinstance(cell, str) else f"{cell:g}" for cell in row.cells)[:80]
+    remedy = f"{len(shape.texts)} numbers are needed as in the rest of the table, found {cells}; mend or remove it"
     return InputError("data", f"{source} row {row.line}", remedy)
 
 
-def columns_of(rows: Sequence[TableRow], span: Span, names: Sequence[str], units: Sequence[str]) -> tuple[Column, ...]:
-    """The columns of a run of rows; columns of text stand among them with a flaw, empty ones at the end do not."""
-    body = [row.cells for row in rows[span.first : span.last]]
-    if any(span.texts):
-        numbers = [[NAN if isinstance(cell, str) else cell for cell in cells] for cells in body]
-        values = np.array(numbers, dtype=float)
-    else:
-        values = np.array(body, dtype=float)
+def make_table(
+    rows: Sequence[TableRow], shape: Shape, heading: tuple[list[str], list[str]], notes: Iterable[str]
+) -> Table:
+    """Return the table of rows under names and units; columns of text have a flaw, empty ones at the end go."""
+    names, units = ([*given, *[""] * len(shape.texts)] for given in heading)
     columns = []
-    for j, text in enumerate(span.texts):
-        name, unit = (names[j] if j < len(names) else ""), (units[j] if j < len(units) else "")
+    for j, text in enumerate(shape.texts):
+        cells = [row.cells[j] for row in rows]
         flaw = "" if text is False else "it is empty"
         if text:
-            flaw = f"not numbers: {next(cells[j] for cells in body if isinstance(cells[j], str))}"[:40]
-        columns.append(Column(name, np.ascontiguousarray(values[:, j]), unit, flaw=flaw))
-    while columns and span.texts[len(columns) - 1] is None and not columns[-1].name:
+            flaw = f"not numbers: {next((cell for cell in cells if isinstance(cell, str)), 'words')}"[:40]
+        values = np.full(len(rows), NAN) if flaw else np.array(cells, dtype=float)
+        columns.append(Column(names[j], values, units[j], flaw=flaw))
+    while columns and shape.texts[len(columns) - 1] is None and not columns[-1].name:
         columns.pop()
-    return tuple(columns)
-
-
-def make_table(
-    rows: Sequence[TableRow], span: Span, heading: tuple[list[str], list[str]], notes: Sequence[str]
-) -> Table:
-    """The table of a run of rows under its names and units."""
-    lines = np.array([row.line for row in rows[span.first : span.last]])
-    return Table(columns_of(rows, span, *heading), tuple(notes), lines)
+    return Table(tuple(columns), tuple(notes), np.array([row.line for row in rows]))
 
 
 @dataclass(frozen=True)
@@ -195,57 +173,46 @@ class Above:
     comment: bool = False
 
 
-def heading_above(above: Iterable[Above], span: Span) -> tuple[list[str], list[str]]:
-    """Names and units of a table's columns from the lines above it, nearest first; empty where there are none.
+def heading_above(above: Iterable[Above], shape: Shape) -> tuple[list[str], list[str]]:
+    """Return names and units of columns from the lines above them, nearest first; empty where there are none.
 
     The first way to split a line that fits the table's width holds. Comments and lines without a letter may stand
     between the header and the table, and a line of names above a line of units.
     """
-    found: list[list[str]] = []
+    width = len(shape.texts)
+    least = width - next((k for k, text in enumerate(reversed(shape.texts)) if text is not None), 0)
+    lines: list[list[str]] = []
     for line in above:
-        ways = [cells for split in line.splits for cells in (_stripped(split), _trimmed(split))]
-        cells = next((cells for cells in ways if _fits(cells, span)), None)
-        if cells is not None:
-            found.append(cells)
-        elif found or (not line.comment and _stops(line.splits[0], len(span.texts))):
+        header = next((cells for split in line.splits if (cells := _header(split, least, width))), None)
+        if header is not None:
+            lines.append(header)
+        elif lines or (not line.comment and _stops(line.splits[0], width)):
             break
-        if len(found) == 2:
+        if len(lines) == 2:
             break
-    if not found:
-        return [], []
-    if _is_units(found[0]) or (len(found) == 2 and _is_units_by_time(found[0], found[1])):
-        names = found[1] if len(found) == 2 and not _is_units(found[1]) else []
-        return names, [_bare(cell) for cell in found[0]]
-    return found[0], []
+    if lines and (_are_units(lines[0]) or (len(lines) == 2 and _are_units_by_time(lines[0], lines[1]))):
+        names = lines[1] if len(lines) == 2 and not _are_units(lines[1]) else []
+        return names, [_bare(cell) for cell in lines[0]]
+    return (lines[0] if lines else []), []
 
 
-def _stripped(cells: Sequence[str]) -> list[str]:
-    return [cell.strip() for cell in cells]
-
-
-def _trimmed(cells: Sequence[str]) -> list[str]:
-    trimmed = _stripped(cells)
-    while trimmed and not trimmed[-1]:
-        trimmed.pop()
-    return trimmed
-
-
-def _fits(cells: list[str], span: Span) -> bool:
-    """Whether cells are as many as the table's columns, less empty ones at its end, and none of them is a number."""
-    needed = len(span.texts)
-    while needed > 1 and len(cells) < needed and span.texts[needed - 1] is None:
-        needed -= 1
-    return len(cells) == needed and _has_letter("".join(cells)) and not any(NUMBER.fullmatch(cell) for cell in cells)
+def _header(split: Sequence[str], least: int, width: int) -> list[str]:
+    """Return a line's cells where they are as many as the table's columns and hold words, but no number; else none."""
+    cells = [cell.strip() for cell in split]
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    words = _has_letter("".join(cells)) and not any(map(NUMBER.fullmatch, cells))
+    return cells if least <= len(cells) <= width and words else []
 
 
 def _stops(cells: Sequence[str], width: int) -> bool:
-    """Whether a line that is no header ends the search for one: words and numbers do, rulings and odd rows do not."""
+    """Return whether a line that is no header ends the search: words and numbers do, rulings and odd rows do not."""
     line = "".join(cells)
     return _has_letter(line) or (any(map(str.isdigit, line)) and (len(cells) != width or width == 1))
 
 
 def _bare(cell: str) -> str:
-    """A unit without the brackets around it."""
+    """Return a unit without the brackets around it."""
     match = re.fullmatch(r"\s*[(\[](.*)[)\]]\s*", cell)
     return (match[1] if match else cell).strip()
 
@@ -254,16 +221,17 @@ def _has_letter(text: str) -> bool:
     return re.search(r"[^\W\d_]", text) is not None
 
 
-def _is_units(cells: list[str]) -> bool:
+def _are_units(cells: list[str]) -> bool:
     written = [cell for cell in cells if cell]
     bracketed = all(re.fullmatch(r"\(.*\)|\[.*\]", cell) for cell in written)
     return bracketed or (len(written) > 1 and all(unit_of(cell) for cell in written))
 
 
-def _is_units_by_time(cells: list[str], names: list[str]) -> bool:
-    """Whether a unit of time stands below a name for time."""
-    for cell, name in zip(cells, names, strict=False):
-        unit = unit_of(_bare(cell))
-        if unit and unit.measures == "time" and (WORDS.get(name.lower()) == "time" or name.lower() == "t"):
-            return True
-    return False
+def _are_units_by_time(cells: list[str], names: list[str]) -> bool:
+    """Return whether a unit of time stands below a name for time."""
+    units = [unit_of(_bare(cell)) for cell, name in zip(cells, names, strict=False) if _is_time(name.lower())]
+    return any(unit is not None and unit.measures == "time" for unit in units)
+
+
+def _is_time(name: str) -> bool:
+    return name == "t" or WORDS.get(name) == "time"

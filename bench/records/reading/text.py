@@ -6,6 +6,7 @@ import csv
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
 
@@ -13,16 +14,16 @@ import numpy as np
 
 from bench.errors import InputError
 from bench.records.reading.grid import (
-    NAN,
     Above,
     Cell,
-    Span,
+    Shape,
     TableRow,
+    bounds,
     cell_of,
-    check_whole,
     heading_above,
-    longest_run,
     make_table,
+    row_of,
+    shape_of,
 )
 from bench.records.reading.table import Table, check_rows
 
@@ -38,7 +39,6 @@ HEADER_LINES = 30
 PREAMBLE = 10_000
 LONGEST_LINE = 32_768
 """Of a text, in bytes."""
-DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?|[+-]?\d+(?:[eEdD][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 
 
@@ -50,46 +50,33 @@ class Format:
     decimal: str
 
     def fields(self, line: str) -> list[str]:
-        """The cells of a line as text; quotes keep separators inside a cell."""
+        """Return the cells of a line as text; quotes keep separators inside a cell."""
         if self.separator is None:
             return line.replace('"', " ").split()
         if '"' not in line:
             return line.split(self.separator)
         return next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
 
-    def cells(self, line: str) -> tuple[list[Cell], bool]:
-        """The cells of a line, and whether all are numbers; what is no number in this format is text."""
-        if '"' not in line and "_" not in line and self._is_simple(line):
-            texts = (line if self.decimal == "." else line.replace(",", ".")).split(self.separator)
-            try:
-                return [float(text) for text in texts], "n" not in line
-            except ValueError:
-                pass
-            try:
-                return [float(text) if text and not text.isspace() else NAN for text in texts], False
-            except ValueError:
-                pass
-        return self.parsed(self.fields(line))
+    def row(self, number: int, line: str) -> TableRow:
+        """Return the row of a line; what is no number in this format is text."""
+        if self.decimal == "," and self.separator != "," and "." not in line:
+            simple = line.replace(",", ".")
+        else:
+            simple = line if self.decimal == "." else ""
+        if simple and not any(letter in line for letter in '"_n'):  # fast, and of numbers alone
+            with suppress(ValueError):
+                return TableRow(number, [float(text) for text in simple.split(self.separator)], True)
+        return self.row_of(number, self.fields(line))
 
-    def _is_simple(self, line: str) -> bool:
-        """Whether a comma in a line is what the format says, and a point a decimal mark."""
-        return self.decimal == "." or (self.separator != "," and "." not in line)
-
-    def parsed(self, fields: Sequence[str]) -> tuple[list[Cell], bool]:
-        """Cells from their text, and whether all are numbers."""
-        cells = [self._cell(text) for text in fields]
-        return cells, not any(isinstance(cell, str) or cell != cell for cell in cells)
+    def row_of(self, number: int, fields: Sequence[str]) -> TableRow:
+        """Return the row of cells that may be anything."""
+        return row_of(number, [self._cell(text) for text in fields])
 
     def _cell(self, text: str) -> Cell:
-        if not text:
-            return NAN
         if self.decimal == ".":
             return cell_of(text)
-        plain = text.strip().replace("−", "-")
-        if DECIMAL_COMMA.fullmatch(plain):
-            return cell_of(plain.replace(",", "."))
-        cell = cell_of(text)
-        return cell if isinstance(cell, str) or cell != cell else text  # a point is no decimal mark here
+        cell = cell_of(text.replace(",", "."))  # a point is no decimal mark here
+        return text if isinstance(cell, str) or ("." in text and cell == cell) else cell
 
 
 BLANKS = Format(None, ".")
@@ -115,19 +102,19 @@ def read_text(data: bytes, source: object) -> Table:
         raise InputError("data", source, "the file is empty; a table of times and values is needed")
     check_rows(len(body) - PREAMBLE, source)
     chosen = _format(body)
-    rows = _rows(body, chosen)
-    span = longest_run(rows)
-    if chosen.separator is None and span.n < len(rows):
-        rows, span = _fixed_width(body, chosen, rows, span)
-    span, notes = check_whole(rows, span, source)
-    above = list(islice(_above(numbered, rows[span.first].line, chosen), HEADER_LINES))
-    sample = [lines[row.line - 1] for row in rows[span.first : min(span.last, span.first + SAMPLED)]]
+    rows = [chosen.row(*line) for line in body]
+    shape = shape_of(rows)
+    if chosen.separator is None and shape.n < len(rows):
+        rows, shape = _fixed_width(body, chosen, rows, shape)
+    first, last, notes = bounds(rows, shape, source)
+    above = list(islice(_above(numbered, rows[first].line, chosen), HEADER_LINES))
+    sample = [lines[row.line - 1] for row in rows[first : min(last, first + SAMPLED)]]
     if chosen.decimal == ",":
         _check_thousands(sample, chosen, source)
         notes.append("commas are read as decimal marks")
     elif chosen.separator == ",":
-        _check_commas(sample, span, above[0] if above else None, source)
-    return make_table(rows, span, heading_above(above, span), notes)
+        _check_commas(sample, len(shape.texts), above[0] if above else None, source)
+    return make_table(rows[first:last], shape, heading_above(above, shape), notes)
 
 
 def _without_marks_of_rows(text: str) -> str:
@@ -169,12 +156,8 @@ def decode(data: bytes, source: object) -> str:
     raise InputError("data", source, f"it is a binary file of no known kind; {kinds} is read")
 
 
-def _rows(body: Sequence[tuple[int, str]], form: Format) -> list[TableRow]:
-    return [TableRow(i, *form.cells(line)) for i, line in body]
-
-
 def _format(body: Sequence[tuple[int, str]]) -> Format:
-    """The separator and decimal mark under which most rows are alike, of those with the least text in them.
+    """Return the separator and decimal mark under which most rows are alike, of those with the least text in them.
 
     A single column with decimal commas is not among them: its commas may as well separate two.
     """
@@ -182,39 +165,34 @@ def _format(body: Sequence[tuple[int, str]]) -> Format:
     if len(body) > SAMPLED:
         starts = [len(body) * k // 4 for k in (1, 2, 3)]
         sample = [line for start in starts for line in body[start : start + BLOCK]]
-    spans = {form: longest_run(_rows(sample, form)) for form in FORMATS}
-    possible = {form: span for form, span in spans.items() if form.decimal == "." or len(span.texts) > 1}
-    most = max(span.n for span in possible.values())
-    good = [form for form, span in possible.items() if span.numeric and span.n >= 0.9 * most]
-    if not good:
-        return FORMATS[0]
-    best = min(good, key=lambda form: (sum(map(bool, spans[form].texts)), -spans[form].numeric))
-    return best if len(spans[best].texts) > 1 else BLANKS
+    shapes = {form: shape_of([form.row(*line) for line in sample]) for form in FORMATS}
+    possible = {form: shape for form, shape in shapes.items() if form.decimal == "." or len(shape.texts) > 1}
+    most = max(shape.n for shape in possible.values())
+    good = [form for form, shape in possible.items() if shape.numeric and shape.n >= 0.9 * most]
+    best = min(good, key=lambda form: (sum(map(bool, shapes[form].texts)), -shapes[form].numeric), default=BLANKS)
+    return best if len(shapes[best].texts) > 1 else BLANKS
 
 
 def _fixed_width(
-    body: Sequence[tuple[int, str]], form: Format, rows: list[TableRow], span: Span
-) -> tuple[list[TableRow], Span]:
-    """Rows cut where no line has a character, where that makes more rows alike: blanks may be missing values."""
-    lines = [line for (_, line), row in zip(body, rows, strict=True) if _is_numeric(row)]
+    body: Sequence[tuple[int, str]], form: Format, rows: list[TableRow], shape: Shape
+) -> tuple[list[TableRow], Shape]:
+    """Return rows cut where no line has a character, where that makes more of them alike: blanks may be missing."""
+    numbers = [not any(isinstance(cell, str) for cell in row.cells) for row in rows]
+    lines = [line for (_, line), number in zip(body, numbers, strict=True) if number]
     used = bytearray(max(map(len, lines), default=0))
     for line in lines:
         for match in re.finditer(r"\S+", line):
             used[match.start() : match.end()] = b"x" * (match.end() - match.start())
     cuts = [match.span() for match in re.finditer(rb"x+", used)]
-    widest = max((len(row.cells) for row in rows if _is_numeric(row)), default=0)
+    widest = max((len(row.cells) for row, number in zip(rows, numbers, strict=True) if number), default=0)
     if len(cuts) != widest or any("\t" in line for line in lines):
-        return rows, span
+        return rows, shape
     cut = [
-        TableRow(i, *form.parsed([line[a:b] for a, b in cuts])) if _is_numeric(row) else row
-        for (i, line), row in zip(body, rows, strict=True)
+        form.row_of(i, [line[a:b] for a, b in cuts]) if number else row
+        for (i, line), row, number in zip(body, rows, numbers, strict=True)
     ]
-    longer = longest_run(cut)
-    return (cut, longer) if longer.n > span.n else (rows, span)
-
-
-def _is_numeric(row: TableRow) -> bool:
-    return not any(isinstance(cell, str) for cell in row.cells)
+    longer = shape_of(cut)
+    return (cut, longer) if longer.n > shape.n else (rows, shape)
 
 
 def _above(numbered: Sequence[tuple[int, str]], first: int, form: Format) -> Iterator[Above]:
@@ -244,15 +222,15 @@ def _check_thousands(sample: Sequence[str], form: Format, source: object) -> Non
         raise InputError("data", source, f"{found[0]} may mean thousands or decimals; write it as 1.234 or as 1234")
 
 
-def _check_commas(sample: Sequence[str], span: Span, above: Above | None, source: object) -> None:
+def _check_commas(sample: Sequence[str], width: int, above: Above | None, source: object) -> None:
     """Refuse ``0,5`` where it may be one number as well as two: whole numbers in pairs, and no header that fits."""
     cells = [[text.strip() for text in line.split(",")] for line in sample]
     pairs = [pair for row in cells for pair in zip(row[::2], row[1::2], strict=False)]
-    if len(span.texts) % 2 or not all(re.fullmatch(r"[+-]?\d+", a) and re.fullmatch(r"\d+", b) for a, b in pairs):
+    if width % 2 or not all(re.fullmatch(r"[+-]?\d+", a) and re.fullmatch(r"\d+", b) for a, b in pairs):
         return
     names = len([cell for cell in above.splits[0] if cell.strip()]) if above else 0
     firsts = [int(a) for a, _ in pairs]
     counts = all(a < b for a, b in pairwise(firsts))
-    if names == len(span.texts) // 2 or (not names and len(span.texts) == 2 and not counts):
-        remedy = f"{sample[0].strip()} may be {len(span.texts)} numbers or half as many with decimal commas"
+    if names == width // 2 or (not names and width == 2 and not counts):
+        remedy = f"{sample[0].strip()} may be {width} numbers or half as many with decimal commas"
         raise InputError("data", source, f"{remedy}; write decimal points, or a header with a name for each column")
