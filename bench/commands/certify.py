@@ -11,6 +11,8 @@ from typing import Annotated, Any
 from bench.commands.declaration import Others, Within, command_line
 from bench.config.fields import RECORD as OF_RECORD
 from bench.errors import InputError
+from bench.isolation.processes import start_server
+from bench.records.workers import PRELOADED
 
 RECORD = (
     *(name for name in OF_RECORD if name not in ("plot", "picture")),
@@ -34,6 +36,7 @@ def certify(
     """
     again = command_line(certify, locals())
     request = _request(data, system, method, record)
+    start_server(PRELOADED)  # it imports while this process does
     try:
         import jinja2  # noqa: F401 - before the work, where the page could not be made after it
         import matplotlib  # noqa: F401

@@ -95,16 +95,24 @@ def _errors(
 def _sandwich(
     white: np.ndarray, slopes: np.ndarray, model: OutputError, sigma: np.ndarray, covariances: Sequence[np.ndarray]
 ) -> np.ndarray:
-    from scipy.linalg import matmul_toeplitz
-
     middle = np.zeros_like(white)
     if model.prior is not None:
         k = len(model.free)
         middle[:k, :k] = np.diag(model.prior.log_sds**-2.0)
     for i, covariance in enumerate(covariances):
         own = slopes[model.channel_of == i]
-        middle += own.T @ matmul_toeplitz(covariance, own) / sigma[i] ** 4
+        middle += own.T @ _correlated(covariance, own) / sigma[i] ** 4
     return np.asarray(white @ middle @ white)
+
+
+def _correlated(covariance: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Multiply slopes (n, size) by the Toeplitz matrix of a covariance (n,), as a part of a circulant one."""
+    n = covariance.size
+    length = 1 << (2 * n - 1).bit_length()
+    circle = np.zeros(length)
+    circle[:n], circle[length - n + 1 :] = covariance, covariance[:0:-1]
+    product = np.fft.rfft(circle)[:, None] * np.fft.rfft(slopes, length, axis=0)
+    return np.asarray(np.fft.irfft(product, length, axis=0)[:n])
 
 
 def _changed(problem: Problem, change: Callable[[Record], Record]) -> Problem:
