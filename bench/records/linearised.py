@@ -28,8 +28,10 @@ from bench.scoring.score import point_parameters
 from bench.systems import Quantity
 
 ROWS = 512
-LEAST = 1e-12
-"""In natural units, what stands for a parameter of zero, whose logarithm is not finite."""
+LEAST = 1e-6
+"""In natural units, what stands for a parameter of zero: next to no effect, and central differences still show it."""
+ROUNDING = 1e-7
+"""Residuals over the motion, root mean squares, below which they are rounding and have no colour."""
 BEYOND = 2.0
 """The periodogram smoothed over seven frequencies over the autoregression's spectrum beyond which it alone counts: of
 the same noise it is there in 2 % of cases (chi-square with 14 degrees of freedom). Else their mean does: the larger of
@@ -92,8 +94,8 @@ class Linearised:
     @cached_property
     def coloured(self) -> np.ndarray | None:
         """Covariance of theta (size, size) with the noise as its residuals are; None where a direction is open."""
-        if self.white is None:
-            return None
+        if self.white is None or np.all(self.sigma <= ROUNDING * self.model.rms):
+            return self.white
         middle = self._prior_rows.T @ self._prior_rows
         for i, own in enumerate(self.channels):
             middle = middle + self._middle(i, own) / self.sigma[i] ** 4
