@@ -43,7 +43,7 @@ class TableRow:
 
 
 @dataclass(frozen=True)
-class Shape:
+class RowShape:
     """Whether each column of a table is text (None where it is empty), and how many rows have these columns."""
 
     texts: tuple[bool | None, ...] = ()
@@ -82,23 +82,23 @@ def row_of(line: int, cells: list[Cell]) -> TableRow:
     return TableRow(line, cells, not any(isinstance(cell, str) or math.isnan(cell) for cell in cells))
 
 
-def shape_of(rows: Sequence[TableRow]) -> Shape:
+def shape_of(rows: Sequence[TableRow]) -> RowShape:
     """Return the shape of most rows with numbers; a column is text where most of its cells are."""
     numeric = [row for row in rows if row.numeric]
     widths = Counter(len(row.cells) for row in numeric)
     if not widths:
-        return Shape()
+        return RowShape()
     width = max(widths, key=lambda width: (widths[width], width))
     numeric = [row for row in numeric if len(row.cells) == width]
     plain = sum(row.plain for row in numeric)
     kinds = [[_kind(cell) for cell in row.cells] for row in numeric if not row.plain]
     counts = [Counter(column) for column in zip(*kinds, strict=True)]
     texts = [n[True] > n[False] + plain if n[True] + n[False] + plain else None for n in counts]
-    shape = Shape(tuple(texts) if texts else (False,) * width)
-    return Shape(shape.texts, sum(map(shape.fits, rows)))
+    shape = RowShape(tuple(texts) if texts else (False,) * width)
+    return RowShape(shape.texts, sum(map(shape.fits, rows)))
 
 
-def bounds(rows: Sequence[TableRow], shape: Shape, source: object) -> tuple[int, int, list[str]]:
+def bounds(rows: Sequence[TableRow], shape: RowShape, source: object) -> tuple[int, int, list[str]]:
     """Return the first row of a table and that behind its last, and notes of rows outside that are left out.
 
     Raises:
@@ -141,14 +141,14 @@ def shown(cell: Cell) -> str:
     return cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:g}"
 
 
-def _broken(row: TableRow, shape: Shape, source: object) -> InputError:
+def _broken(row: TableRow, shape: RowShape, source: object) -> InputError:
     cells = ", ".join(cell if isinstance(cell, str) else f"{cell:g}" for cell in row.cells)[:80]
     remedy = f"{len(shape.texts)} numbers are needed as in the rest of the table, found {cells}; mend or remove it"
     return InputError("data", f"{source} row {row.line}", remedy)
 
 
 def make_table(
-    rows: Sequence[TableRow], shape: Shape, heading: tuple[list[str], list[str]], notes: Iterable[str]
+    rows: Sequence[TableRow], shape: RowShape, heading: tuple[list[str], list[str]], notes: Iterable[str]
 ) -> Table:
     """Return the table of rows under names and units; columns of text have a flaw, empty ones at the end go."""
     names, units = ([*given, *[""] * len(shape.texts)] for given in heading)
@@ -173,7 +173,7 @@ class Above:
     comment: bool = False
 
 
-def heading_above(above: Iterable[Above], shape: Shape) -> tuple[list[str], list[str]]:
+def heading_above(above: Iterable[Above], shape: RowShape) -> tuple[list[str], list[str]]:
     """Return names and units of columns from the lines above them, nearest first; empty where there are none.
 
     The first way to split a line that fits the table's width holds. Comments and lines without a letter may stand

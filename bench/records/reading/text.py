@@ -16,7 +16,7 @@ from bench.errors import InputError
 from bench.records.reading.grid import (
     Above,
     Cell,
-    Shape,
+    RowShape,
     TableRow,
     bounds,
     cell_of,
@@ -174,8 +174,8 @@ def _format(body: Sequence[tuple[int, str]]) -> Format:
 
 
 def _fixed_width(
-    body: Sequence[tuple[int, str]], form: Format, rows: list[TableRow], shape: Shape
-) -> tuple[list[TableRow], Shape]:
+    body: Sequence[tuple[int, str]], form: Format, rows: list[TableRow], shape: RowShape
+) -> tuple[list[TableRow], RowShape]:
     """Return rows cut where no line has a character, where that makes more of them alike: blanks may be missing."""
     numbers = [not any(isinstance(cell, str) for cell in row.cells) for row in rows]
     lines = [line for (_, line), number in zip(body, numbers, strict=True) if number]

@@ -143,34 +143,13 @@ def _spacing(stamps: np.ndarray) -> float:
 def _grid(stamps: np.ndarray, slack: float) -> TimeGrid:
     """Return the even sampling nearest to stamps; a step may seem longer by ``slack`` than it is."""
     steps = np.diff(stamps)
-    if slack:
-        step = float(np.mean(steps[steps <= 2.5 * slack]))
-    else:
-        step = float(np.median(steps))
-        step = float(np.mean(steps[steps <= GAP * step]))
-    grid = TimeGrid(float(stamps[0]), step, np.zeros(stamps.size))
+    step = float(np.mean(steps[steps <= (2.5 * slack or GAP * np.median(steps))]))
+    numbers, half = np.arange(stamps.size), stamps.size // 2
     for _ in range(3):
-        missing = np.where(steps > GAP * grid.step + slack, np.round(steps / grid.step) - 1, 0)
+        missing = np.where(steps > GAP * step + slack, np.round(steps / step) - 1, 0)
         numbers = np.arange(stamps.size) + np.concatenate([[0.0], np.cumsum(missing)])
-        grid = _line(stamps, numbers)
-    return grid
-
-
-def _line(stamps: np.ndarray, numbers: np.ndarray) -> TimeGrid:
-    """Return a straight line of stamp over sample number, by least squares, again without the stamps far from it."""
-    kept = np.ones(stamps.size, dtype=bool)
-    start = step = 0.0
-    for _ in range(3):
-        centre, origin = float(np.mean(numbers[kept])), float(np.mean(stamps[kept]))
-        x = numbers[kept] - centre
-        step = float(x @ (stamps[kept] - origin) / (x @ x))
-        start = origin - step * centre
-        away = np.abs(stamps - start - step * numbers)
-        near = away <= 4 * np.median(away) + 1e-9 * step
-        if np.sum(near) < max(3, stamps.size // 2):
-            break
-        kept = near
-    return TimeGrid(start, step, numbers)
+        step = float(np.median((stamps[half:] - stamps[:-half]) / (numbers[half:] - numbers[:-half])))
+    return TimeGrid(float(np.median(stamps - step * numbers)), step, numbers)
 
 
 def _bounded(stamps: np.ndarray, grid: TimeGrid, room: np.ndarray) -> tuple[TimeGrid, float]:
