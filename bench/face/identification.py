@@ -73,7 +73,6 @@ class Identification:
     notes: tuple[str, ...]
     estimates: Mapping[str, StatedInterval]
     withdrawn: Mapping[str, StatedInterval]
-    by_part: Mapping[str, tuple[float, ...]]
     modes: tuple[Mode, ...]
     residuals: ChannelResiduals | None
     scale_is_free: bool
@@ -104,7 +103,6 @@ class Identification:
             "notes": list(self.notes),
             "estimates": {name: vars(found) for name, found in self.estimates.items()},
             "withdrawn": {name: vars(found) for name, found in self.withdrawn.items()},
-            "by_part": {name: list(values) for name, values in self.by_part.items()},
             "modes": [vars(mode) for mode in self.modes],
             "runs": {
                 name: {**vars(run), "estimates": {q: vars(own) for q, own in run.estimates.items()}}
@@ -253,7 +251,6 @@ def identified(finding: Finding) -> Identification:
         notes=finding.measured.notes,
         estimates=finding.intervals,
         withdrawn=finding.withdrawn,
-        by_part=finding.by_part,
         modes=finding.modes,
         residuals=_residuals(finding),
         scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -51,7 +50,6 @@ class Finding:
     withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
     at: Linearised | None = None
-    by_part: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     modes: tuple[Mode, ...] = ()
     runs: tuple[Run, ...] = ()
 
@@ -93,8 +91,7 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
         intervals = _beside_white(stated_intervals(estimate, noise, parts, rate_error), white)
         intervals = _with_mass(intervals, estimate, measured)
     diagnosis = diagnose(at, measured.problem, intervals, missing, outcome.message)
-    values = _by_part(parts, measured)
-    finding = Finding(method, measured, outcome, intervals, {}, diagnosis.reasons, at, values, modes=diagnosis.modes)
+    finding = Finding(method, measured, outcome, intervals, {}, diagnosis.reasons, at, diagnosis.modes)
     if finding.trust is Trust.NO:
         return replace(finding, intervals={}, withdrawn=intervals)
     return finding
@@ -109,20 +106,6 @@ def _fewer_samples(measured: Measured, outcome: Outcome) -> str:
 def _frequency(at: Linearised) -> float:
     channel = at.model.channels[0][1]
     return natural_frequency(at) or strongest_frequency(channel.times, channel.values)
-
-
-def _by_part(parts: list[Linearised], measured: Measured) -> dict[str, tuple[float, ...]]:
-    """Values by part or repeat, in the user's units."""
-    system, units = measured.problem.system, measured.problem.natural_units()
-    found = {}
-    for quantity in system.quantities:
-        gradients = [part.gradient(quantity)[: len(part.model.free)] for part in parts]
-        if parts and np.any(gradients[0]) and set(quantity.exponents) - {system.gauge} <= set(parts[0].model.free):
-            gauge = quantity.exponents.get(system.gauge, 0.0) if system.gauge not in parts[0].model.free else 0.0
-            scale = units.of(system.dimension(quantity)) * quantity.coefficient * parts[0].model.gauge ** gauge
-            logs = [float(g @ part.theta[: g.size]) for g, part in zip(gradients, parts, strict=True)]
-            found[quantity.name] = tuple(scale * math.exp(log) for log in logs)
-    return found
 
 
 def _whitened(at: Linearised) -> Linearised | None:

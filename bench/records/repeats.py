@@ -61,7 +61,6 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
     spreads = {name: spread for q in system.quantities if (spread := _spread(kept, q, system)) for name in (q.name,)}
     shown = _representative(kept, spreads)
     intervals = {name: spreads[name].interval if name in spreads else own for name, own in shown.intervals.items()}
-    by_run = {name: tuple(own.value for own in _determining(kept, name).values()) for name in spreads}
     said = f"{len(runs)} runs, each answered alone; {_differences(spreads) or f'{len(kept)} of them stands'}"
     reasons = (*_reasons(runs, spreads), *(Reason(r.verdict, f"{_name_of(shown)}: {r.text}") for r in shown.reasons))
     stands = all(reason.verdict is not Trust.NO for reason in reasons)
@@ -71,7 +70,6 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
         intervals=intervals if stands else {},
         withdrawn={} if stands else intervals,
         reasons=reasons,
-        by_part=by_run,
         runs=tuple(runs),
     )
 
