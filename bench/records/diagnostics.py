@@ -24,6 +24,8 @@ FALSE_ALARM = 1e-3
 MOST_LEFT, MUCH_LEFT = 0.30, 0.10
 """Residuals over the signal, root mean squares: coloured ones beyond the first are a wrong model and the answer is
 refused (a tenth of the power is unexplained); beyond the second they are a reason for caution."""
+NOISE_FREE = 1e-5
+"""Residuals over the signal below which they are rounding of the file, whose colour says nothing."""
 STRETCHED = 1.5
 """Widening of an interval that is said: less lies within what different estimates of the noise make of it."""
 UNEVEN = 2.0
@@ -45,6 +47,8 @@ SECOND_MODE = 0.05
 """Root mean square of a line in the residuals over the fitted motion that is said: below it the values move little."""
 SAME_LINE = 0.15
 """Distance of a line from the natural frequency, relative, within which it is what the decay law leaves out."""
+HARMONIC = 0.005
+"""Distance of a ratio of two frequencies from a whole number, relative, within which the second is a harmonic."""
 SLOW = 0.5
 """Frequency of a line over the natural one below which it is a drift."""
 AMBIGUOUS, FEW_SAMPLES = 3.0, 8.0
@@ -100,13 +104,15 @@ def diagnose(
     if sine := steady_sine(problem, part_of_signal(at)):
         reasons.insert(0, Reason(Trust.NO, sine))
     if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
-        reasons += _few(at) + _of_intervals(intervals, missing)
+        reasons += _few(at)
+        reasons += [] if part_of_signal(at) < NOISE_FREE else _of_residuals(intervals, missing)
+        reasons += _of_intervals(intervals)
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
     return Diagnosis(tuple(dict.fromkeys(reasons)), several.modes)
 
 
-def _of_intervals(intervals: Mapping[str, StatedInterval], missing: Sequence[str]) -> list[Reason]:
+def _of_residuals(intervals: Mapping[str, StatedInterval], missing: Sequence[str]) -> list[Reason]:
     texts = []
     if missing:
         what = " and ".join(missing)
@@ -114,6 +120,11 @@ def _of_intervals(intervals: Mapping[str, StatedInterval], missing: Sequence[str
     colour = max((interval.colour for interval in intervals.values()), default=1.0)
     if colour > STRETCHED:
         texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
+    return [Reason(Trust.CAUTION, text) for text in texts]
+
+
+def _of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason]:
+    texts = []
     uneven, most = max(intervals.items(), key=lambda item: item[1].unevenness, default=("", None))
     if most is not None and most.unevenness > UNEVEN and not most.limit:
         said = f"{_readable(uneven)} may differ by {100 * most.relative_error:.2g} %"
@@ -208,10 +219,15 @@ def _several_modes(at: Linearised, problem: Problem) -> Diagnosis:
     unexplained = _line(at)
     frequency = (natural_frequency(at) or 0.0) / problem.natural_units().time
     rate = (channel.n - 1) / float(np.ptp(channel.times))
-    if any("mode" in reason.text for reason in unexplained.reasons):
+    if any(reason.text.endswith("a second mode") for reason in unexplained.reasons):
         modes = modes_of(channel.times, channel.values)
         if len(modes) < 2:
             return unexplained
+        first, second = modes[:2]
+        ratio = max(first.frequency / second.frequency, second.frequency / first.frequency)
+        if abs(ratio / round(ratio) - 1.0) < HARMONIC:
+            said = f"{second.share:.0%} of the signal is a harmonic at {ratio:.3g} times the natural frequency"
+            return Diagnosis((Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear"),))
         names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
         reason = unexplained.reasons[0]
         return Diagnosis((replace(reason, text=f"the record holds modes at {names}; {reason.text}"),), modes)
@@ -242,7 +258,7 @@ def _line(at: Linearised) -> Diagnosis:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
             worst = Trust.NO if share > MOST_LEFT else Trust.CAUTION
             slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
-            source = "a second mode, or a harmonic" if harmonic > SLOW else slow
+            source = "a second mode" if harmonic > SLOW else slow
             return Diagnosis((Reason(worst, f"{said}: {source}"),))
     return Diagnosis()
 
