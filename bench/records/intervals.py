@@ -26,12 +26,10 @@ from typing import Literal
 
 import numpy as np
 
-from bench.contract.belief import Marginal, standard_quantile
+from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
-from bench.likelihood.output_error import OutputError
 from bench.records.linearised import CORRELATED_CYCLES, Linearised
 from bench.records.strongest import strongest_frequency
-from bench.systems import Quantity
 
 UPPER = 0.975
 HALF = float(standard_quantile(UPPER, None))
@@ -101,28 +99,52 @@ def _ratio(width: float, reference: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """Covariances (k, k) of the logs of the free parameters: of this ``record``, and added by ``repeats``.
+    """Variances of the logs of the free parameters' ratios to the gauge mass, in which repeats differ independently.
 
-    ``parts``: between parts or repeats; ``expected``: that before the data.
+    ``to`` (k, k): from the logs of the parameters to those of the ratios. ``record`` (k, k): covariance of this record.
+    ``repeats`` (k,): variances that repeats add. ``unevenness`` (k,): standard deviations between parts, over the ones
+    expected before the data. ``infinite`` (k,): whether a ratio may be infinite, as a mass that only the force
+    determines; the others may vanish.
     """
 
-    fit: Linearised
+    to: np.ndarray
     record: np.ndarray
     repeats: np.ndarray
+    unevenness: np.ndarray
+    infinite: np.ndarray
     record_dof: float
     repeats_dof: float
-    parts: np.ndarray
-    expected: np.ndarray
 
-    def half_widths(self, gradient: np.ndarray) -> tuple[float, float]:
-        """Compute half-widths of the logarithm with such a gradient (k,): of this record, of a repeat."""
-        noise, spread = (max(float(gradient @ c @ gradient), 0.0) for c in (self.record, self.repeats))
+    def stated(self, own: StatedInterval, gradient: np.ndarray) -> StatedInterval:
+        """Return a method's interval with those of the record and of a repeat; ``gradient`` (k,): of its logarithm."""
+        powers = np.linalg.solve(self.to.T, gradient)
+        noise, spread = max(float(powers @ self.record @ powers), 1e-300), float(powers**2 @ self.repeats)
         total = noise + spread
-        dof = total**2 / (noise**2 / self.record_dof + spread**2 / self.repeats_dof) if total > 0 else 1.0
-        return (
-            float(standard_quantile(UPPER, self.record_dof)) * math.sqrt(noise),
-            float(standard_quantile(UPPER, dof)) * math.sqrt(total),
-        )
+        dof = total**2 / (noise**2 / self.record_dof + spread**2 / self.repeats_dof)
+        repeat = float(standard_quantile(UPPER, dof)) * math.sqrt(total)
+        record = float(standard_quantile(UPPER, self.record_dof)) * math.sqrt(noise)
+        own = replace(own, unevenness=float(np.max(self.unevenness[powers != 0])))
+        if repeat <= WIDEST:
+            low, high, record_low, record_high = (
+                own.value * math.exp(half) for half in (-repeat, repeat, -record, record)
+            )
+            return replace(own, low=low, high=high, record_low=record_low, record_high=record_high)
+        leading = int(np.argmax(powers**2 * (np.diag(self.record) + self.repeats)))
+        return limited(own, math.sqrt(total), -powers[leading] if self.infinite[leading] else powers[leading])
+
+
+def limited(own: StatedInterval, error: float, power: float) -> StatedInterval:
+    """State the end that the data determine of a quantity whose logarithm has a large standard ``error``.
+
+    The parameter that is open, of which the quantity is a ``power``, may vanish, and is determined to so much on its
+    own scale, not on that of its logarithm; of one that may be infinite, the reciprocal is (a negative ``power``).
+    """
+    factor = float((1.0 + float(standard_quantile(0.95, None)) * error / abs(power)) ** abs(power))
+    if power > 0:
+        high = own.value * factor
+        return replace(own, low=0.0, high=high, record_low=0.0, record_high=high, limit="at most")
+    low = own.value / factor
+    return replace(own, low=low, high=math.inf, record_low=low, record_high=math.inf, limit="at least")
 
 
 def stated_intervals(
@@ -132,7 +154,7 @@ def stated_intervals(
 
     Args:
         estimate: The answer, in the user's units, combined with the prior.
-        fit: The likelihood there; without one the method's own intervals are stated.
+        fit: The likelihood there; without one, or where it leaves a direction open, the method's interval is stated.
         parts: Fits of the parts of the record, or of each of several records; maybe none.
         rate_error: Relative standard uncertainty of the clock.
     """
@@ -140,110 +162,48 @@ def stated_intervals(
     intervals = {}
     for quantity in estimate.system.quantities:
         marginal = estimate.marginal(quantity)
-        if marginal is not None:
-            intervals[quantity.name] = _stated(quantity, marginal, covariances, estimate.system.gauge)
+        if marginal is None:
+            continue
+        ends = marginal.interval(0.95)
+        own = StatedInterval(float(marginal.value), *ends, *ends, *ends, quantity.unit)
+        gradient = np.array(quantity.vector(fit.model.free)) if fit is not None else np.zeros(1)
+        if covariances is not None and marginal.ppf is not None and np.any(gradient) and own.value > 0:
+            own = covariances.stated(own, gradient)
+        elif own.value == 0:
+            own = replace(own, limit="at most")
+        elif 0 < own.low < own.high < math.inf and math.log(own.high / own.low) > 2.0 * WIDEST:
+            # where the scale is open all parameters may be infinite together; what is over the mass may vanish
+            power = -1.0 if quantity.exponents.get(estimate.system.gauge, 1.0) > 0 else 1.0
+            own = limited(own, math.log(own.high / own.low) / 2.0 / HALF, power)
+        intervals[quantity.name] = own
     return intervals
-
-
-def _stated(quantity: Quantity, marginal: Marginal, covariances: Covariances | None, gauge: str) -> StatedInterval:
-    low, high = marginal.interval(0.95)
-    value = float(marginal.value)
-    of_method = StatedInterval(value, low, high, low, high, low, high, quantity.unit)
-    if covariances is None or marginal.ppf is None:
-        return _limited_alone(quantity, of_method, gauge)
-    free = covariances.fit.model.free
-    gradient = np.array(quantity.vector(free))
-    if not np.any(gradient) or not value >= 0:
-        return of_method
-    record, repeat = covariances.half_widths(gradient)
-    uneven = math.sqrt(
-        float(gradient @ covariances.parts @ gradient) / float(gradient @ covariances.expected @ gradient)
-    )
-    of_method = replace(of_method, unevenness=uneven)
-    if value == 0 or not repeat <= WIDEST:
-        return _limited(quantity, of_method, covariances, gradient)
-    around, around_record = ((value * math.exp(-half), value * math.exp(half)) for half in (repeat, record))
-    return StatedInterval(value, *around, *around_record, low, high, quantity.unit, unevenness=uneven)
-
-
-def _limited(
-    quantity: Quantity, of_method: StatedInterval, covariances: Covariances, gradient: np.ndarray
-) -> StatedInterval:
-    """State the end that the data determine of a quantity whose interval says nothing.
-
-    The parameter that is open may vanish, and then its size is determined to so much on its own scale, not on that of
-    its logarithm; a mass that only the force determines may be infinite, and then its reciprocal is.
-    """
-    noise = covariances.record + covariances.repeats
-    to = ratios_to_gauge(covariances.fit.model)
-    powers = np.linalg.solve(to.T, gradient)
-    open_one = int(np.argmax(powers**2 * np.diag(to @ noise @ to.T)))
-    parameter = covariances.fit.model.free[open_one]
-    power = float(powers[open_one]) * (-1.0 if parameter == covariances.fit.model.system.gauge else 1.0)
-    error = math.sqrt(max(float(gradient @ noise @ gradient), 0.0)) / abs(power)
-    factor = (1.0 + float(standard_quantile(0.95, covariances.record_dof)) * error) ** abs(power)
-    if power > 0:
-        high = of_method.value * factor
-        return replace(of_method, low=0.0, high=high, record_low=0.0, record_high=high, limit="at most")
-    low = of_method.value / factor
-    return replace(of_method, low=low, high=math.inf, record_low=low, record_high=math.inf, limit="at least")
-
-
-def _limited_alone(quantity: Quantity, of_method: StatedInterval, gauge: str) -> StatedInterval:
-    """State a limit by the method's own interval, where no covariance of the residuals' colour is known.
-
-    Where the scale is open all parameters may be infinite together; what is over the mass may vanish.
-    """
-    low, high = of_method.low, of_method.high
-    if not 0 < low < math.inf or math.log(high / low) <= 2.0 * WIDEST:
-        return of_method
-    if quantity.exponents.get(gauge, 1.0) > 0:
-        return replace(of_method, high=math.inf, record_high=math.inf, limit="at least")
-    return replace(of_method, low=0.0, record_low=0.0, limit="at most")
-
-
-# ------------------------------------------------------------------------------------------------ covariances
-
-
-def ratios_to_gauge(model: OutputError) -> np.ndarray:
-    """Return the matrix (k, k) from the logs of the free parameters to those of their ratios to the gauge mass.
-
-    Repeats differ independently in these: a gain of the force sensor changes m alone.
-    """
-    system, free = model.system, model.free
-    to = np.eye(len(free))
-    if system.gauge in free:
-        for i, name in enumerate(free):
-            if name != system.gauge and system.dimensions[name].mass:
-                to[i, free.index(system.gauge)] = -system.dimensions[name].mass
-    return to
 
 
 def covariances_of(
     estimate: Estimate, fit: Linearised, parts: Sequence[Linearised] = (), rate_error: float = 0.0
 ) -> Covariances | None:
-    """Return the covariances of an answer, see :func:`stated_intervals`; None where a direction is open."""
+    """Return the variances of an answer, see :func:`stated_intervals`; None where a direction is open."""
     if fit.white is None or fit.coloured is None:
         return None
-    k, to = len(fit.model.free), ratios_to_gauge(fit.model)
-    back = np.linalg.inv(to)
-    white, coloured = (to @ covariance[:k, :k] @ to.T for covariance in (fit.white, fit.coloured))
-    least = np.diag(white)
-    over = _over_least_error(estimate, fit, np.sqrt(least))
-    scale = np.sqrt(np.maximum(least / np.diag(coloured), 1.0)) * over
-    clock = np.array([fit.model.system.dimensions[name].time for name in fit.model.free]) * rate_error
-    spread, record = _spread(fit, parts, to), coloured * np.outer(scale, scale)
+    system, free = fit.model.system, fit.model.free
+    to = np.eye(len(free))
+    if system.gauge in free:
+        to[:, free.index(system.gauge)] -= [
+            system.dimensions[name].mass if name != system.gauge else 0.0 for name in free
+        ]
+    white, coloured = (to @ c[: len(free), : len(free)] @ to.T for c in (fit.white, fit.coloured))
+    least = np.sqrt(np.diag(white))
+    over = _over_least_error(estimate, fit, least)
+    scale = np.maximum(least / np.sqrt(np.diag(coloured)), 1.0) * over
+    clock = to @ [system.dimensions[name].time for name in free] * rate_error
+    record = coloured * np.outer(scale, scale) + np.outer(clock, clock)
+    spread = spread_of(fit, parts, to)
     # the differences between parts hold what the colour of the noise does, so that the two do not add up
-    added = np.maximum(spread.added - (np.diag(record) - least * over**2), 0.0)
+    repeats = np.maximum(spread[1] - (np.diag(record) - (least * over) ** 2), 0.0)
     return Covariances(
-        fit,
-        back @ record @ back.T + np.outer(clock, clock),
-        back @ np.diag(added) @ back.T,
-        max(independent_samples(fit) - fit.used, LEAST_DOF),
-        spread.dof,
-        back @ np.diag(spread.variance) @ back.T,
-        back @ np.diag(spread.expected) @ back.T,
-    )
+        to, record, repeats, spread[0], np.array(free) == system.gauge,
+        max(independent_samples(fit) - fit.used, LEAST_DOF), PRIOR_DOF + len(parts) - 1 if parts else ASSUMED_DOF,
+    )  # fmt: skip
 
 
 def _over_least_error(estimate: Estimate, fit: Linearised, least: np.ndarray) -> np.ndarray:
@@ -253,12 +213,10 @@ def _over_least_error(estimate: Estimate, fit: Linearised, least: np.ndarray) ->
     for i, name in enumerate(fit.model.free):
         ratio = name != system.gauge and system.dimensions[name].mass
         marginal = estimate.marginal(system.quantity(f"{name}_over_{system.gauge}" if ratio else name))
-        if marginal is None:
-            continue
-        low, high = marginal.interval(0.95)
-        width = math.log(high / low) if 0 < low < math.inf else (high - low) / max(abs(float(marginal.value)), 1e-300)
-        if math.isfinite(width):
-            over[i] = max(width / 2.0 / quantile / least[i], 1.0)
+        if marginal is not None:
+            low, high = marginal.interval(0.95)
+            width = math.log(high / low) if 0 < low < math.inf else (high - low) / max(abs(marginal.value), 1e-300)
+            over[i] = max(width / 2.0 / quantile / least[i], 1.0) if math.isfinite(width) else 1.0
     return over
 
 
@@ -282,49 +240,36 @@ def independent_samples(fit: Linearised) -> float:
     return total
 
 
-# ------------------------------------------------------------------------------------------------ repeats
+def spread_of(fit: Linearised, parts: Sequence[Linearised], to: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate how repeats differ, from parts of a record or from several records.
 
-
-@dataclass(frozen=True, eq=False)
-class RepeatSpread:
-    """Variances (k,) of logs between parts: estimated, ``expected`` before the data, ``added`` to a record's."""
-
-    variance: np.ndarray
-    expected: np.ndarray
-    added: np.ndarray
-    dof: float
-
-
-def _spread(fit: Linearised, parts: Sequence[Linearised], to: np.ndarray) -> RepeatSpread:
-    """Estimate the variances between parts of a record, or between several records."""
+    Returns:
+        Standard deviations (k,) between parts over the expected ones; variances (k,) that repeats add to a record's.
+    """
     k, free = len(fit.model.free), fit.model.free
     kinds = {parameter.name: parameter.kind for parameter in fit.model.system.parameters}
-    expected = np.array([PRIOR_SPREAD[kinds[name]] ** 2 for name in free])
-    slopes = np.array([PRIOR_SLOPE[kinds[name]] ** 2 for name in free])
+    expected, slopes = (np.array([sd[kinds[name]] ** 2 for name in free]) for sd in (PRIOR_SPREAD, PRIOR_SLOPE))
     if len(parts) < 2:
-        return RepeatSpread(expected, expected, 2.0 * expected + slopes * AMPLITUDES**2, ASSUMED_DOF)
+        return np.ones(k), 2.0 * expected + slopes * AMPLITUDES**2
     logs = np.array([to @ part.theta[:k] for part in parts])
-    errors = np.array([part_variances(part, to) for part in parts])
-    dof = PRIOR_DOF + len(parts) - 1
+    errors = np.array([
+        np.max([np.diag(to @ c[:k, :k] @ to.T) for c in (part.white, part.coloured) if c is not None], axis=0)
+        for part in parts
+    ])  # fmt: skip
     if len(fit.model.problem.records) > 1:
         variance = np.maximum([paule_mandel(logs[:, i], errors[:, i]) for i in range(k)], expected)
-        return RepeatSpread(variance, expected, variance * (1.0 + _share(errors + variance)), dof)
-    sizes = np.log([motion_size(part) for part in parts])
+        return np.sqrt(variance / expected), variance * (1.0 + _share(errors + variance))
+    motions = [(part.model.data - part.residuals)[part.channels[0]] for part in parts]
+    sizes = np.log([float(np.std(motion)) or 1.0 for motion in motions])
     sloped = [sloped_spread(logs[:, i], errors[:, i], sizes, expected[i], slopes[i]) for i in range(k)]
     variance, added = np.array(sloped).T
-    return RepeatSpread(variance, expected, added, dof)
+    return np.sqrt(variance / expected), added
 
 
 def _share(variances: np.ndarray) -> np.ndarray:
     """Return one over the number of values that count, of values (n, ...) with such variances in a weighted mean."""
     weights = 1.0 / variances
     return np.asarray(np.sum(weights**2, axis=0) / np.sum(weights, axis=0) ** 2)
-
-
-def motion_size(part: Linearised) -> float:
-    """Return the root mean square of the fitted motion of the first channel."""
-    samples = part.channels[0]
-    return float(np.std(part.model.data[samples] - part.residuals[samples])) or 1.0
 
 
 def sloped_spread(
@@ -350,13 +295,6 @@ def sloped_spread(
         variance = shrunk_variance(values - slope * away, errors, prior, 1.0 + determined * of_slope)
     added = prior + variance * float(_share(errors + variance)) + (slope * AMPLITUDES) ** 2
     return variance, float(added)
-
-
-def part_variances(part: Linearised, to: np.ndarray) -> np.ndarray:
-    """Return the variances (k,) of a part's logs of ratios: the larger of white and coloured noise."""
-    k = len(part.model.free)
-    both = [np.diag(to @ c[:k, :k] @ to.T) for c in (part.white, part.coloured) if c is not None]
-    return np.max(both, axis=0)
 
 
 def shrunk_variance(values: np.ndarray, errors: np.ndarray, prior: float, used: float = 1.0) -> float:

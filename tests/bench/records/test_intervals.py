@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from bench.records.diagnostics import natural_frequency
 from bench.records.intervals import (
     PRIOR_DOF,
     StatedInterval,
+    limited,
     paule_mandel,
     shrunk_variance,
     sloped_spread,
@@ -350,6 +352,21 @@ def test_friction_that_a_linear_model_lacks_is_named() -> None:
     _, without, _ = fitted(MOTION + noise)
     assert "dry friction" in missing_forces(with_friction)
     assert missing_forces(without) == ()
+
+
+# limits
+
+
+def test_a_limit_is_on_the_scale_of_the_parameter_that_is_open() -> None:
+    """Of 2 with a standard error of 1.5 times itself: ``2 (1 + 1.645 * 1.5)``, and with the reciprocal open one over it.
+
+    Of a square root of that parameter the error of the logarithm is half, and the limit the root.
+    """
+    own = StatedInterval(2.0, *[math.nan] * 6, "")
+    most, least = limited(own, 1.5, 1.0), limited(own, 1.5, -1.0)
+    assert (most.low, most.high, most.limit) == (0.0, pytest.approx(2 * (1 + 1.644854 * 1.5)), "at most")
+    assert (least.low, least.high, least.limit) == (pytest.approx(2 / (1 + 1.644854 * 1.5)), math.inf, "at least")
+    assert limited(own, 0.75, 0.5).high == pytest.approx(2 * math.sqrt(1 + 1.644854 * 1.5))
 
 
 # differences of criteria
