@@ -19,14 +19,14 @@ from bench.engine.progress import RunState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.records.classes import ModelClass, best_class, ranked_classes, simplest
-from bench.records.continued import NAME, continued_fit
+from bench.records.classes import NAME, best_class, class_fit, compare_classes
 from bench.records.find import find
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
 from bench.records.held_out import early_fit
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
+from bench.records.models import ClassComparison, ModelClass
 from bench.records.record import Measured, spare_factor, with_fewer_samples
 from bench.records.replicas import ReplicaCoverage, coverage_on_replicas
 from bench.records.request import AUTO, Request
@@ -113,9 +113,10 @@ def certify(
     missing: dict[str, str] = {}
     with Workers() as workers:
         on_look(RunState("step", 0, len(request.jobs) + 1, "model classes"))
-        classes = _ranked(measured, workers, missing)
+        comparison = _comparison(measured, workers, missing)
+        classes = () if comparison is None else tuple(comparison.classes)
         if request.system == AUTO:
-            measured = best_class(measured, classes)
+            measured = best_class(measured, comparison)
         answer, others = _answers(request, measured, workers, on_look)
         if answer.finding.outcome.status is not Status.OK and classes and request.system == AUTO:
             by_class = workers.one(Call(_of_class, (answer.finding, classes, measured), CLASSES_SECONDS))
@@ -190,7 +191,7 @@ def _answers(
 
 def _of_class(failed: Finding, classes: Sequence[ModelClass], measured: Measured) -> PrimaryAnswer | None:
     """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
-    outcome = continued_fit(simplest(classes), measured.problem) if len(measured.problem.records) == 1 else None
+    outcome = class_fit(classes[0], measured.problem) if len(measured.problem.records) == 1 else None
     if outcome is None:
         return None
     finding = judged(NAME, measured, outcome)
@@ -198,16 +199,16 @@ def _of_class(failed: Finding, classes: Sequence[ModelClass], measured: Measured
     return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
 
 
-def _ranked(measured: Measured, workers: Workers, missing: dict[str, str]) -> tuple[ModelClass, ...]:
-    """Compare model classes, or say why they are not: a fit of friction to pure noise may take minutes."""
+def _comparison(measured: Measured, workers: Workers, missing: dict[str, str]) -> ClassComparison | None:
+    """Compare model classes, or say why they are not."""
     try:
-        classes = tuple(workers.one(Call(ranked_classes, (measured,), CLASSES_SECONDS)))
+        comparison: ClassComparison | None = workers.one(Call(compare_classes, (measured,), CLASSES_SECONDS))
     except Died as died:
         missing["classes"] = died.message
-        return ()
-    if not classes:
-        missing["classes"] = "classes are compared for one displacement of one degree of freedom"
-    return classes
+        return None
+    if comparison is None:
+        missing["classes"] = "classes are compared for one degree of freedom"
+    return comparison
 
 
 def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:

@@ -1,271 +1,230 @@
-"""Model classes for a record, ranked: which sum of terms describes it, and which terms it does not need.
+"""Comparison of model classes: which sum of terms describes records, and which are as good.
 
-Each class is fitted by growing windows (:mod:`bench.records.grown`) and judged twice: by the likelihood of its
-residuals as an autoregression, less what its unknowns cost (Bayesian information criterion), and by how well the fit of
-the first 60 % predicts the last 40 % from its state there. A term whose size the fit runs down to nothing is left out,
-with the largest size that the record does not exclude.
+All classes are fitted side by side (:mod:`bench.records.general_law`), to each record alone, and judged by the Bayesian
+information criterion with the noise as coloured as each leaves it; of several records the criteria add up. A class is
+chosen against a simpler one on strong evidence alone, and evidence counts no more than its own standard error allows.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from bench.contract.problem import Problem, Units
+from bench.contract.estimate import Cost, Status
+from bench.contract.problem import Problem
 from bench.likelihood.compiled import compiled_output_error
-from bench.likelihood.output_error import OutputError
-from bench.records.colour import criterion_error, information_criterion
-from bench.records.grown import first_guess, grown_fit, vibration, window
-from bench.records.held_out import held_out_fit
+from bench.likelihood.output_error import estimate_at
+from bench.records.colour import criterion_error
+from bench.records.fit import Outcome
+from bench.records.general_law import COEFFICIENTS, POSITIVE, ClassFits, LawFitter, excerpt, padded
 from bench.records.intervals import HALF
-from bench.records.linearised import Linearised, at_theta
-from bench.records.models import candidates, smoothing_velocity
+from bench.records.linearised import at_theta
+from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity
 from bench.records.record import Measured, of_system, with_system
-from bench.records.strongest import strongest_frequency
-from bench.records.zeros import SIZES, linear_start, most_allowed, vanishing, without
+from bench.systems import LENGTH, MEASURED
 from bench.systems.sums import Sum
 
-SIMPLE = ("viscous", "Duffing", "softening", "pendulum")
-"""Classes that differ in what pulls back."""
-UNSPRUNG = "no spring"
-FURTHER = ("cubic", "softening", "quadratic", "coulomb")
-"""Terms that may join those that make a system vibrate."""
-COARSER = 5.0
-"""The smoothing velocity of friction while classes are compared, over that of the answer: steps may be longer."""
-MOST_CYCLES = 12
-MOST_SAMPLES = 400
-"""Of the part of a record on which classes are compared, from its start: tens of fits are made."""
-SHARES = (0.2, 0.8)
-"""Of the viscous damping's work, what further damping does at first: beside all of it a search runs it down to zero."""
+SPRINGS = {"viscous": ("k",), "cubic": ("k", "k3"), "pendulum": ("pendulum",)}
+"""Coefficients of what pulls back, by class."""
+DAMPINGS = {"": (), " + Coulomb": ("mu",), " + quadratic": ("c2",), " + Coulomb + quadratic": ("mu", "c2")}
+"""Coefficients of damping beside viscous damping."""
+AXES = {"no spring: viscous": (), "no spring: viscous + Coulomb": ("mu",),
+        "no spring: viscous + Coulomb + bias": ("mu", "b")}  # fmt: skip
+"""The same of what a force drives to and fro, and nothing pulls back: an axis of a machine."""
+TERM_OF = {"c": "viscous", "k": "spring", "pendulum": "pendulum", "c2": "quadratic", "mu": "coulomb", "b": "bias"}
+UNIT = {"c": (1, 0), "k": (2, 0), "pendulum": (2, 0), "k3": (2, -2), "c2": (0, -1), "mu": (2, 1), "b": (2, 1)}
+"""Powers of the record's rate and size in a coefficient over the mass."""
+STRONG = 6.0
+"""Evidence that each further term needs: twice the logarithm of a Bayes factor (R. E. Kass, A. E. Raftery, J. Am. Stat.
+Assoc. 90:773, 1995, section 3.2)."""
 DESCRIBES = 0.3
-"""Residuals over signal below which a class describes a record at all."""
-SCREEN, SEARCH = 4, 40
-"""Iterations of each start, and of the best of them."""
-LEVEL, TOLD_APART = 2.0, 10.0
-"""Differences of the criterion: up to the first a class is as good as another, and of such the simplest is chosen;
-beyond the second it is told from the other (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995, section 3.2).
-"""
+"""Residuals over the signal below which a class describes a record."""
+NAME = "least squares of the class"
+ITERATIONS = 30
 
 
-@dataclass(frozen=True, eq=False)
-class ModelClass:
-    """One class fitted to a record: its criterion above the best one's, residuals over signal, and held-out fit (%).
-
-    ``at``: the fit, in ``units``. ``criterion_error``: standard error of that difference, as the samples of this record
-    give it. ``zero``: terms that the fit ran down to nothing, and the most of each that the record allows, over the
-    mass (SI).
-    """
-
-    name: str
-    system: Sum
-    criterion: float
-    left: float
-    held_out: float
-    zero: Mapping[str, float]
-    at: Linearised
-    units: Units
-    criterion_error: float = 0.0
-
-    @property
-    def told_apart(self) -> bool:
-        """Whether this record tells the class from the best one: by the criterion, and beyond that of its samples."""
-        return self.criterion >= max(TOLD_APART, HALF * self.criterion_error)
-
-
-def ranked_classes(measured: Measured) -> list[ModelClass]:
-    """The classes that could be fitted, the best first; empty for a record that no class of one DOF can take.
-
-    First what pulls back is compared, with viscous damping; then friction and quadratic damping join the best of them.
-    """
+def compare_classes(measured: Measured) -> ClassComparison | None:
+    """Fit the classes of one degree of freedom to records; None for records that these cannot be of."""
     problem = measured.problem
-    record = problem.records[0]
-    channel = record.channels[0]
-    if problem.system.n_dof > 1 or len(record.channels) > 1 or channel.measures != "displacement":
-        return []
-    thinned = _thinned(replace(problem, records=(record,), prior=None))
-    velocity = COARSER * smoothing_velocity(channel.times, channel.values)
-    every = candidates(problem.forced, measured.angle, velocity)
-    pulling = SIMPLE if measured.angle else SIMPLE[:-1]  # in metres a pendulum's length is told by large swings alone
-    simple = {name: system for name, system in every.items() if name in pulling or name.startswith(UNSPRUNG)}
-    found = _fitted(simple, thinned, [])
-    sprung = sorted((one for one in found if not one.name.startswith(UNSPRUNG)), key=lambda one: one.criterion)
-    for base in _bases(sprung):
-        found += _fitted(_damped(base), thinned, [one for one in found if one is base])
-    best = min(found, key=lambda one: one.criterion, default=None)
-    return [] if best is None else sorted((_beside(one, best) for one in found), key=lambda one: one.criterion)
+    if problem.system.n_dof > 1 or any(r.added_mass is not None for r in problem.records):
+        return None
+    wanted = _candidates(problem.forced, measured.angle)
+    return _compared(measured, wanted, _fits(problem, list(wanted.values())))
 
 
-def _beside(one: ModelClass, best: ModelClass) -> ModelClass:
-    """A class with its criterion as the difference from the best one's."""
-    error = criterion_error(best.at.residuals, one.at.residuals, (best.at.theta.size, one.at.theta.size))
-    return replace(one, criterion=one.criterion - best.criterion, criterion_error=error)
-
-
-def fitted_class(measured: Measured) -> ModelClass | None:
-    """The sum that the records are said to be of, fitted to the first of them without its further terms, then with."""
-    problem = measured.problem
+def needless_terms(measured: Measured) -> Mapping[str, float]:
+    """Find the terms of a named sum that the first record does not need, and the most that it allows of each (SI)."""
+    problem = replace(measured.problem, records=measured.problem.records[:1])
     system = problem.system
-    if not isinstance(system, Sum) or len(problem.records[0].channels) > 1:
+    if not isinstance(system, Sum) or any(name != "l" for name, _ in system.fixed):
+        return {}
+    names = [name for name in COEFFICIENTS[1:-1] if TERM_OF.get(name) in system.terms]
+    names += ["k3"] if {"cubic", "softening"} & set(system.terms) else []
+    names += ["1/l"] if "l" in system.names else []
+    simple = [name for name in names if name not in ("mu", "c2")]
+    wanted = {"simple": _free(simple, problem.forced), "named": _free(names, problem.forced)}
+    fits = _fits(problem, list(wanted.values()), dict(system.fixed).get("l"))
+    zero = fits[0][1].free[1] != wanted["named"]
+    return {name: most for name, most in _limits(*fits[0], 1).items() if zero[COEFFICIENTS.index(name)]}
+
+
+def best_class(measured: Measured, comparison: ClassComparison | None) -> Measured:
+    """Return the records with the class that a comparison has chosen, and a note of it; sdof where there is none."""
+    if comparison is None:
+        note = "system=auto takes records of one degree of freedom: sdof is used"
+        return replace(measured, notes=(*measured.notes, note))
+    chosen = comparison.chosen
+    said = f"system=auto chose system={'+'.join(chosen.system.terms)}"
+    tied = ", ".join(model.name for model in comparison.tied)
+    said += f"; as good: {tied}" if tied else ""
+    zeros = [f"{name}/m is 0, at most {most:.3g}" for name, most in chosen.zero.items() if np.isfinite(most)]
+    measured = with_system(measured, chosen.system)
+    return replace(measured, notes=(*measured.notes, said, *zeros), comparison=comparison)
+
+
+def class_fit(model_class: ModelClass, problem: Problem) -> Outcome | None:
+    """Fit the class itself to all samples of a record, from its parameters on; None where that fit is not finite."""
+    started = time.perf_counter()
+    problem = of_system(problem, model_class.system)
+    units = problem.natural_units()
+    model = compiled_output_error(problem.expressed_in(units))
+    of_mass = units.of(problem.system.parameters[0].dimension)
+    mass = model_class.parameters.get("m", of_mass)
+    guess = {"m": mass / of_mass}
+    for p in problem.system.parameters[1:]:
+        guess[p.name] = model_class.parameters[p.name] / units.of(p.dimension)
+        guess[p.name] *= of_mass if p.dimension.mass and "m" not in model_class.parameters else 1.0
+    theta = np.zeros(model.size)
+    theta[: len(model.free)] = np.log([guess[name] for name in model.free])
+    if model.unknown_starts:
+        place = slice(len(model.free), len(model.free) + 2)
+        theta[place] = model_class.start[0] / units.of(LENGTH), model_class.start[1] / units.of(MEASURED["velocity"])
+    with np.errstate(all="ignore"):
+        theta = model.settle(theta[None], iterations=ITERATIONS)[0]
+        fit = at_theta(model, theta)
+    if fit is None or fit.white is None:
         return None
-    thinned = _thinned(replace(problem, records=problem.records[:1], prior=None))
-    system = replace(system, smoothing_velocity=COARSER * system.smoothing_velocity)
-    simple = replace(system, terms=tuple(term for term in system.terms if term not in FURTHER) or system.terms)
-    found = _fitted({"simple": simple}, thinned, []) if simple != system else []
-    return next(iter(_fitted({"named": system}, thinned, found)), None)
+    estimate = estimate_at(model, theta, fit.white, fit.used, Cost())
+    return Outcome(estimate.expressed_in(units.inverse), Status.OK, "", time.perf_counter() - started)
 
 
-def _bases(sprung: Sequence[ModelClass]) -> list[ModelClass]:
-    """Of what pulls back, best first, the two that friction may join: what is missing may hide which of them is right.
-
-    Of classes that are as good the simplest stands for the others.
-    """
-    if not sprung:
-        return []
-    first = simplest(sprung)
-    more = [one for one in sprung if one.criterion > first.criterion + LEVEL and one.left < DESCRIBES]
-    return [first, *more[:1]]
-
-
-def _damped(base: ModelClass) -> dict[str, Sum]:
-    """A class with further kinds of damping."""
-    return {
-        base.name + "".join(f" + {names[term]}" for term in more): replace(
-            base.system, terms=(*base.system.terms, *more)
-        )
-        for names in ({"coulomb": "Coulomb", "quadratic": "quadratic"},)
-        for more in (("coulomb",), ("quadratic",), ("coulomb", "quadratic"))
+def _candidates(forced: bool, angle: bool) -> dict[str, np.ndarray]:
+    """List classes by name with their coefficients; a pendulum's length can be told of angles alone."""
+    springs = SPRINGS if angle else {name: SPRINGS[name] for name in ("viscous", "cubic")}
+    classes = {
+        name + more: _free(("c", *pulls, *damps), forced)
+        for name, pulls in springs.items()
+        for more, damps in DAMPINGS.items()
     }
+    return classes | ({name: _free(("c", *terms), True) for name, terms in AXES.items()} if forced else {})
 
 
-def _fitted(systems: Mapping[str, Sum], problem: Problem, before: list[ModelClass]) -> list[ModelClass]:
-    """Those of some classes that could be fitted, each from the best simpler one."""
-    units, found = problem.natural_units(), list(before)
-    for name, system in systems.items():
-        own = of_system(problem, system).expressed_in(units)
-        fitted = _judged(name, system, own, _simpler(found, own.system.names), units)
-        if fitted is not None:
-            found.append(fitted)
-    return found[len(before) :]
+def _free(names: Sequence[str], forced: bool) -> np.ndarray:
+    return np.array([name in names or (forced and name == "1/m") for name in COEFFICIENTS])
 
 
-def simplest(classes: Sequence[ModelClass]) -> ModelClass:
-    """Of the classes that are as good as the best one that with the fewest parameters."""
-    least = min(one.criterion for one in classes)
-    level = [one for one in classes if one.criterion < least + LEVEL]
-    return min(level, key=lambda one: (len(one.system.parameters) - len(one.zero), len(one.zero), one.criterion))
+def _fits(
+    problem: Problem, wanted: Sequence[np.ndarray], length: float | None = 1.0
+) -> list[tuple[LawFitter, ClassFits]]:
+    """Fit classes to each record; ``length``: of the pendulum (m, or 1 of angles), if it is known."""
+    fitters = []
+    for cut in padded([excerpt(record) for record in problem.records]):
+        turn = 0.3 if length is None else cut.size / length
+        fitters.append(LawFitter(cut, np.array(wanted), turn))
+    return [(fitter, fitter.fitted()) for fitter in fitters]
 
 
-def best_class(measured: Measured, classes: Sequence[ModelClass] | None = None) -> Measured:
-    """The same records, of the simplest of the best classes without terms that it does not need, and a note of it.
+def _compared(
+    measured: Measured, wanted: Mapping[str, np.ndarray], fits: Sequence[tuple[LawFitter, ClassFits]]
+) -> ClassComparison:
+    """Score the classes, each kind once, and sort them."""
+    names, free = list(wanted), np.any([fit.free for _, fit in fits], axis=0)
+    terms = [int(np.sum(coefficients)) for coefficients in wanted.values()]
+    kept: list[int] = []
+    for case in sorted(range(len(names)), key=lambda i: terms[i]):
+        if not any(np.array_equal(free[case], free[other]) for other in kept):
+            kept.append(case)
+    left = np.array(
+        [np.sqrt(np.mean(np.concatenate([fit.residuals[i] for _, fit in fits]) ** 2)) for i in range(len(names))]
+    )
+    kept = _oscillating(kept, free, left, fits)
+    logs = np.concatenate([fit.log_likelihoods for _, fit in fits], axis=1)
+    criteria = -2.0 * np.sum(logs, axis=1)
+    for _, fit in fits:
+        criteria += fit.unknowns * np.log(max(float(np.max(fit.independent[kept])), 2.0))
+    best = min(kept, key=lambda i: criteria[i])
+    classes = []
+    for i in kept:
+        difference, error = float(criteria[i] - criteria[best]), criterion_error(logs[best], logs[i])
+        evidence = difference * min(1.0, TIED / max(HALF * error, TIED))
+        score = evidence + STRONG * (terms[i] - min(terms))
+        classes.append(_model_class(measured, names[i], i, fits, (difference, error, score, float(left[i]))))
+    classes.sort(key=lambda model: (model.score, not model.system.linear))
+    return ClassComparison(
+        tuple(replace(model, told_apart=model.score - classes[0].score >= TIED) for model in classes)
+    )
 
-    ``classes``: as ranked already; else they are ranked here.
+
+def _oscillating(
+    kept: list[int], free: np.ndarray, left: np.ndarray, fits: Sequence[tuple[LawFitter, ClassFits]]
+) -> list[int]:
+    """Leave out springs that no vibration shows, where an axis without one describes the record.
+
+    The position of a driven axis drifts, and a weak spring may imitate that; it is none while the motion is overdamped.
     """
-    classes = ranked_classes(measured) if classes is None else classes
-    if not classes:
-        return replace(measured, notes=(*measured.notes, "system=auto takes one displacement of one DOF: sdof is used"))
-    best = simplest(classes)
-    system = without(best.system, best.zero)
-    system = replace(system, smoothing_velocity=system.smoothing_velocity / COARSER)
-    level = [one.name for one in classes if not one.told_apart and one is not best]
-    said = f"system=auto chose system={'+'.join(system.terms)}"
-    said += f"; not told apart from it: {', '.join(level)}" if level else ""
-    zeros = [f"{name}/m is 0, at most {most:.3g}" for name, most in best.zero.items()]
-    return replace(with_system(measured, system), notes=(*measured.notes, said, *zeros))
+    springs = [COEFFICIENTS.index(name) for name in ("k", "pendulum", "k3")]
+    axes = [i for i in kept if not np.any(free[i, springs])]
+    if not axes or min(left[i] for i in axes) > DESCRIBES:
+        return kept
+    values = fits[0][1].coefficients
+    overdamped = values[:, 1] ** 2 >= 4.0 * np.maximum(values[:, springs[0]], values[:, springs[1]])
+    return [i for i in kept if i in axes or not overdamped[i]]
 
 
-def _thinned(problem: Problem) -> Problem:
-    """The first cycles, every so many samples; a forced record whole, and the force with all of its own samples."""
-    record = problem.records[0]
-    if not problem.forced:
-        first = record.channels[0]
-        record = window(record, MOST_CYCLES / strongest_frequency(first.times, first.values))
-    step = -(-max(c.n for c in record.channels) // MOST_SAMPLES)
-    channels = tuple(replace(c, times=c.times[::step], values=c.values[::step]) for c in record.channels)
-    return replace(problem, records=(replace(record, channels=channels),))
+def _model_class(
+    measured: Measured,
+    name: str,
+    case: int,
+    fits: Sequence[tuple[LawFitter, ClassFits]],
+    figures: tuple[float, float, float, float],
+) -> ModelClass:
+    """Describe a fitted class in SI units, by means over the records."""
+    free = np.any([fit.free[case] for _, fit in fits], axis=0)
+    each = [_values(fitter, fit.coefficients[case]) for fitter, fit in fits]
+    values = {key: float(np.mean([one[key] for one in each])) for key in each[0]}
+    terms = [term for key, term in TERM_OF.items() if free[COEFFICIENTS.index(key)]]
+    if free[COEFFICIENTS.index("k3")]:
+        terms.append("cubic" if values["k3"] > 0 else "softening")
+        name = name.replace("cubic", "Duffing" if values["k3"] > 0 else "softening")
+    channel = measured.problem.records[0].channels[0]
+    velocity = smoothing_velocity(channel.times, channel.values, channel.measures)
+    fixed = (("l", 1.0),) if "pendulum" in terms else ()
+    system = Sum(tuple(terms), velocity, fixed, -1 if values["b"] < 0 else 1)
+    mass = values["m"] if measured.problem.forced else 1.0
+    known = {"k": values["pendulum"] if "pendulum" in terms else values["k"], "k3s": values["k3"]}
+    parameters = {n: abs((values | known)[n]) * (1.0 if n == "m" else mass) for n in system.names if n != "m"}
+    parameters |= {"m": mass} if measured.problem.forced else {}
+    limits = [_limits(fitter, fit, case) for fitter, fit in fits]
+    zero = {key: max(one[key] for one in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
+    held_out = float(np.mean([fit.held_out[case] for _, fit in fits]))
+    criterion, error, score, left = figures
+    cut, (x, v) = fits[0][0].excerpt, fits[0][1].starts[case]
+    start = float(x) * cut.size, float(v) * cut.size * cut.rate
+    return ModelClass(name, system, parameters, start, criterion, error, score, left, held_out, zero)
 
 
-def _simpler(found: list[ModelClass], names: tuple[str, ...]) -> ModelClass | None:
-    """The best of the classes whose parameters are among these, if it describes the record at all."""
-    inside = [one for one in found if set(one.at.model.system.names) < set(names) and one.left < DESCRIBES]
-    return min(inside, key=lambda one: one.criterion, default=None)
+def _values(fitter: LawFitter, coefficients: np.ndarray) -> dict[str, float]:
+    """Convert coefficients to SI units, over the mass."""
+    cut, by_name = fitter.excerpt, dict(zip(COEFFICIENTS, coefficients.tolist(), strict=True))
+    values = {name: by_name[name] * cut.rate**rate * cut.size**size for name, (rate, size) in UNIT.items()}
+    mass = cut.force_size / (cut.size * cut.rate**2 * by_name["1/m"]) if by_name["1/m"] else 1.0
+    return {**values, "m": mass, "l": cut.size / by_name["1/l"]}
 
 
-def _judged(name: str, system: Sum, problem: Problem, simpler: ModelClass | None, units: Units) -> ModelClass | None:
-    with np.errstate(all="ignore"):
-        at = grown_fit(problem) if simpler is None else _from_simpler(problem, simpler.at)
-    if at is None:
-        return None
-    assert isinstance(problem.system, Sum)
-    zero = vanishing(at, problem.system)
-    if simpler is not None and _left(simpler.at) < _left(at):  # the search found no use for what is new
-        zero = [name for name in SIZES if name in problem.system.names and name not in simpler.at.model.system.names]
-    smaller = _refitted(of_system(problem, without(problem.system, zero)), simpler) if zero else at
-    if smaller is None:
-        return None
-    if _criterion(at) < _criterion(smaller):  # it is small, but the record needs it
-        zero, smaller = [], at
-    left = float(np.std(smaller.residuals) / (np.std(smaller.model.data) or 1.0))
-    allowed = most_allowed(smaller, problem.system, zero, units)
-    return ModelClass(name, system, _criterion(smaller), left, held_out_fit(smaller), allowed, smaller, units)
-
-
-def _criterion(at: Linearised) -> float:
-    return information_criterion(at.residuals, at.theta.size)
-
-
-def _refitted(problem: Problem, simpler: ModelClass | None) -> Linearised | None:
-    """The fit without the terms at zero; the units are those of the problem already."""
-    if simpler is not None and simpler.at.model.system.names == problem.system.names:
-        return simpler.at
-    inside = simpler is not None and set(simpler.at.model.system.names) < set(problem.system.names)
-    with np.errstate(all="ignore"):
-        found = _from_simpler(problem, simpler.at) if inside and simpler is not None else None
-        return found or grown_fit(problem)
-
-
-def _left(at: Linearised) -> float:
-    return float(at.residuals @ at.residuals)
-
-
-def _from_simpler(problem: Problem, simpler: Linearised) -> Linearised | None:
-    """The best of searches from a simpler fit, whose viscous damping does part of the work of the further terms."""
-    model = compiled_output_error(problem)
-    known = {name: float(value) for name, value in simpler.model.parameters(simpler.theta).items()}
-    rate, amplitude = vibration(model.channels[0][1])
-    guess = first_guess(problem.system, rate, amplitude, known.get("m", 1.0))
-    p = guess | {name: value for name, value in known.items() if name in guess}
-    trials = [start for one in (p, *_shared_out(p, known, rate, amplitude)) for start in _starts(model, one, simpler)]
-    if (stepped := linear_start(simpler, model)) is not None:
-        trials.append(stepped)
-    if not trials:
-        return None
-    ends = model.settle(np.stack(trials), rounds=1, iterations=SCREEN)
-    best = min(ends, key=model.profile)
-    return at_theta(model, model.settle(best[None], iterations=SEARCH)[0])
-
-
-def _shared_out(
-    p: dict[str, float], known: Mapping[str, float], rate: float, amplitude: float
-) -> list[dict[str, float]]:
-    """Parameters whose further damping does some of the work of all damping that is known, in parts of :data:`SHARES`.
-
-    Friction and quadratic damping by their equivalents in harmonic balance (see :mod:`bench.records.model_error`).
-    """
-    of_mu, of_c2 = 4.0 / (np.pi * rate * amplitude), 8.0 * rate * amplitude / (3.0 * np.pi)
-    further = [name for name in ("mu", "c2") if name in p]
-    total = known.get("c", 0.0) + of_mu * known.get("mu", 0.0) + of_c2 * known.get("c2", 0.0)
-    if not further or "c" not in p or total <= 0:
-        return []
-    each = {"mu": total / of_mu / len(further), "c2": total / of_c2 / len(further)}
-    return [p | {"c": (1.0 - share) * total} | {name: share * each[name] for name in further} for share in SHARES]
-
-
-def _starts(model: OutputError, p: dict[str, float], simpler: Linearised) -> list[np.ndarray]:
-    """Parameters with the initial state and offset that fit best there, or else those of the simpler fit."""
-    best = model.vector(p)
-    tail = simpler.theta[len(simpler.model.free) :]
-    same = np.concatenate([best[: len(model.free)], tail])
-    found = [theta for theta in (best, same) if theta.size == model.size and np.all(np.isfinite(theta))]
-    return sorted(found, key=model.profile)[:1]
+def _limits(fitter: LawFitter, fit: ClassFits, case: int) -> dict[str, float]:
+    """Return the limits of the coefficients of damping in SI units, over the mass."""
+    values = _values(fitter, np.where(POSITIVE, fit.limits[case], 1.0))
+    return {name: values[name] for name, positive in zip(COEFFICIENTS, POSITIVE, strict=True) if positive}

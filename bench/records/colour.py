@@ -47,17 +47,13 @@ def information_criterion(residuals: np.ndarray, unknowns: int) -> float:
     return -2.0 * float(np.sum(log_likelihoods(noise, residuals))) + lost
 
 
-def criterion_error(first: np.ndarray, second: np.ndarray, unknowns: tuple[int, int]) -> float:
-    """The standard error of the difference of two fits' criteria, of their residuals (n,), as samples give it.
+def criterion_error(first: np.ndarray, second: np.ndarray) -> float:
+    """Compute the standard error of the difference of two fits' criteria from the log-likelihoods (n,) of the samples.
 
-    Of twice the sum of the differences of their log-likelihoods (Q. H. Vuong, Econometrica 57:307, 1989), which may be
-    correlated from sample to sample: with the weights of Newey and West (Econometrica 55:703, 1987) up to n^(1/3).
+    Of twice the sum of their differences (Q. H. Vuong, Econometrica 57:307, 1989), which may be correlated from sample
+    to sample: with the weights of Newey and West (Econometrica 55:703, 1987) up to n^(1/3).
     """
-    each = [
-        log_likelihoods(autoregression(r, min(size, r.size - 1)), r)
-        for r, size in zip((first, second), unknowns, strict=True)
-    ]
-    apart = each[0] - each[1]
+    apart = first - second
     apart = apart - np.mean(apart)
     reach = round(apart.size ** (1.0 / 3.0))
     variance = float(apart @ apart)

@@ -11,9 +11,9 @@ from bench.contract.problem import Channel, Problem
 from bench.likelihood.autoregression import even_times
 from bench.likelihood.output_error import OutputError
 from bench.records.colour import autocorrelation, cumulative_periodogram
-from bench.records.grown import first_guess
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
+from bench.records.models import first_guess
 from bench.records.modes import Mode, alias_of, line, modes_of
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict

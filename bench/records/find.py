@@ -13,16 +13,16 @@ from bench.contract.estimate import Status
 from bench.entrants.registry import missing_package
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.records.classes import best_class, fitted_class
+from bench.records.classes import best_class, compare_classes, needless_terms
 from bench.records.diagnostics import OUTLIERS, steady_sine
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome, fit, within_time
 from bench.records.intervals import StatedInterval
+from bench.records.models import unit_over_mass, without
 from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
 from bench.records.repeats import combined, runs_of
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust
-from bench.records.zeros import unit_over_mass, without
 from bench.systems.sums import Sum
 
 
@@ -33,7 +33,7 @@ def find_all(request: Request, measured: Measured) -> list[Finding]:
         InputError: A method cannot take a measured record.
     """
     if request.system == AUTO:
-        measured = best_class(measured)
+        measured = best_class(measured, compare_classes(measured))
     return [find(job, measured) for job in request.jobs]
 
 
@@ -116,10 +116,9 @@ def _leaves_open(found: Finding) -> bool:
 def _needless(measured: Measured, limit_s: float) -> Mapping[str, float]:
     """The parameters of terms that the records do not need, and the most that they allow of each, over the mass."""
     try:
-        fitted = within_time(fitted_class, measured, limit_s)
+        return within_time(needless_terms, measured, limit_s)
     except Died:
         return {}
-    return {} if fitted is None else fitted.zero
 
 
 def _with_zeros(finding: Finding, system: Sum, most: Mapping[str, float]) -> Finding:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.contract.problem import Channel, Record
 from bench.likelihood.compiled import compiled_output_error
-from bench.records.grown import window
 from bench.records.linearised import Linearised
 
 HELD_OUT = 0.4
@@ -57,3 +57,13 @@ def held_out_fit(at: Linearised) -> float:
     """The fit (%) of the last 40 % by that of the first 60 %; NaN where that fit is not possible."""
     found = early_fit(at)
     return float("nan") if found is None else found.fit_percent(at.model.data)
+
+
+def window(record: Record, length: float) -> Record:
+    """Return the record up to a time, but no shorter than twelve samples a channel."""
+    return replace(record, channels=tuple(_first_part(channel, length) for channel in record.channels))
+
+
+def _first_part(channel: Channel, length: float) -> Channel:
+    n = max(int(np.searchsorted(channel.times, length, side="right")), min(12, channel.n))
+    return replace(channel, times=channel.times[:n], values=channel.values[:n])

@@ -1,37 +1,20 @@
-"""The models that a measured record may be compared with, as sums of terms, and what of them the data set.
-
-Nothing is fitted here.
-"""
+"""Model classes of a measured record, as sums of terms: what is known of each, and what they have in common."""
 
 from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import savgol_filter
 
 from bench.records.strongest import strongest_frequency
-from bench.systems.sums import Sum
+from bench.systems import System
+from bench.systems.sums import TERMS, Sum
 
-VIBRATION = {
-    "viscous": ("viscous", "spring"),
-    "viscous + Coulomb": ("viscous", "spring", "coulomb"),
-    "viscous + quadratic": ("viscous", "spring", "quadratic"),
-    "viscous + Coulomb + quadratic": ("viscous", "spring", "coulomb", "quadratic"),
-    "Duffing": ("viscous", "spring", "cubic"),
-    "softening": ("viscous", "spring", "softening"),
-    "pendulum": ("viscous", "pendulum"),
-    "pendulum + Coulomb": ("viscous", "pendulum", "coulomb"),
-    "pendulum + quadratic": ("viscous", "pendulum", "quadratic"),
-    "pendulum + Coulomb + quadratic": ("viscous", "pendulum", "coulomb", "quadratic"),
-}
-"""Terms of what vibrates, from few to many; a pendulum damps viscously too."""
-DRIVEN = {
-    "no spring: viscous": ("viscous",),
-    "no spring: viscous + Coulomb": ("viscous", "coulomb"),
-    "no spring: viscous + Coulomb + bias": ("viscous", "coulomb", "bias"),
-    "no spring: viscous + Coulomb - bias": ("viscous", "coulomb", "bias"),
-}
-"""Terms of what a force drives to and fro, and nothing pulls back: an axis of a machine."""
-
+TIED = 10.0
+"""Difference of scores below which a class is as good as the chosen one: evidence beyond it is very strong (R. E. Kass,
+A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995, section 3.2)."""
 FRACTION = 0.01
 """Smoothing velocity over the root mean square speed.
 
@@ -45,34 +28,114 @@ PART_OF_PERIOD = 0.25
 """Length of the local polynomials over the strongest period: a cubic has the slope of a sine there to 0.1 %."""
 ROUNDING = 1e-9
 """A speed of less than this part of the record's size in its time is none."""
+SIZES = {"c": 0.04, "k": 1.0, "k3": 0.03, "k3s": 0.03, "c2": 0.03, "mu": 0.03, "b": 0.03, "l": 3.0}
+"""Guesses of parameters over the mass, of a motion of unit rate and amplitude."""
 
 
-def candidates(forced: bool, angle: bool, smoothing_velocity: float = 0.01) -> dict[str, Sum]:
-    """The models to compare, by names for people: those that vibrate and, where a force is known, driven axes.
+@dataclass(frozen=True, eq=False)
+class ModelClass:
+    """One class fitted to records.
 
-    An ``angle`` is its own ``x/l`` (rad), so a pendulum's ``l`` is 1; of a path in metres it is a parameter.
+    Attributes:
+        name: Its name for people.
+        system: The sum of its terms, without those that came out negative.
+        parameters: Values in SI units, over the mass where no force determines it; means over the records.
+        start: Displacement and velocity at time 0 of the first record.
+        criterion: Information criterion less that of the best class.
+        criterion_error: Standard error of this difference.
+        score: Evidence against the class, with the odds against further terms; the lowest is chosen.
+        left: Residuals over the signal, root mean squares.
+        held_out: Fit of the last 40 % of the samples by those before (%).
+        zero: The one-sided 95 % limit, over the mass, of each coefficient of damping that the class lacks.
+        told_apart: Whether the records tell it from the chosen class.
     """
-    found = {}
-    for name, terms in {**VIBRATION, **(DRIVEN if forced else {})}.items():
-        fixed = (("l", 1.0),) if angle and "pendulum" in terms else ()
-        found[name] = Sum(terms, smoothing_velocity, fixed, -1 if name.endswith("- bias") else 1)
-    return found
+
+    name: str
+    system: Sum
+    parameters: Mapping[str, float]
+    start: tuple[float, float]
+    criterion: float
+    criterion_error: float
+    score: float
+    left: float
+    held_out: float
+    zero: Mapping[str, float]
+    told_apart: bool = False
 
 
-def smoothing_velocity(times: np.ndarray, values: np.ndarray) -> float:
-    """A smoothing velocity (m/s) for the friction in a record of displacements: ``FRACTION`` of its speed.
+@dataclass(frozen=True, eq=False)
+class ClassComparison:
+    """Classes that were fitted to records, the chosen one first."""
 
-    The speed is the root mean square slope of local cubics (A. Savitzky, M. Golay, Anal. Chem. 36:1627, 1964) over a
-    part of the strongest period, on the record at even times; noise of a tenth of the motion changes it by little.
+    classes: Sequence[ModelClass]
+
+    @property
+    def chosen(self) -> ModelClass:
+        """Return the class with the best score."""
+        return self.classes[0]
+
+    @property
+    def tied(self) -> list[ModelClass]:
+        """Return the other classes that are as good."""
+        return [model for model in self.classes[1:] if not model.told_apart]
+
+    def average(self, quantity: str) -> list[tuple[float, float]]:
+        """Return values and weights of a quantity in the chosen class, first, and in those as good that have it too.
+
+        Weights are posterior probabilities of the classes among these; they add up to one.
+        """
+        having = [model for model in (self.chosen, *self.tied) if quantity in _quantities(model.system)]
+        if not having or having[0] is not self.chosen:
+            return []
+        values = [model.system.quantity(quantity).value({"m": 1.0, **model.parameters}) for model in having]
+        weights = np.exp([(self.chosen.score - model.score) / 2.0 for model in having])
+        return list(zip(values, (weights / np.sum(weights)).tolist(), strict=True))
+
+
+def _quantities(system: System) -> set[str]:
+    return {quantity.name for quantity in system.quantities}
+
+
+def without(system: Sum, zero: Collection[str]) -> Sum:
+    """Return the sum without the terms of some parameters; one of them stays where nothing else is left."""
+    kept = tuple(term for term in system.terms if TERMS[term].parameters[0].name not in zero)
+    return Sum(kept or system.terms, system.smoothing_velocity, system.fixed, system.bias_sign)
+
+
+def unit_over_mass(system: System, name: str) -> str:
+    """Return the unit of a parameter over the mass."""
+    return next((q.unit for q in system.groups if q.name == f"{name}_over_m"), "")
+
+
+def first_guess(system: System, rate: float, size: float, mass: float = 1.0) -> dict[str, float]:
+    """Guess the parameters of a vibration of angular frequency ``rate`` and amplitude ``size``."""
+    guesses = {}
+    for parameter in system.parameters:
+        dimension = parameter.dimension
+        scale = size**dimension.length * rate**-dimension.time * (mass if dimension.mass else 1.0)
+        guesses[parameter.name] = SIZES.get(parameter.name, 1.0) * scale
+    return guesses
+
+
+def smoothing_velocity(times: np.ndarray, values: np.ndarray, measures: str = "displacement") -> float:
+    """Choose a smoothing velocity (m/s) for the friction in a record: ``FRACTION`` of its root mean square speed.
+
+    The speed of displacements is the slope of local cubics (A. Savitzky, M. Golay, Anal. Chem. 36:1627, 1964) over a
+    part of the strongest period, on the record at even times; noise of a tenth of the motion changes it by little. That
+    of accelerations is the one of a sine of the strongest frequency.
     """
     even = np.linspace(times[0], times[-1], times.size)
     step = float(even[1] - even[0])
-    period = 1.0 / (strongest_frequency(times, values) * step)
+    frequency = strongest_frequency(times, values)
     x = np.interp(even, times, values)
-    most = x.size - 1 + x.size % 2
-    window = min(max(2 * int(0.5 * PART_OF_PERIOD * period) + 1, 5), most)
-    speeds = savgol_filter(x, window, min(3, window - 1), deriv=1, delta=step)
-    speed = float(np.sqrt(np.mean(speeds**2)))
+    if measures == "displacement":
+        most = x.size - 1 + x.size % 2
+        window = min(max(2 * int(0.5 * PART_OF_PERIOD / (frequency * step)) + 1, 5), most)
+        speed = float(np.sqrt(np.mean(savgol_filter(x, window, min(3, window - 1), deriv=1, delta=step) ** 2)))
+        unit = step * x.size
+    else:
+        unit = 1.0 if measures == "velocity" else 2 * np.pi * frequency
+        speed = float(np.std(x)) / unit
     # what rounding alone would give is no speed: the record's size in its time stands in for it, so never zero
-    still = (float(np.max(np.abs(x))) or 1.0) / (step * x.size)
+    still = (float(np.max(np.abs(x))) or 1.0) / unit
     return FRACTION * (speed if speed > ROUNDING * still else still)

@@ -14,7 +14,7 @@ from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
 from bench.records.decimation import decimated
-from bench.records.models import smoothing_velocity
+from bench.records.models import ClassComparison, smoothing_velocity
 from bench.records.prepare import prepare
 from bench.records.reading import Recording, Signal, read_recordings
 from bench.records.request import AUTO, Request
@@ -39,6 +39,7 @@ class Measured:
     problem: Problem
     notes: tuple[str, ...]
     told_mass: float | None = None
+    comparison: ClassComparison | None = None
 
     @property
     def unit(self) -> str:
@@ -90,9 +91,9 @@ def _system(request: Request, recording: Recording) -> System:
         return make_system(physics["kind"], physics["options"])
     velocity = 0.01
     if motion is not None:
-        velocity = smoothing_velocity(motion.times, motion.values)
+        velocity = smoothing_velocity(motion.times, motion.values, motion.measures)
     words = request.system.split("+")
-    if motion is not None and motion.unit == ANGLE and "pendulum" in words and "l" not in fixed:
+    if motion is not None and motion.unit.startswith(ANGLE) and "pendulum" in words and "l" not in fixed:
         fixed["l"] = 1.0
     try:
         system = sum_from(request.system, smoothing_velocity=velocity, fixed=tuple(fixed.items()))
@@ -104,8 +105,9 @@ def _system(request: Request, recording: Recording) -> System:
 
 
 def _motion(recording: Recording) -> Signal | None:
-    """The first displacement of a recording."""
-    return next((signal for signal in recording.signals if signal.measures == "displacement"), None)
+    """The first displacement of a recording, or else its first signal of a motion."""
+    motions = [signal for signal in recording.signals if signal.measures != "force"]
+    return min(motions, key=lambda signal: signal.measures != "displacement", default=None)
 
 
 def _record(recording: Recording, system: System, start: InitialState | None, job: Job) -> Record:

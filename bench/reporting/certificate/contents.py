@@ -13,15 +13,14 @@ import numpy as np
 
 from bench.likelihood.autoregression import autoregression, even_times
 from bench.records.certificate import Certificate
-from bench.records.classes import ModelClass
 from bench.records.colour import autocorrelation
 from bench.records.diagnostics import lag_one, natural_frequency, part_of_signal, whiteness_level
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
+from bench.records.models import ModelClass, unit_over_mass
 from bench.records.record import summary_of
 from bench.records.verdict import Trust
-from bench.records.zeros import unit_over_mass
 from bench.reporting.answer import answer
 from bench.reporting.rounding import number
 

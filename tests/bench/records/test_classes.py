@@ -9,16 +9,14 @@ from scipy.integrate import solve_ivp
 from bench.config.overrides import overrides_of
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
-from bench.records import classes
-from bench.records.classes import LEVEL, ModelClass, best_class, ranked_classes
-from bench.records.continued import continued_fit
+from bench.records.classes import best_class, class_fit, compare_classes, needless_terms
 from bench.records.find import find
 from bench.records.held_out import HELD_OUT, held_out_fit
 from bench.records.linearised import at_theta
+from bench.records.models import ClassComparison
 from bench.records.reading import Recording, Signal
-from bench.records.record import Measured, read_measured, with_system
+from bench.records.record import Measured, read_measured
 from bench.records.request import request_of
-from bench.records.zeros import without
 from bench.systems.sums import Sum, sum_from
 
 T = np.linspace(0.0, 9.0, 300)
@@ -66,179 +64,190 @@ def pendulum() -> np.ndarray:
     return integrated(lambda x: OMEGA**2 * np.sin(x), 1.6)
 
 
-def measured(x: np.ndarray, db: float, seed: int, unit: str = "m") -> Measured:
+KINDS = {"displacement": ("x", "m"), "velocity": ("v", "m/s"), "acceleration": ("a", "m/s²")}
+
+
+def records(system: str, *signals: Signal) -> Measured:
+    """Each signal is a record of its own."""
+    request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": [system]})
+    return read_measured(request, tuple(Recording((signal,), (), "simulated", "") for signal in signals))
+
+
+def noisy(
+    x: np.ndarray, db: float, seed: int, unit: str = "m", measures: str = "displacement", t: np.ndarray = T
+) -> Signal:
     noise = np.std(x) * 10 ** (-db / 20) * np.random.default_rng(seed).standard_normal(x.size)
-    recording = Recording((Signal("x", "displacement", 0, x + noise, unit, T),), (), "simulated", "")
-    request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": ["auto"]})
-    return read_measured(request, (recording,))
+    role = KINDS[measures][0]
+    return Signal(role, measures, 0, x + noise, unit, t)  # type: ignore[arg-type]
 
 
-def values(one: ModelClass) -> dict[str, float]:
-    """Over the mass, in SI units."""
-    p = one.at.model.parameters(one.at.theta)
-    return {name: float(value) / one.at.model.gauge for name, value in p.items()}
+def measured(x: np.ndarray, db: float, seed: int, unit: str = "m", measures: str = "displacement") -> Measured:
+    return records("auto", noisy(x, db, seed, unit, measures))
 
 
-def check_friction(db: float, seed: int) -> None:
-    record = measured(with_friction(), db, seed)
-    found = best_class(record)
+def compared(record: Measured) -> ClassComparison:
+    comparison = compare_classes(record)
+    assert comparison is not None
+    return comparison
+
+
+def chosen(record: Measured) -> tuple[str, ...]:
+    return compared(record).chosen.system.terms
+
+
+def motion_with_friction() -> dict[str, np.ndarray]:
+    """The same by displacement, velocity and acceleration, integrated from rate to rate of the closed form."""
+    x = with_friction()
+    fine = np.linspace(0.0, T[-1], 20 * (T.size - 1) + 1)
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * y[0] - FRICTION * np.tanh(y[1] / 1e-3)]
+
+    y = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=fine, rtol=1e-9, atol=1e-11, max_step=0.01).y[:, ::20]
+    assert np.max(np.abs(y[0] - x)) < 1e-3
+    a = -2 * ZETA * OMEGA * y[1] - OMEGA**2 * y[0] - FRICTION * np.tanh(y[1] / 1e-3)
+    return {"displacement": x, "velocity": y[1], "acceleration": a}
+
+
+@pytest.mark.parametrize("measures", list(KINDS))
+def test_friction_is_chosen_by_any_sensor(measures: str) -> None:
+    """And its parameters are those of the closed form, within a few standard errors at 30 dB."""
+    comparison = compared(measured(motion_with_friction()[measures], 30.0, 0, KINDS[measures][1], measures))
+    assert comparison.chosen.system.terms == ("viscous", "spring", "coulomb")
+    assert comparison.chosen.parameters["k"] == pytest.approx(OMEGA**2, rel=0.003)
+    assert comparison.chosen.parameters["mu"] == pytest.approx(FRICTION, rel=0.12)
+    assert comparison.chosen.left == pytest.approx(10**-1.5, rel=0.35)  # dense samples are averaged
+    viscous = next(model for model in comparison.classes if model.name == "viscous")
+    assert viscous.told_apart
+    assert viscous.held_out < comparison.chosen.held_out
+
+
+def test_the_class_of_repeats_is_chosen_once_and_as_for_each_alone() -> None:
+    x = with_friction()
+    signals = [noisy((1.0 + 0.1 * i) * x, 40.0, i) for i in range(3)]
+    together = compared(records("auto", *signals))
+    assert together.chosen.name == "viscous + Coulomb"
+    assert all(compared(records("auto", signal)).chosen.name == "viscous + Coulomb" for signal in signals)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.95])
+def test_viscous_damping_is_chosen_alone_and_friction_has_a_limit(colour: float) -> None:
+    """White noise, and noise with an autocorrelation of 0.95, which a larger class may follow."""
+    rng, noise = np.random.default_rng(0), np.zeros(T.size)
+    for i in range(1, T.size):
+        noise[i] = colour * noise[i - 1] + np.sqrt(1 - colour**2) * rng.standard_normal()
+    record = records("auto", Signal("x", "displacement", 0, viscous() + 0.005 * noise, "m", T))
+    comparison = compared(record)
+    found = best_class(record, comparison)
     assert isinstance(found.problem.system, Sum)
-    assert found.problem.system.terms == ("viscous", "spring", "coulomb"), found.notes
-    assert any(note.startswith("system=auto chose") for note in found.notes)
+    assert found.problem.system.terms == ("viscous", "spring"), found.notes
+    assert found.comparison is comparison
+    assert any("mu/m is 0, at most" in note for note in found.notes)
+    assert 0 < comparison.chosen.zero["mu"] < (0.3 if colour else 0.15) * FRICTION
 
 
-def duffing_record(cycles: float) -> Measured:
-    """Let go at 1 m, at 40 dB; twenty samples a cycle."""
+@pytest.mark.parametrize("db", [20.0, 40.0])
+def test_a_hardening_spring_is_chosen(db: float) -> None:
+    comparison = compared(measured(duffing(), db, 3))
+    assert comparison.chosen.name == "Duffing"
+    assert comparison.chosen.parameters["k3"] == pytest.approx(0.5 * OMEGA**2, rel=0.1 if db < 30 else 0.02)
+    assert min(model.criterion for model in comparison.classes) == 0.0
+
+
+@pytest.mark.parametrize("db", [20.0, 40.0])
+def test_a_pendulum_of_large_swings_is_chosen_by_its_angle(db: float) -> None:
+    record = measured(pendulum(), db, 4, "rad")
+    assert record.angle
+    system = compared(record).chosen.system
+    assert system.terms == ("viscous", "pendulum")
+    assert dict(system.fixed) == {"l": 1.0}
+
+
+def test_friction_joins_a_pendulum() -> None:
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * np.sin(y[0]) - FRICTION * np.tanh(y[1] / 1e-3)]
+
+    x = solve_ivp(law, (0.0, T[-1]), [1.6, 0.0], t_eval=T, rtol=1e-9, atol=1e-11, max_step=0.01).y[0]
+    assert chosen(measured(x, 40.0, 0, "rad")) == ("viscous", "pendulum", "coulomb")
+
+
+def test_windows_of_a_long_record_show_its_friction() -> None:
+    """Ninety cycles, of which three windows are compared: in closed form, half period by half period."""
+    times = np.arange(2160) / 24.0
+    half, friction = np.pi / OMEGA, 0.002
+    swing = 1.0 - 2.0 * friction * np.floor(times / half)  # from turn to turn friction takes twice its part
+    side = (-1.0) ** np.floor(times / half)
+    x = side * (friction + (swing - friction) * np.cos(OMEGA * (times % half)))
+    comparison = compared(records("auto", noisy(x, 40.0, 1, t=times)))
+    assert comparison.chosen.system.terms[-1] == "coulomb"
+    assert comparison.chosen.parameters["mu"] == pytest.approx(friction * OMEGA**2, rel=0.1)
+
+
+def test_a_driven_axis_has_friction_and_no_spring() -> None:
+    """``x'' = f - 2 x' - 3 sgn(x')`` under a force to and fro, by scipy."""
+    times = np.linspace(0.0, 12.0, 600)
+    force = 10.0 * np.sign(np.sin(2 * np.pi * times / 4.0 + 1e-9)) + 2.0 * np.sin(5.0 * times)
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], np.interp(t, times, force) - 2.0 * y[1] - 3.0 * np.tanh(y[1] / 1e-2)]
+
+    x = solve_ivp(law, (0.0, 12.0), [0.0, 0.0], t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.01).y[0]
+    rng = np.random.default_rng(2)
+    signals = (
+        Signal("x", "displacement", 0, x + 0.005 * np.std(x) * rng.standard_normal(x.size), "m", times),
+        Signal("f", "force", 0, force, "N", times),
+    )
+    request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": ["auto"]})
+    model = compared(read_measured(request, (Recording(signals, (), "simulated", ""),))).chosen
+    assert model.system.terms[:2] == ("viscous", "coulomb")
+    assert "spring" not in model.system.terms
+    assert model.parameters["m"] == pytest.approx(1.0, rel=0.03)
+    assert model.parameters["mu"] == pytest.approx(3.0, rel=0.05)
+
+
+@pytest.mark.parametrize("cycles", [10.0, 60.0])
+def test_the_fit_of_a_class_is_continued_to_the_whole_record(cycles: float) -> None:
+    """From windows of sixty cycles, or from the whole of a short record, to the law's parameters in SI units."""
     times = np.arange(round(20 * cycles)) / 20.0
 
     def law(t, y):  # type: ignore[no-untyped-def]
         return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * (y[0] + 0.5 * y[0] ** 3)]
 
     x = solve_ivp(law, (0.0, times[-1]), [1.0, 0.0], t_eval=times, rtol=1e-9, atol=1e-11).y[0]
-    x = x + 0.01 * np.std(x) * np.random.default_rng(3).standard_normal(x.size)
-    recording = Recording((Signal("x", "displacement", 0, x, "m", times),), (), "simulated", "")
-    request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": ["auto"]})
-    return read_measured(request, (recording,))
-
-
-@pytest.mark.parametrize("cycles", [10.0, 40.0])
-def test_the_fit_of_a_class_is_continued_to_the_whole_record(cycles: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From twelve cycles of forty, or from the whole of a short record, to the law's parameters in SI units."""
-    monkeypatch.setattr(classes, "_bases", lambda sprung: [])
-    record = duffing_record(cycles)
-    found = ranked_classes(record)
-    best = next(one for one in found if one.name == "Duffing")
-    outcome = continued_fit(best, with_system(record, best.system).problem)
+    record = records("auto", noisy(x, 40.0, 3, t=times))
+    outcome = class_fit(compared(record).chosen, record.problem)
     assert outcome is not None
     assert outcome.estimate is not None
-    law = {"k_over_m": OMEGA**2, "c_over_m": 2 * ZETA * OMEGA, "k3_over_m": 0.5 * OMEGA**2}
-    for name, value in law.items():
-        marginal = outcome.estimate.marginal(best.system.quantity(name))
+    for name, value in {"k_over_m": OMEGA**2, "c_over_m": 2 * ZETA * OMEGA, "k3_over_m": 0.5 * OMEGA**2}.items():
+        marginal = outcome.estimate.marginal(outcome.estimate.system.quantity(name))
         assert marginal is not None
         low, high = marginal.interval(0.999)
         assert low < value < high
         assert high - low < 0.2 * value
 
 
-def test_a_class_with_other_unknowns_is_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(classes, "_bases", lambda sprung: [])
-    record = duffing_record(10.0)
-    best = next(one for one in ranked_classes(record) if one.name == "Duffing")
-    assert continued_fit(best, with_system(record, sum_from("sdof")).problem) is None
+def test_records_of_two_masses_have_no_classes_and_it_is_said() -> None:
+    from bench.systems import make_system
 
-
-@pytest.mark.slow
-def test_friction_joins_the_second_of_what_pulls_back_too() -> None:
-    """A pendulum of large swings with friction: without friction a softening spring may describe it as well."""
-    x = integrated_pendulum_with_friction()
-    names = [one.name for one in ranked_classes(measured(x, 40.0, 0, "rad"))]
-    assert {"pendulum + Coulomb", "softening + Coulomb"} <= set(names)
-    assert names[0].startswith("pendulum + Coulomb")
-
-
-def integrated_pendulum_with_friction() -> np.ndarray:
-    def law(t, y):  # type: ignore[no-untyped-def]
-        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * np.sin(y[0]) - FRICTION * np.tanh(y[1] / 1e-3)]
-
-    return solve_ivp(law, (0.0, T[-1]), [1.6, 0.0], t_eval=T, rtol=1e-9, atol=1e-11, max_step=0.01).y[0]
-
-
-@pytest.mark.slow
-def test_friction_is_found() -> None:
-    """And viscous damping alone is told from it."""
-    record = measured(with_friction(), 30.0, 0)
-    ranked = ranked_classes(record)
-    found = {one.name: one for one in ranked}
-    assert min(one.criterion for one in ranked) == 0.0
-    assert [one.criterion for one in ranked] == sorted(one.criterion for one in ranked)
-    assert found["viscous"].criterion > 10.0
-    assert found["viscous + Coulomb"].criterion < 10.0
-    assert found["viscous + Coulomb"].left == pytest.approx(10**-1.5, rel=0.15)
-    assert found["viscous + Coulomb"].held_out == pytest.approx(100 * (1 - 0.05), abs=5)
-    assert found["viscous"].held_out < found["viscous + Coulomb"].held_out
-    p, units = values(found["viscous + Coulomb"]), record.problem.natural_units()
-    mu = next(q for q in found["viscous + Coulomb"].system.parameters if q.name == "mu")
-    m = next(q for q in found["viscous + Coulomb"].system.parameters if q.name == "m")
-    scale = units.of(mu.dimension) / units.of(m.dimension)
-    assert p["mu"] / p["m"] * scale == pytest.approx(FRICTION, rel=0.15)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("db", [30.0, 40.0])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_friction_is_chosen(db: float, seed: int) -> None:
-    check_friction(db, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 10])
-def test_in_much_noise_friction_is_chosen_or_said_not_to_be_told_apart(seed: int) -> None:
-    """At 20 dB the viscous class is as good in some records, by less than 2 of the criterion."""
-    found = best_class(measured(with_friction(), 20.0, seed))
-    assert isinstance(found.problem.system, Sum)
-    said = next(note for note in found.notes if note.startswith("system=auto chose"))
-    assert "coulomb" in said or "viscous + Coulomb" in said
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_viscous_damping_is_chosen_alone_and_the_rest_is_nothing_or_not_told_apart(seed: int) -> None:
-    found = best_class(measured(viscous(), 30.0, seed))
-    assert isinstance(found.problem.system, Sum)
-    assert found.problem.system.terms == ("viscous", "spring"), found.notes
-    said = next(note for note in found.notes if note.startswith("system=auto chose"))
-    assert "Coulomb" in said or any("mu/m is 0, at most" in note for note in found.notes)
-
-
-@pytest.mark.slow
-def test_the_most_friction_that_a_viscous_record_allows_is_far_below_what_would_be_seen() -> None:
-    """Beside viscous damping alone below a tenth of what is found above; beside more it is told less well."""
-    found = {one.name: one for one in ranked_classes(measured(viscous(), 40.0, 0))}
-    assert 0 < found["viscous + Coulomb"].zero["mu"] < 0.1 * FRICTION
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("db", [20.0, 40.0])
-def test_a_hardening_spring_is_chosen(db: float) -> None:
-    record = measured(duffing(), db, 3)
-    ranked = ranked_classes(record)
-    assert next(one for one in ranked if one.name == "Duffing").criterion < LEVEL
-    assert next(one for one in ranked if one.name == "viscous").criterion > 100.0
-    found = best_class(record)
-    assert isinstance(found.problem.system, Sum)
-    assert found.problem.system.terms == ("viscous", "spring", "cubic"), found.notes
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("db", [20.0, 40.0])
-def test_a_pendulum_of_large_swings_is_chosen_by_its_angle(db: float) -> None:
-    record = measured(pendulum(), db, 4, "rad")
-    assert record.angle
-    found = best_class(record)
-    system = found.problem.system
-    assert isinstance(system, Sum)
-    assert system.terms == ("viscous", "pendulum"), found.notes
-    assert dict(system.fixed) == {"l": 1.0}
-
-
-def test_two_sensors_have_no_classes_and_it_is_said() -> None:
     record = measured(viscous(), 30.0, 0)
-    signals = tuple(
-        Signal(role, measures, 0, np.array(viscous()), unit, T)
-        for role, measures, unit in [("x", "displacement", "m"), ("v", "velocity", "m/s")]
-    )
-    request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": ["auto"]})
-    both = read_measured(request, (Recording(signals, (), "simulated", ""),))
-    assert ranked_classes(both) == []
-    found = best_class(both)
-    assert found.problem is both.problem
+    two = Problem(make_system("chain", {"n": 2}), record.problem.records)
+    assert compare_classes(Measured(record.recordings, two, ())) is None
+    found = best_class(record, None)
+    assert found.problem is record.problem
     assert "sdof is used" in found.notes[-1]
-    assert record.notes == ()
 
 
-def test_a_sum_loses_the_terms_that_are_nothing_but_never_all() -> None:
-    assert without(sum_from("sdof+coulomb+quadratic"), {"mu": 0.1}).terms == ("viscous", "spring", "quadratic")
-    assert without(sum_from("viscous"), {"c": 0.1}).terms == ("viscous",)
+def test_of_a_named_sum_the_term_is_needless_that_comes_out_negative() -> None:
+    """Linear damping that is not there beside drag, and friction beside viscous damping; needed terms stay."""
+
+    def law(t, y):  # type: ignore[no-untyped-def]
+        return [y[1], -(OMEGA**2) * y[0] - 0.1 * abs(y[1]) * y[1]]
+
+    x = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
+    found = needless_terms(records("sdof+coulomb", noisy(x, 37.0, 0)))
+    assert list(found) == ["mu"]
+    assert 0.0 < found["mu"] < 0.1 * OMEGA**2
+    assert needless_terms(records("sdof+coulomb", noisy(with_friction(), 40.0, 0))) == {}
 
 
 @pytest.mark.parametrize("more", [0.0, 0.2])

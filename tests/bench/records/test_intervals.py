@@ -16,7 +16,7 @@ from scipy.stats import t as student
 
 from bench.contract.estimate import Cost
 from bench.contract.problem import Channel, Problem, Record
-from bench.likelihood.autoregression import Autoregression, autoregression
+from bench.likelihood.autoregression import Autoregression, autoregression, log_likelihoods
 from bench.likelihood.output_error import OutputError, estimate_at
 from bench.records.colour import criterion_error, information_criterion, local_spectrum
 from bench.records.diagnostics import natural_frequency
@@ -380,10 +380,11 @@ def test_the_error_of_a_difference_of_criteria_is_its_spread_over_records() -> N
         common = rng.standard_normal(400)
         first, second = (common + 0.3 * rng.standard_normal(400) for _ in range(2))
         differences.append(information_criterion(first, 3) - information_criterion(second, 3))
-        errors.append(criterion_error(first, second, (3, 3)))
+        logs = [log_likelihoods(autoregression(residuals, 3), residuals) for residuals in (first, second)]
+        errors.append(criterion_error(*logs))
     assert np.median(errors) == pytest.approx(np.std(differences), rel=0.25)
 
 
 def test_a_fit_differs_from_itself_by_nothing() -> None:
-    r = np.random.default_rng(1).standard_normal(100)
-    assert criterion_error(r, r, (3, 3)) == 0.0
+    logs = np.random.default_rng(1).standard_normal(100)
+    assert criterion_error(logs, logs) == 0.0

@@ -5,32 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.records.models import FRACTION, candidates, smoothing_velocity
+from bench.records.models import FRACTION, ClassComparison, ModelClass, smoothing_velocity, without
+from bench.systems.sums import sum_from
 
 T = np.linspace(0.0, 8.0, 300)
 OMEGA = 2 * np.pi
 RMS = OMEGA / np.sqrt(2.0)
 """The root mean square speed of ``sin(OMEGA t)``."""
-
-
-@pytest.mark.parametrize("angle", [False, True])
-def test_the_candidates_of_a_free_record(angle: bool) -> None:
-    found = candidates(False, angle, 0.2)
-    assert list(found) == [
-        "viscous", "viscous + Coulomb", "viscous + quadratic", "viscous + Coulomb + quadratic", "Duffing", "softening",
-        "pendulum", "pendulum + Coulomb", "pendulum + quadratic", "pendulum + Coulomb + quadratic",
-    ]  # fmt: skip
-    assert len(set(found.values())) == len(found)
-    assert found["viscous + Coulomb"].smoothing_velocity == 0.2
-    assert all(("l" in found[name].names) != angle for name in found if name.startswith("pendulum"))
-    assert all(system.tells_offset and not system.needs_scale for system in found.values())
-
-
-def test_a_forced_record_may_be_of_an_axis_without_a_spring() -> None:
-    found = candidates(True, False)
-    more = {name: found[name] for name in found if name not in candidates(False, False)}
-    assert all("k" not in system.names and not system.tells_offset for system in more.values())
-    assert {system.bias_sign for system in more.values() if "b" in system.names} == {1, -1}
 
 
 def test_the_smoothing_velocity_is_a_part_of_the_speed() -> None:
@@ -46,6 +27,36 @@ def test_oversampling_lets_no_noise_in() -> None:
     times = np.linspace(0.0, 8.0, 20_000)
     noisy = np.sin(OMEGA * times) + 0.1 * np.random.default_rng(1).standard_normal(times.size)
     assert smoothing_velocity(times, noisy) == pytest.approx(FRACTION * RMS, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("measures", "values"), [("velocity", OMEGA * np.cos(OMEGA * T)), ("acceleration", -(OMEGA**2) * np.sin(OMEGA * T))]
+)
+def test_sensors_of_other_kinds_give_the_same(measures: str, values: np.ndarray) -> None:
+    assert smoothing_velocity(T, values + 9.81, measures) == pytest.approx(FRACTION * RMS, rel=0.02)
+
+
+def test_a_sum_loses_terms_but_never_all() -> None:
+    assert without(sum_from("sdof+coulomb+quadratic"), {"mu"}).terms == ("viscous", "spring", "quadratic")
+    assert without(sum_from("viscous"), {"c"}).terms == ("viscous",)
+
+
+def test_values_of_classes_as_good_have_the_weights_of_their_scores() -> None:
+    """By hand: scores that differ by 2 ln 3 make weights of 3 to 1; a class that is told apart has none."""
+
+    def model(text: str, c: float, score: float, told_apart: bool = False) -> ModelClass:
+        system = sum_from(text)
+        parameters = {name: {"k": 9.0, "c": c}.get(name, 0.1) for name in system.names if name != "m"}
+        return ModelClass(text, system, parameters, (1.0, 0.0), 0.0, 0.0, score, 0.1, 90.0, {}, told_apart)
+
+    other = model("sdof+coulomb", 0.2, 2 * np.log(3.0))
+    classes = ClassComparison([model("sdof", 0.3, 0.0), other, model("sdof+quadratic", 0.5, 40.0, True)])
+    assert classes.tied == [other]
+    (first, second) = classes.average("c_over_m")
+    assert first == pytest.approx((0.3, 0.75))
+    assert second == pytest.approx((0.2, 0.25))
+    assert classes.average("natural_frequency")[0][0] == pytest.approx(3.0 / (2 * np.pi))
+    assert classes.average("mu_over_m") == []
 
 
 def test_uneven_times_and_other_units_give_the_same() -> None:

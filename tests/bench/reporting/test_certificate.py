@@ -16,16 +16,16 @@ from bench.records import classes
 from bench.records.certificate import (
     Certificate,
     MethodComparison,
-    _ranked,
+    _comparison,
     agreement_of,
     certify,
     prediction_of,
     with_reasons,
 )
-from bench.records.classes import ModelClass
-from bench.records.continued import NAME
+from bench.records.classes import NAME
 from bench.records.held_out import held_out_fit
 from bench.records.intervals import StatedInterval
+from bench.records.models import ClassComparison
 from bench.records.reading import of_arrays
 from bench.records.record import Measured, read_measured
 from bench.records.replicas import ReplicaCoverage
@@ -50,18 +50,17 @@ def asked(system: str = "sdof", methods: tuple[str, ...] = ("output_error", "ls"
 
 
 @pytest.fixture(scope="module")
-def ranked() -> Iterator[list[ModelClass]]:
-    """Two classes of the record, which stand in for all: fitting them all takes a minute."""
+def compared() -> Iterator[ClassComparison]:
+    """The classes of the record, compared once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(classes, "SIMPLE", ("viscous", "Duffing"))
-        patch.setattr(classes, "_damped", lambda base: {})
-        found = classes.ranked_classes(asked("auto")[1])
-        patch.setattr(gathering, "_ranked", lambda measured, workers, missing: tuple(found))
+        found = classes.compare_classes(asked("auto")[1])
+        assert found is not None
+        patch.setattr(gathering, "_comparison", lambda measured, workers, missing: found)
         yield found
 
 
 @pytest.fixture(scope="module")
-def made(ranked: list[ModelClass]) -> Certificate:
+def made(compared: ClassComparison) -> Certificate:
     return certify(*asked(), 0)
 
 
@@ -75,7 +74,7 @@ def text(shown: Mapping[str, Any]) -> str:
     return page(shown)
 
 
-def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(ranked: list[ModelClass]) -> None:
+def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(compared: ClassComparison) -> None:
     """Only where the system was chosen; which method found nothing, and why, is said."""
     failed = ("era",)  # it cannot estimate the sensor's offset
     chosen = certify(*asked("auto", failed), 0)
@@ -138,18 +137,17 @@ def test_the_prediction_is_that_of_held_out_fit(made: Certificate) -> None:
     assert np.max(np.abs(size * own.predicted - np.exp(-DECAY * TIMES) * np.cos(RATE * TIMES))) < 0.05
 
 
-def test_the_best_of_ranked_classes_is_what_system_auto_takes(ranked: list[ModelClass]) -> None:
+def test_the_chosen_class_is_what_system_auto_takes(compared: ClassComparison) -> None:
     _, measured = asked("auto")
-    assert ranked
-    assert "system=auto chose" in " ".join(classes.best_class(measured, ranked).notes)
-    assert "sdof is used" in classes.best_class(measured, []).notes[-1]
+    assert "system=auto chose" in " ".join(classes.best_class(measured, compared).notes)
+    assert "sdof is used" in classes.best_class(measured, None).notes[-1]
 
 
 def test_classes_that_take_too_long_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     missing: dict[str, str] = {}
     monkeypatch.setattr(gathering, "CLASSES_SECONDS", 0.0)
     with Workers() as workers:
-        assert _ranked(asked()[1], workers, missing) == ()
+        assert _comparison(asked()[1], workers, missing) is None
     assert "limit" in missing["classes"]
 
 

@@ -1,0 +1,445 @@
+"""One law of motion that holds the terms of every model class, fitted to a record for many classes at once.
+
+``x'' = f/m - (c/m) x' - (k/m) x - (k/m) l sin(x/l) - (k3/m) x³ - (c2/m) |x'| x' - (mu/m) sgn(x') - b/m``: a class is
+the set of coefficients that are free, the others are zero. All classes are simulated side by side with their
+derivatives, so that one compiled programme serves them all. Units are those of the record: its strongest angular
+frequency and half of its range are 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bench.contract.belief import standard_quantile
+from bench.contract.problem import Channel, Record
+from bench.likelihood.autoregression import MOST_ORDER, SAMPLES_PER_ORDER, Autoregression, autoregression
+from bench.likelihood.least_squares import SETTLED, Linearisation, covariances, minimise
+from bench.records.strongest import strongest_frequency
+
+COEFFICIENTS = ("1/m", "c", "k", "pendulum", "k3", "c2", "mu", "b", "1/l")
+"""Coefficients over the mass (the first and the last as named), in the order of the unknowns."""
+FIRST = np.array([0.5, 0.04, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+"""Values of the free coefficients from which a search starts."""
+FURTHER = np.array([False, False, False, False, False, True, True, False, False])
+"""Coefficients that join the others once these describe the motion: from no motion, friction would not be smooth."""
+LITTLE = 1e-3
+"""Their first values."""
+POSITIVE = np.array([False, True, False, False, False, True, True, False, False])
+"""Coefficients of damping, which are left out where they come out negative."""
+STEP = 0.08
+"""Length of a Runge-Kutta step in radians of the strongest frequency: 79 a cycle."""
+SMOOTHING = 0.05
+"""The speed over which friction changes its sign, over the amplitude of the speed: a thousandth less work per cycle."""
+LEAST_STEPS = 3000
+"""In a forced record, which may be of no oscillator."""
+STILL = 1e-3
+"""Least amplitude for this smoothing, so that friction stays smooth where nothing moves."""
+MOST_CYCLES = 40.0
+"""Cycles that are compared; of a longer record as many in three windows: first, middle and last."""
+SAMPLES_PER_CYCLE = 24.0
+"""Samples of a cycle that are kept; of denser ones, means are taken, of the prediction too."""
+DIED_OUT = 0.05
+"""A free record ends where its amplitude has fallen below this part of the largest: the smoothing hides that friction
+holds the body at rest."""
+FIRST_CYCLES, GROWTH = 1.5, 2.5
+"""A search starts on so much of each window, and so much more each time: a phase that slips has many minima."""
+ITERATIONS, LAST_ITERATIONS, COLOURED_ITERATIONS = 8, 15, 4
+TOLERANCE = 1e-4
+"""A search ends where a step would lower the squares by less than this part of the noise's variance at its start."""
+HOPELESS = 5.0
+"""Residuals over those of the best class, from which one without further damping is not improved by any."""
+NOISE_FLOOR = 1e-4
+"""Least noise over the signal: that of the steps and of digits."""
+ONE_SIDED = float(standard_quantile(0.95, None))
+GAUSS = 0.5 / np.sqrt(3.0)
+"""Places of the two-point rule of Gauss, over the length, from the middle."""
+
+
+Searched = tuple[np.ndarray, np.ndarray]
+Noises = Sequence[Sequence[Autoregression]]
+"""Of each class and group of samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excerpt:
+    """The windows (W) of a record that are compared, each with N samples and J steps; padded where ``weight`` is 0.
+
+    ``places`` (W, 2, N) are the times at which a sample's prediction is averaged, ``force`` the force there, ``push``
+    (W, J) the force during each step. ``order`` is 0, 1 or 2 for displacement, velocity and acceleration. ``rate``,
+    ``size`` and ``force_size`` are the units, and ``strongest`` the strongest angular frequency in them.
+    """
+
+    values: np.ndarray
+    weight: np.ndarray
+    places: np.ndarray
+    order: np.ndarray
+    channel: np.ndarray
+    force: np.ndarray
+    push: np.ndarray
+    offset: tuple[bool, ...]
+    rate: float
+    strongest: float
+    size: float
+    force_size: float
+    start: np.ndarray | None
+
+    @property
+    def still(self) -> float:
+        """Return the amplitude of the speed for smoothing friction: a fixed one where a force drives the body."""
+        return self.strongest / np.sqrt(2.0) if np.any(self.push) else STILL
+
+    def groups(self) -> list[tuple[int, np.ndarray]]:
+        """Return window and places of the samples of each channel in each window."""
+        found = []
+        for window in range(len(self.values)):
+            for channel in range(len(self.offset)):
+                places = np.flatnonzero((self.channel[window] == channel) & (self.weight[window] > 0))
+                found.append((window, places))
+        return [group for group in found if group[1].size > 2]
+
+
+ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+def excerpt(record: Record) -> Excerpt:
+    """Cut a record into what is compared, in its own units."""
+    first = record.channels[0]
+    strongest = rate = 2 * np.pi * strongest_frequency(first.times, first.values)
+    if record.forces:
+        rate = max(rate, LEAST_STEPS * STEP / record.duration)
+    size = float(np.ptp(first.values)) / 2.0 or 1.0
+    size /= strongest ** ORDERS[first.measures]
+    force_size = max((float(np.std(f.values)) for f in record.forces), default=0.0) or 1.0
+    windows = _windows(record, strongest)
+    cut = [[_averaged(c, low, high, rate) for c in record.channels] for low, high in windows]
+    n = 64 * -(-max(sum(t.size for t, _, _ in each) for each in cut) // 64)
+    longest = max(high - low for low, high in windows) * rate
+    steps = 256 * -(-int(longest / STEP + 2) // 256)
+    shape = (len(windows), n)
+    values, weight, order, channel = np.zeros(shape), np.zeros(shape), np.zeros(shape, int), np.zeros(shape, int)
+    places, force, push = np.zeros((shape[0], 2, n)), np.zeros((shape[0], 2, n)), np.zeros((shape[0], steps))
+    for w, ((low, _), each) in enumerate(zip(windows, cut, strict=True)):
+        place = 0
+        for i, ((times, means, widths), of) in enumerate(zip(each, record.channels, strict=True)):
+            own = slice(place, place := place + times.size)
+            kind = ORDERS[of.measures]
+            values[w, own], weight[w, own] = means / (size * rate**kind), 1.0
+            order[w, own], channel[w, own] = kind, i
+            both = np.stack([times - GAUSS * widths, times + GAUSS * widths])
+            places[w, :, own] = rate * (both - low)
+            force[w, :, own] = record.force(both.ravel(), 1)[0].reshape(both.shape) / force_size
+        if record.forces:
+            nodes = low + (np.arange(steps)[:, None] + np.array([0.125, 0.375, 0.625, 0.875])) * STEP / rate
+            push[w] = np.mean(record.force(nodes.ravel(), 1)[0].reshape(nodes.shape), axis=1) / force_size
+    known = record.initial_state
+    start = None
+    if known is not None:
+        start = np.array([known.displacement[0] / size, known.velocity[0] / (size * rate)])
+    offset = tuple(c.offset for c in record.channels)
+    return Excerpt(
+        values, weight, places, order, channel, force, push, offset, rate, strongest / rate, size, force_size, start
+    )
+
+
+def padded(excerpts: Sequence[Excerpt]) -> list[Excerpt]:
+    """Bring excerpts to one number of samples and steps, so that what is compiled serves all of them."""
+    samples, steps = max(e.values.shape[1] for e in excerpts), max(e.push.shape[1] for e in excerpts)
+
+    def longer(array: np.ndarray, size: int) -> Any:
+        return np.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, size - array.shape[-1])])
+
+    def same(cut: Excerpt) -> Excerpt:
+        fields: dict[str, Any] = {"push": longer(cut.push, steps)}
+        for name in ("values", "weight", "places", "order", "channel", "force"):
+            fields[name] = longer(getattr(cut, name), samples)
+        return replace(cut, **fields)
+
+    return [same(cut) for cut in excerpts]
+
+
+def _windows(record: Record, rate: float) -> list[tuple[float, float]]:
+    """Choose the parts that are compared: up to where a free motion has died out."""
+    period, first = 2 * np.pi / rate, record.channels[0]
+    end = record.duration
+    if not record.forces:
+        cycle = ((first.times - first.times[0]) / period).astype(int)
+        spread = np.array(
+            [np.std(first.values[cycle == i]) if np.any(cycle == i) else 0.0 for i in range(cycle[-1] + 1)]
+        )
+        alive = int(np.flatnonzero(spread >= DIED_OUT * np.max(spread))[-1]) + 1
+        end = min(end, float(first.times[0]) + max(alive, 3) * period)
+    longest = MOST_CYCLES * period
+    if end <= longest or record.initial_state is not None:
+        return [(0.0, min(end, longest))]
+    return [(low, low + longest / 3.0) for low in np.linspace(0.0, end - longest / 3.0, 3)]
+
+
+def _averaged(channel: Channel, low: float, high: float, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Average a channel within a window: times, means and the lengths that they are over."""
+    inside = (channel.times >= low) & (channel.times <= high * (1.0 + 1e-12))
+    times, values = channel.times[inside], channel.values[inside]
+    per_cycle = (times.size - 1) / max(float(np.ptp(times)), 1e-300) * 2 * np.pi / rate
+    by = max(int(per_cycle / SAMPLES_PER_CYCLE), 1)
+    whole = times.size // by * by
+    blocks = times[:whole].reshape(-1, by)
+    widths = (blocks[:, -1] - blocks[:, 0]) * by / max(by - 1, 1)
+    return blocks.mean(axis=1), values[:whole].reshape(-1, by).mean(axis=1), widths
+
+
+@cache
+def _simulator() -> Any:
+    """Compile (coefficients and state, steps, push, places, force, order, still) -> predictions and derivatives."""
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+
+    def acceleration(q: Any, x: Any, v: Any, f: Any, still: Any) -> Any:
+        of_force, c, k, pendulum, k3, c2, mu, b, turn = (q[i] for i in range(len(COEFFICIENTS)))
+        speed = SMOOTHING * jnp.where(still > STILL, still, jnp.sqrt(v * v + x * x + STILL**2))
+        pull = k * x + pendulum * jnp.sin(turn * x) / turn + k3 * x * x * x
+        return of_force * f - pull - c * v - c2 * jnp.abs(v) * v - mu * jnp.tanh(v / speed) - b
+
+    def predict(q: Any, steps: Any, push: Any, places: Any, force: Any, order: Any, still: Any) -> Any:
+        def rate(s: Any, f: Any) -> Any:
+            return jnp.stack([s[1], acceleration(q, s[0], s[1], f, still)])
+
+        def step(j: Any, path: Any) -> Any:
+            s, f = path[j], push[j]
+            k1 = rate(s, f)
+            k2 = rate(s + STEP / 2 * k1, f)
+            k3 = rate(s + STEP / 2 * k2, f)
+            k4 = rate(s + STEP * k3, f)
+            return path.at[j + 1].set(s + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+        path = jnp.zeros((push.shape[0] + 1, 2)).at[0].set(q[-2:])
+        path = jax.lax.fori_loop(0, steps, step, path)
+        node = jnp.minimum((places / STEP).astype(int), push.shape[0] - 1)
+        t = places / STEP - node
+        (x0, v0), (x1, v1) = jnp.moveaxis(path[node], -1, 0), jnp.moveaxis(path[node + 1], -1, 0)
+        x = (1 + 2 * t) * (1 - t) ** 2 * x0 + t * t * (3 - 2 * t) * x1
+        x += STEP * t * (1 - t) * ((1 - t) * v0 - t * v1)
+        v = 6 * t * (1 - t) * (x1 - x0) / STEP + (1 - t) * (1 - 3 * t) * v0 + t * (3 * t - 2) * v1
+        return jnp.select([order == 0, order == 1], [x, v], acceleration(q, x, v, force, still)).mean(0)
+
+    def with_slopes(q: Any, *data: Any) -> Any:
+        moves = jnp.eye(q.size)
+        return jax.vmap(lambda move: jax.jvp(lambda q: predict(q, *data), (q,), (move,)), out_axes=(None, -1))(moves)
+
+    cases = jax.vmap(with_slopes, in_axes=(0, None, None, None, None, None, None))
+    return jax.jit(jax.vmap(cases, in_axes=(1, None, 0, 0, 0, 0, None), out_axes=1))
+
+
+@dataclass(frozen=True, eq=False)
+class ClassFits:
+    """The fits of classes (C) to a record: coefficients (C, 9), in the record's units, and states at time 0.
+
+    ``free`` (C, 9) are those that were not left out. ``residuals`` (C, n) are of the samples in use, over the signal;
+    ``log_likelihoods`` (C, n) of nearly as many, with the noise as coloured as it is left. ``unknowns`` (C,) counts
+    what was estimated, the noise's colour included; ``independent`` (C,) the samples that would tell as much if they
+    were not correlated. ``limits`` (C, 9): the one-sided 95 % limit of each coefficient of damping.
+    """
+
+    free: np.ndarray
+    coefficients: np.ndarray
+    starts: np.ndarray
+    residuals: np.ndarray
+    log_likelihoods: np.ndarray
+    unknowns: np.ndarray
+    independent: np.ndarray
+    limits: np.ndarray
+    held_out: np.ndarray
+
+
+class LawFitter:
+    """Searches of the least squares of classes, side by side.
+
+    ``free`` (C, 9) says which coefficients each class has; ``turn`` is the known 1/l in the record's units, or its
+    first value.
+    """
+
+    def __init__(self, excerpt: Excerpt, free: np.ndarray, turn: float) -> None:
+        self.excerpt, self.free, self.turn = excerpt, free.copy(), turn
+        self.law, self.windows = len(COEFFICIENTS), len(excerpt.values)
+        self.offsets = [i for i, unknown in enumerate(excerpt.offset) if unknown]
+        self.size = self.law + 2 * self.windows + len(self.offsets)
+        self.whole = float(np.max(excerpt.places[:, 1] * excerpt.weight))
+        self.groups, self.using = excerpt.groups(), np.ones(len(free), bool)
+
+    @property
+    def open(self) -> np.ndarray:
+        """The unknowns of each class (C, size): coefficients, initial states of the windows, and offsets."""
+        pulled = self.free[:, 2] | self.free[:, 3] | self.free[:, 4]
+        states = np.full((len(self.free), 2 * self.windows), self.excerpt.start is None)
+        return np.concatenate([self.free, states, np.repeat(pulled[:, None], len(self.offsets), axis=1)], axis=1)
+
+    def evaluate(self, theta: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate all classes up to a time of each window: residuals (C, W, N), and derivatives (C, W, N, size)."""
+        e, law = self.excerpt, self.law
+        states = theta[:, law : law + 2 * self.windows].reshape(len(theta), self.windows, 2)
+        q = np.concatenate([np.repeat(theta[:, None, :law], self.windows, axis=1), states], axis=2)
+        steps = min(int(length / STEP) + 2, e.push.shape[1])
+        predicted, by_q = _simulator()(q, steps, e.push, e.places, e.force, e.order, e.still)
+        left, by_q = np.asarray(predicted) - e.values, np.asarray(by_q)
+        slopes = np.zeros((*left.shape, self.size))
+        slopes[..., :law] = by_q[..., :law]
+        for w in range(self.windows):
+            slopes[:, w, :, law + 2 * w : law + 2 * w + 2] = by_q[:, w, :, law:]
+        for column, channel in enumerate(self.offsets, start=law + 2 * self.windows):
+            slopes[..., column] = e.channel == channel
+            left += theta[:, column, None, None] * slopes[..., column]
+        return left, slopes
+
+    def search(self, theta: np.ndarray, iterations: int, weight: np.ndarray, noises: Noises | None = None) -> Searched:
+        """Lower the squares of the classes in use over the weighted samples, whitened where the noise is given.
+
+        Returns:
+            The unknowns (C, size) and the sums of squares (C,), infinite for classes not in use.
+        """
+        every, used = theta.copy(), self.open
+        using = np.flatnonzero(self.using)
+        length = float(np.max(self.excerpt.places[:, 1] * (weight > 0)))
+
+        def evaluate(cases: np.ndarray, trial: np.ndarray) -> Linearisation:
+            every[using[cases]] = trial
+            with np.errstate(all="ignore"):
+                left, slopes = self.evaluate(every, length)
+            left, slopes = left * weight, slopes * (weight[..., None] * used[:, None, None, :])
+            if noises is not None:
+                left, slopes = self.whitened(noises, left, slopes)
+            left, slopes, n = left[using[cases]], slopes[using[cases]], cases.size
+            left, slopes = left.reshape(n, -1) * scale[cases, None], slopes.reshape(n, -1, self.size)
+            return Linearisation.of(trial, left, slopes * scale[cases, None, None])
+
+        scale, every_case = np.ones(using.size), np.arange(using.size)
+        cost = evaluate(every_case, theta[using]).cost
+        scale = np.sqrt(SETTLED / TOLERANCE * np.sum(weight > 0) / np.where(np.isfinite(cost) & (cost > 0), cost, 1.0))
+        at = minimise(evaluate, evaluate(every_case, theta[using]), iterations).at
+        theta, cost = theta.copy(), np.full(len(theta), np.inf)
+        theta[using], cost[using] = at.unknowns, at.cost / scale**2
+        return theta, cost
+
+    def whitened(self, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whiten residuals and derivatives of each class by its noise."""
+        white, turned = np.zeros_like(left), np.zeros_like(slopes)
+        for case, row in enumerate(noises):
+            for (w, places), noise in zip(self.groups, row, strict=True):
+                white[case, w, places] = noise.whitened(left[case, w, places])
+                turned[case, w, places] = noise.whitened(slopes[case, w, places].T).T
+        return white, turned
+
+    def fitted(self) -> ClassFits:
+        """Search by growing windows without further damping, then with it, then with the noise's colour."""
+        e, wanted = self.excerpt, self.free.copy()
+        theta = np.zeros((len(wanted), self.size))
+        theta[:, : self.law] = np.where(wanted, FIRST, 0.0)
+        theta[:, 2:4] *= e.strongest**2
+        theta[:, self.law - 1] = self.turn
+        if e.start is not None:
+            theta[:, self.law : self.law + 2] = e.start
+        self.free = wanted & ~FURTHER
+        length = 2 * np.pi * FIRST_CYCLES / e.strongest
+        while length < self.whole:
+            theta, _ = self.search(theta, ITERATIONS, e.weight * (e.places[:, 1] <= length))
+            length *= GROWTH
+        theta, cost = self.search(theta, LAST_ITERATIONS, e.weight)
+        near = cost <= HOPELESS**2 * np.min(cost)
+        self.free, self.using = np.where(near[:, None], wanted, self.free), near
+        theta[:, : self.law] += LITTLE * (self.free & FURTHER)
+        while True:
+            theta, cost = self.search(theta, LAST_ITERATIONS, e.weight)
+            for case in np.flatnonzero(near):  # a class is no worse than one that it contains
+                inside = [i for i in np.flatnonzero(near) if np.all(self.free[i] <= self.free[case])]
+                theta[case] = theta[min(inside, key=lambda i: cost[i])]
+            negative = (theta[:, : self.law] < 0) & self.free & POSITIVE
+            if not np.any(negative):
+                return self.coloured(theta)
+            self.free = self.free & ~negative
+            theta[:, : self.law] = np.where(negative, 0.0, theta[:, : self.law])
+
+    def coloured(self, theta: np.ndarray) -> ClassFits:
+        """Fit again with the colour that the residuals of each class have, from ``theta`` on."""
+        weight = self.excerpt.weight
+        noises = self.noises(self.evaluate(theta, self.whole)[0])
+        theta, _ = self.search(theta, COLOURED_ITERATIONS, weight, noises)
+        theta[:, : self.law] = np.where(POSITIVE, np.maximum(theta[:, : self.law], 0.0), theta[:, : self.law])
+        left, slopes = self.evaluate(theta, self.whole)
+        noises = self.noises(left)
+        logs = [
+            np.concatenate([
+                _log_likelihoods(noise, left[case, w, places], self._floor(w, places))
+                for (w, places), noise in zip(self.groups, row, strict=True)
+            ])
+            for case, row in enumerate(noises)
+        ]  # fmt: skip
+        sizes = [places.size for _, places in self.groups]
+        independent = [sum(_independent(noise, n) for noise, n in zip(row, sizes, strict=True)) for row in noises]
+        return ClassFits(
+            self.free, theta[:, : self.law], theta[:, self.law : self.law + 2],
+            np.nan_to_num(left[:, weight > 0], nan=np.inf) / float(np.std(self.excerpt.values[weight > 0]) or 1.0),
+            np.array(logs),
+            self.open.sum(axis=1) + np.array([sum(noise.order for noise in row) for row in noises]),
+            np.array(independent), self._limits(theta, noises, left, slopes), self._held_out(theta),
+        )  # fmt: skip
+
+    def noises(self, left: np.ndarray) -> Noises:
+        """Fit the colour of residuals, class by class and group by group."""
+        left = np.nan_to_num(left, nan=1e6, posinf=1e6, neginf=-1e6)
+        used = self.open.sum(axis=1) / max(len(self.groups), 1)
+        found = []
+        for case, residuals in enumerate(left):
+            row = []
+            for w, places in self.groups:
+                noise = autoregression(residuals[w, places], min(used[case], places.size - 1))
+                least = self._floor(w, places) ** 2
+                row.append(noise if noise.variance > least else Autoregression(np.zeros(0), least))
+            found.append(row)
+        return found
+
+    def _floor(self, window: int, places: np.ndarray) -> float:
+        return NOISE_FLOOR * float(np.std(self.excerpt.values[window, places]) or 1.0)
+
+    def _limits(self, theta: np.ndarray, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Bound each coefficient of damping, one at a time beside the free ones: its estimate, or 0, and 1.645 sd."""
+        white, turned = self.whitened(noises, left, slopes)
+        limits, used = np.full((len(theta), self.law), np.inf), self.open
+        for case in range(len(theta)):
+            for i in np.flatnonzero(POSITIVE):
+                columns = used[case].copy()
+                columns[i] = True
+                jacobian = turned[case].reshape(-1, self.size)[:, columns]
+                inverse = covariances(jacobian[None])[0] if np.all(np.isfinite(jacobian)) else None
+                if inverse is not None:
+                    j = int(np.sum(columns[:i]))
+                    step = -float(inverse[j] @ (jacobian.T @ white[case].ravel()))
+                    limits[case, i] = max(theta[case, i] + step, 0.0) + ONE_SIDED * float(np.sqrt(inverse[j, j]))
+        return limits
+
+    def _held_out(self, theta: np.ndarray) -> np.ndarray:
+        """Predict the last 40 % of each window by a fit of what is before; the fit in percent."""
+        e = self.excerpt
+        early = e.weight * (e.places[:, 1] <= 0.6 * self.whole)
+        late = (e.weight > 0) & (early == 0)
+        end, _ = self.search(theta, COLOURED_ITERATIONS, early)
+        with np.errstate(all="ignore"):
+            left = self.evaluate(end, self.whole)[0][:, late]
+        scale = float(np.linalg.norm(e.values[late] - np.mean(e.values[late]))) if np.any(late) else 0.0
+        return 100.0 * (1.0 - np.linalg.norm(left, axis=1) / scale) if scale > 0 else np.full(len(theta), np.nan)
+
+
+def _log_likelihoods(noise: Autoregression, residuals: np.ndarray, floor: float) -> np.ndarray:
+    """Compute those of each sample but the first, the same ones whatever the order; noise is at least ``floor``."""
+    errors = noise.whitened(residuals)[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
+    scale = max(float(np.mean(errors**2)), floor**2 / noise.variance)
+    return np.asarray(-0.5 * (np.log(2 * np.pi * scale * noise.variance) + errors**2 / scale))
+
+
+def _independent(noise: Autoregression, n: int) -> float:
+    """As many independent samples determine a variance as well: ``n c_0² / sum c_k²`` (M. S. Bartlett, 1946)."""
+    covariances = noise.autocovariance(n)
+    return float(n * covariances[0] ** 2 / (covariances[0] ** 2 + 2.0 * np.sum(covariances[1:] ** 2)))
