@@ -15,6 +15,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -220,42 +221,60 @@ def _columns(name: str, array: np.ndarray, source: Path) -> Iterator[Column]:
             yield Column(f"{name}[{j}]" if name else "", np.ascontiguousarray(values[:, j]), flaw=flaw)
 
 
+# channels, each with its head and its samples
+
+
+@dataclass(frozen=True, eq=False)
+class FileChannel:
+    """The head of a channel of ``n`` samples, and how its values and times (None without) are read."""
+
+    name: str
+    n: int
+    read: Callable[[], tuple[np.ndarray, np.ndarray | None]]
+    unit: str = ""
+    measures: Measures | None = None
+    flaw: str = ""
+
+    @property
+    def column(self) -> Column:
+        values, times = (np.full(1, np.nan), None) if self.flaw else self.read()
+        return Column(self.name, np.asarray(values, dtype=float), self.unit, self.measures, times, self.flaw)
+
+
+def _table(channels: Sequence[FileChannel], source: Path, notes: tuple[str, ...] = ()) -> Table:
+    sizes = [channel.n for channel in channels if not channel.flaw]
+    check_rows(max(sizes, default=0), source)
+    check_values(sum(sizes), source)
+    return Table(tuple(channel.column for channel in channels), notes)
+
+
 def read_parquet(data: bytes, source: Path) -> Table:
     """Read the columns of numbers of a Parquet file; a field's metadata may hold its unit. Raises InputError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     file = pq.ParquetFile(io.BytesIO(data))
-    n, fields = file.metadata.num_rows, list(file.schema_arrow)
-    numeric = [field.name for field in fields if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
-    check_rows(n, source)
-    check_values(n * len(numeric), source)
-    columns = []
-    for field in fields:
+
+    def channel(field: Any) -> FileChannel:
         unit = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
-        if field.name in numeric:
-            values = file.read(columns=[field.name]).column(0).cast(pa.float64()).to_numpy()
-            columns.append(Column(field.name, np.asarray(values, dtype=float), unit))
-        else:
-            columns.append(_no_signal(field.name, f"not numbers: {field.type}"[:40], unit))
-    return Table(tuple(columns))
+        number = pa.types.is_integer(field.type) or pa.types.is_floating(field.type) or pa.types.is_decimal(field.type)
+        flaw = "" if number else f"not numbers: {field.type}"[:40]
 
+        def read() -> tuple[np.ndarray, None]:
+            return file.read(columns=[field.name]).column(0).cast(pa.float64()).to_numpy(), None
 
-def _no_signal(name: str, flaw: str, unit: str = "", measures: Measures | None = None) -> Column:
-    return Column(name, np.full(1, np.nan), unit, measures, flaw=flaw)
+        return FileChannel(field.name, file.metadata.num_rows, read, unit, flaw=flaw)
 
-
-# channels with clocks of their own
+    return _table([channel(field) for field in file.schema_arrow], source)
 
 
 def read_sound(data: bytes, source: Path) -> Table:
     """Read the channels of a sound file (wav, flac, aiff), in parts of full scale. Raises InputError."""
     sound = optional("soundfile", source)
-    head = sound.info(io.BytesIO(data))
-    check_rows(head.frames, source)
-    check_values(head.frames * head.channels, source)
-    values, rate = sound.read(io.BytesIO(data), always_2d=True)
-    clock = np.arange(len(values)) / rate
+    with sound.SoundFile(io.BytesIO(data)) as file:
+        check_rows(file.frames, source)
+        check_values(file.frames * file.channels, source)
+        values, clock = file.read(always_2d=True), np.arange(file.frames) / file.samplerate
     columns = [Column(f"channel {i}", channel, times=clock) for i, channel in enumerate(values.T.copy(), 1)]
     return Table(tuple(columns), ("samples of a sound file are parts of its full scale",))
 
@@ -264,31 +283,24 @@ def read_tdms(data: bytes, source: Path) -> Table:
     """Read the channels of a TDMS file, with their times where a channel is a waveform. Raises InputError."""
     nptdms = optional("nptdms", source)
     nptdms.log.log_manager.set_level(logging.CRITICAL)  # what is wrong is said once, by the error
-    columns, held = [], 0
+
+    def head(channel: Any) -> FileChannel:
+        said = channel.properties
+        unit = str(said.get("unit_string") or said.get("NI_UnitDescription") or "")
+        step, start = said.get("wf_increment", 0.0), said.get("wf_start_offset", 0.0)
+
+        def read() -> tuple[np.ndarray, np.ndarray | None]:
+            return channel[:], start + step * np.arange(len(channel)) if step > 0 else None
+
+        flaw = "" if channel.dtype.kind in "biuf" else "not numbers"
+        return FileChannel(channel.name, len(channel), read, unit, flaw=flaw)
+
     with nptdms.TdmsFile.open(io.BytesIO(data)) as file:
-        for channel in (channel for group in file.groups() for channel in group.channels()):
-            held += len(channel)
-            check_rows(len(channel), source)
-            check_values(held, source)
-            said = channel.properties
-            unit = str(said.get("unit_string") or said.get("NI_UnitDescription") or "")
-            if channel.dtype.kind not in "biuf":
-                columns.append(_no_signal(channel.name, "not numbers", unit))
-                continue
-            values = np.asarray(channel[:], dtype=float)
-            columns.append(Column(channel.name, values, unit, times=_waveform(said, values.size)))
-    return Table(tuple(columns))
+        return _table([head(channel) for group in file.groups() for channel in group.channels()], source)
 
 
-def _waveform(said: Mapping[str, object], n: int) -> np.ndarray | None:
-    step, start = said.get("wf_increment"), said.get("wf_start_offset", 0.0)
-    if not isinstance(step, int | float) or step <= 0:
-        return None
-    return (float(start) if isinstance(start, int | float) else 0.0) + step * np.arange(n)
-
-
-GENERAL, TIME_RESPONSE, UNKNOWN, TIME = 0, 1, 0, 17
-"""Types of function, and of abscissa, of a data set 58 that may be a record in time."""
+DATA_SET, GENERAL, TIME_RESPONSE, UNKNOWN, TIME = 58, 0, 1, 0, 17
+"""Type of a data set; types of function, and of abscissa, that may be a record in time."""
 ORDINATES: dict[int, Measures] = {
     8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force",
 }  # fmt: skip
@@ -303,46 +315,39 @@ def read_universal(data: bytes, source: Path) -> Table:
     """
     file = optional("pyuff", source).UFF(str(source))
     types = [int(kind) for kind in file.get_set_types()]
-    numbers = [i for i, kind in enumerate(types) if kind == 58]
-    if not numbers:
+    channels = [_data_set(file, i, source) for i, kind in enumerate(types) if kind == DATA_SET]
+    if not channels:
         held = ", ".join(map(str, sorted(set(types)))) or "none"
-        raise InputError("data", source, f"a data set 58 is needed; it holds {held}")
-    columns = [_data_set(file, i, source) for i in numbers]
-    if all(column.flaw for column in columns):
-        raise InputError(
-            "data", source, f"no data set is a record in time: {columns[0].flaw}; export the time response"
-        )
-    return Table(tuple(columns))
+        raise InputError("data", source, f"a data set {DATA_SET} is needed; it holds {held}")
+    if all(channel.flaw for channel in channels):
+        remedy = f"no data set is a record in time: {channels[0].flaw}; export time responses"
+        raise InputError("data", source, remedy)
+    return _table(channels, source)
 
 
-def _data_set(file: Any, i: int, source: Path) -> Column:
+def _data_set(file: Any, i: int, source: Path) -> FileChannel:
     head = file.read_sets(i, header_only=True)
-    check_rows(int(head["num_pts"]), source)
-    label, unit = _written(head["ordinate_axis_lab"]), _written(head["ordinate_axis_units_lab"])
-    node = f"node {head['rsp_node']}" if head["rsp_node"] else _written(head["rsp_ent_name"])
-    name = " ".join(part for part in (label, node) if part) or _written(head["id1"])
-    measures = ORDINATES.get(int(head["ordinate_spec_data_type"]))
-    if flaw := _flaw(head):
-        return _no_signal(name, flaw, unit, measures)
-    body = file.read_sets(i)
-    values, times = np.asarray(body["data"], float), np.asarray(body["x"], float)
-    if values.size != int(head["num_pts"]):
-        remedy = f"{head['num_pts']} values are announced; write the file again"
-        raise InputError("data", f"{source} data set {i} of {values.size} values", remedy)
-    return Column(name, values, unit, measures, times)
-
-
-def _flaw(head: Mapping[str, Any]) -> str:
+    label, unit, entity, clock = (
+        "" if str(head[key]).strip().upper() == "NONE" else " ".join(str(head[key]).split())
+        for key in ("ordinate_axis_lab", "ordinate_axis_units_lab", "rsp_ent_name", "abscissa_axis_units_lab")
+    )
+    node = f"node {head['rsp_node']}" if head["rsp_node"] else entity
+    name = f"{label} {node}".strip() or str(head["id1"]).strip()
+    n, flaw = int(head["num_pts"]), ""
     if head["func_type"] not in (GENERAL, TIME_RESPONSE):
-        return f"a spectrum or another function (type {head['func_type']})"
-    if head["abscissa_spec_data_type"] not in (UNKNOWN, TIME):
-        return f"not over time (abscissa type {head['abscissa_spec_data_type']})"
-    if _written(head["abscissa_axis_units_lab"]) not in ("", "s", "sec", "S", "SEC"):
-        return f"its times are in {head['abscissa_axis_units_lab']}, not in s"
-    return "complex values" if head["ord_data_type"] in (5, 6) else ""
+        flaw = f"a spectrum or another function (type {head['func_type']})"
+    elif head["abscissa_spec_data_type"] not in (UNKNOWN, TIME):
+        flaw = f"not over time (abscissa type {head['abscissa_spec_data_type']})"
+    elif clock not in ("", "s", "sec", "S", "SEC"):
+        flaw = f"its times are in {clock}, not in s"
+    elif head["ord_data_type"] in (5, 6):
+        flaw = "complex values"
 
+    def read() -> tuple[np.ndarray, np.ndarray]:
+        body = file.read_sets(i)
+        if len(body["data"]) != n:
+            remedy = f"{n} values are announced; write the file again"
+            raise InputError("data", f"{source} data set {i} of {len(body['data'])} values", remedy)
+        return body["data"], np.asarray(body["x"], float)
 
-def _written(text: object) -> str:
-    """Return a label, "" where the file says there is none."""
-    written = " ".join(str(text).split())
-    return "" if written.upper() == "NONE" else written
+    return FileChannel(name, n, read, unit, ORDINATES.get(int(head["ordinate_spec_data_type"])), flaw)
