@@ -12,38 +12,15 @@ from bench.errors import InputError
 from bench.records.reading.headings import Heading, heading_of
 from bench.records.reading.options import LETTERS, ReadOptions, slot
 from bench.records.reading.table import Column, Table
-from bench.records.reading.units import KNOWN, Quantity, unit_of
+from bench.records.reading.units import KNOWN, unit_of
 
 LETTER_OF: dict[str, str] = {quantity: letter for letter, quantity in LETTERS.items()}
 EXAMPLES: dict[str, str] = {"t": "s", "x": "mm", "v": "m/s", "a": "g", "f": "N"}
 """Units that an error suggests."""
 
 
-@dataclass(frozen=True, eq=False)
-class Pick:
-    """A column taken for a role; its values times ``size`` are in ``unit``."""
-
-    role: str
-    column: Column
-    size: float
-    unit: str
-
-    @property
-    def quantity(self) -> Quantity:
-        return LETTERS[self.role[0]]
-
-    @property
-    def dof(self) -> int:
-        """Number from 0; x and x1 are the first."""
-        return slot(self.role)[1]
-
-    def part(self, first: int, last: int) -> Pick:
-        """Return the samples from ``first`` up to ``last``."""
-        return replace(self, column=replace(self.column, values=self.column.values[first:last]))
-
-
-def pick(table: Table, options: ReadOptions, source: str) -> tuple[dict[str, Pick], list[str]]:
-    """Return the column of each role, and notes of what was left out or taken otherwise than the header says.
+def columns_by_role(table: Table, options: ReadOptions, source: str) -> tuple[dict[str, Column], list[str]]:
+    """Return the column of each role, in SI but for the times, and notes of what was left out or differs.
 
     Raises:
         InputError: a role or a unit is not certain; it says what to add.
@@ -52,21 +29,15 @@ def pick(table: Table, options: ReadOptions, source: str) -> tuple[dict[str, Pic
     roles, notes = (columns.named_roles(), []) if options.columns else columns.found_roles()
     columns.check_times(roles)
     columns.check_units(roles)
-    picks, missing = {}, []
-    for role, i in roles.items():
-        found, said = columns.in_unit(role, i)
-        notes += said
-        if found is None:
-            missing.append(role)
-        else:
-            picks[role] = found
-    if missing:
+    taken = {role: columns.in_unit(role, i, notes) for role, i in roles.items()}
+    known = {role: column for role, column in taken.items() if column is not None}
+    if missing := [role for role in roles if role not in known]:
         which = ", ".join(f"{role} (column {columns.shown(roles[role])})" for role in missing)
         units = ",".join(f"{role}:{EXAMPLES[role[0]]}" for role in missing)
         raise columns.error(f"no unit is known of {which}; add units={units} with what they are in")
     if not options.columns:
-        columns.check_motion(roles, picks)
-    return picks, notes
+        columns.check_motion(roles, known)
+    return known, notes
 
 
 @dataclass(frozen=True)
@@ -258,12 +229,12 @@ class _Columns:
                 remedy = "columns= does not name it" if self.options.columns else remedy
                 raise InputError("units", f"{role}:{unit}", remedy)
 
-    def in_unit(self, role: str, i: int) -> tuple[Pick | None, list[str]]:
-        """Return a column in the unit that units= or else the file says, and a note where they differ.
+    def in_unit(self, role: str, i: int, notes: list[str]) -> Column | None:
+        """Return a column in the unit that units= or else the file says, None without a unit; note where they differ.
 
-        There is none without a unit. A label that is no known unit is kept only where columns= names the column.
+        A label that is no known unit is kept only where columns= names the column.
         """
-        heading, quantity, given = self.headings[i], LETTERS[role[0]], self.options.unit(role)
+        column, heading, quantity, given = self[i], self.headings[i], LETTERS[role[0]], self.options.unit(role)
         keeps = bool(self.options.columns) and quantity != "time"
         said = heading.unit.measures if heading.unit else heading.says
         if said in LETTER_OF and said != quantity:
@@ -276,21 +247,23 @@ class _Columns:
             example = f"; to keep another name the column, e.g. {self.example(first=i, letter=role)}"
             remedy = f"known are {KNOWN[quantity]}{'' if quantity == 'time' else example}"
             raise InputError("units", f"{role}:{given}", remedy)
-        differ = given and heading.label and (unit or given) != (heading.unit or heading.label)
-        notes = [f"{role} is taken in {given}, as units= says; its header says {heading.label}"] if differ else []
-        if unit is not None:
-            return Pick(role, self[i], unit.size, unit.symbol), notes
+        if given and heading.label and (unit or given) != (heading.unit or heading.label):
+            notes.append(f"{role} is taken in {given}, as units= says; its header says {heading.label}")
         label = given or heading.label
-        return (Pick(role, self[i], 1.0, label) if label and keeps else None), notes
+        if unit is None:
+            return replace(column, unit=label) if label and keeps else None
+        if quantity == "time":
+            return replace(column, unit=label)
+        return replace(column, values=column.values * unit.size, unit=unit.symbol)
 
-    def check_motion(self, roles: Mapping[str, int], picks: Mapping[str, Pick]) -> None:
+    def check_motion(self, roles: Mapping[str, int], taken: Mapping[str, Column]) -> None:
         """Refuse a DOF that both turns and moves along, unless the user names the columns."""
-        first: dict[int, Pick] = {}
-        for role, found in picks.items():
+        first: dict[int, str] = {}
+        for role, column in taken.items():
             if role[0] in "tf":
                 continue
-            other = first.setdefault(found.dof, found)
-            if other.unit.startswith("rad") != found.unit.startswith("rad"):
-                both = self.listed([roles[other.role], roles[role]])
+            other = first.setdefault(slot(role)[1], role)
+            if taken[other].unit.startswith("rad") != column.unit.startswith("rad"):
+                both = self.listed([roles[other], roles[role]])
                 remedy = f"turn and move along, so they are not of one DOF; add e.g. {self.example()}"
                 raise self.error(f"columns {both} {remedy}")

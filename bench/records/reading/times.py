@@ -56,8 +56,10 @@ def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
     They are, where the column's name says so, or where they do not grow and are alike. Rounding by ``q`` of increments
     of mean ``d`` adds up to a relative error of the rate of q / (d sqrt(12 n)).
     """
-    later = stamps[1:]
-    if later.size < 2 or np.any(stamps < 0) or np.all(np.diff(stamps) > 0):
+    there = np.isfinite(stamps)
+    known = stamps[there]
+    later = known[1:]
+    if later.size < 2 or np.any(known < 0) or np.all(np.diff(known) > 0):
         return None
     middle = float(np.median(later))
     alike = np.mean((later <= ALIKE * middle) & (later * ALIKE >= middle)) >= MOSTLY
@@ -66,9 +68,9 @@ def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
         return None
     column = f"column '{name}'" if name else "the column of the time"
     note = f"{column} holds the time since the sample before: the time is its running sum"
-    steps = np.unique(np.diff(np.unique(later))) if np.ptp(later) > 0 else np.zeros(1)
-    error = float(steps[0] / (np.mean(later) * np.sqrt(12.0 * later.size)))
-    return Clock(np.cumsum(stamps), (note,), error)
+    steps = np.diff(np.unique(later))
+    error = float(np.min(steps, initial=middle) / (np.mean(later) * np.sqrt(12.0 * later.size))) if steps.size else 0.0
+    return Clock(np.where(there, np.nancumsum(stamps), np.nan), (note,), error)
 
 
 def rebuilt(stamps: np.ndarray, unit: float) -> Clock:
