@@ -358,7 +358,7 @@ def test_friction_that_a_linear_model_lacks_is_named() -> None:
 
 
 def test_a_limit_is_on_the_scale_of_the_parameter_that_is_open() -> None:
-    """Of 2 with a standard error of 1.5 times itself: ``2 (1 + 1.645 * 1.5)``, and with the reciprocal open one over it.
+    """Of 2 with a standard error of 1.5 times itself: ``2 (1 + 1.645 * 1.5)``, and of the reciprocal one over it.
 
     Of a square root of that parameter the error of the logarithm is half, and the limit the root.
     """
