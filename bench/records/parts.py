@@ -12,10 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.contract.problem import Channel, Force, InitialState, Problem, Record
+from bench.contract.problem import Problem, Record
 from bench.dynamics.simulate import simulate
 from bench.likelihood.compiled import compiled_output_error
-from bench.likelihood.output_error import OutputError
 from bench.records.linearised import Linearised, at_theta
 
 MOST_PARTS = 6
@@ -32,13 +31,37 @@ def parts_of(whole: Linearised, frequency: float) -> list[Linearised]:
 
     ``frequency``: cycles per unit of the problem's time.
     """
-    records = whole.model.problem.records
+    model, theta = whole.model, whole.theta
+    records, offsets = model.problem.records, model.offsets(theta)
     if len(records) > 1:
-        fits = [_alone(whole, i) for i in range(len(records))]
+        states = [np.zeros(0) if r.initial_state is not None else model.states(theta)[i] for i, r in enumerate(records)]
+        places = [[j for j in model.offset_channels if model.channels[j][0] == i] for i in range(len(records))]
+        pieces = [(r, s, offsets[own]) for r, s, own in zip(records, states, places, strict=True)]
     else:
-        fits = [_part(whole, low, high) for low, high in pairwise(_edges(whole, frequency))]
+        own = offsets[list(model.offset_channels)]
+        spans = pairwise(_edges(whole, frequency))
+        pieces = [(_cut(records[0], low, high), _state_at(whole, low), own) for low, high in spans]
+    fits = [_fitted(whole, *piece) for piece in pieces]
     parts = [fit for fit in fits if fit is not None and fit.coloured is not None and _same_mode(fit, whole)]
     return parts if len(parts) > 1 else []
+
+
+def _fitted(whole: Linearised, record: Record, state: np.ndarray, offsets: np.ndarray) -> Linearised | None:
+    """Fit a record alone from the parameters of the whole; None where it determines others or gives no response."""
+    model, k = whole.model, len(whole.model.free)
+    if not np.all(np.isfinite(state)) or min(channel.n for channel in record.channels) < 3:
+        return None
+    part = compiled_output_error(Problem(model.system, (record,)), model.gauge)
+    if part.free != model.free:
+        return None
+    start = at_theta(part, np.concatenate([whole.theta[:k], state, offsets]))
+    if start is None:
+        return None
+    with np.errstate(all="ignore"):
+        reached, _ = part.search(
+            part.point(start.theta[None]), part.noise(start.residuals, part.size)[None], ITERATIONS
+        )
+    return at_theta(part, reached.theta[0])
 
 
 def _same_mode(part: Linearised, whole: Linearised) -> bool:
@@ -69,70 +92,26 @@ def _edges(whole: Linearised, frequency: float) -> list[float]:
     return [*edges, record.duration]
 
 
-def _alone(whole: Linearised, number: int) -> Linearised | None:
-    """One of several records, fitted alone."""
-    model = whole.model
-    record = model.problem.records[number]
-    one = compiled_output_error(replace(model.problem, records=(record,)), model.gauge)
-    if one.free != model.free:
-        return None
-    start, offsets = model.starts(whole.theta)[number], model.offsets(whole.theta)
-    own = [i for i, (of, _) in enumerate(model.channels) if of == number]
-    state = [] if isinstance(start, InitialState) else [np.concatenate([np.ravel(part) for part in start])]
-    theta = np.concatenate(
-        [whole.theta[: len(model.free)], *state, [offsets[i] for i in own if i in model.offset_channels]]
-    )
-    fitted = _searched(one, theta)
-    return None if fitted is None or fitted.coloured is None else fitted
+def _cut(record: Record, low: float, high: float) -> Record:
+    """Return a stretch of a record, from time 0 on, whose initial state is unknown."""
+    last = np.inf if high >= record.duration else high
+    channels = []
+    for channel in record.channels:
+        inside = (channel.times >= low) & (channel.times < last)
+        channels.append(replace(channel, times=channel.times[inside] - low, values=channel.values[inside]))
+    forces = []
+    for force in record.forces:
+        first = max(int(np.searchsorted(force.times, low, side="right")) - 1, 0)
+        if force.times[-1] > low:
+            forces.append(replace(force, times=force.times[first:] - low, values=force.values[first:]))
+    return replace(record, channels=tuple(channels), forces=tuple(forces), initial_state=None)
 
 
-def _part(whole: Linearised, low: float, high: float) -> Linearised | None:
-    model = whole.model
-    record = model.problem.records[0]
-    last = high >= record.duration
-    channels = tuple(_cut(channel, low, np.inf if last else high) for channel in record.channels)
-    if min(channel.n for channel in channels) < 3:
-        return None
-    forces = tuple(force for own in record.forces if (force := _shifted(own, low)) is not None)
-    piece = Problem(model.system, (replace(record, channels=channels, forces=forces, initial_state=None),))
-    part = compiled_output_error(piece, model.gauge)
-    p = {name: float(value) for name, value in model.parameters(whole.theta).items()}
-    state = _state_at(whole, record, p, low)
-    k = len(model.free)
-    if not all(np.isfinite(state)) or len(part.free) != k:
-        return None
-    offsets = whole.theta[-len(model.offset_channels) :] if model.offset_channels else np.zeros(0)
-    return _searched(part, np.concatenate([whole.theta[:k], state, offsets]))
-
-
-def _searched(model: OutputError, theta: np.ndarray) -> Linearised | None:
-    start = at_theta(model, theta)
-    if start is None:
-        return None
-    sigma = model.noise(start.residuals, model.size)
-    with np.errstate(all="ignore"):
-        reached, _ = model.search(model.point(theta[None]), sigma[None], ITERATIONS)
-    return at_theta(model, reached.theta[0])
-
-
-def _cut(channel: Channel, low: float, high: float) -> Channel:
-    inside = (channel.times >= low) & (channel.times < high)
-    return replace(channel, times=channel.times[inside] - low, values=channel.values[inside])
-
-
-def _shifted(force: Force, low: float) -> Force | None:
-    """The force from ``low`` on, with the sample before it; None where it has ended by then."""
-    if force.times[-1] <= low:
-        return None
-    first = max(int(np.searchsorted(force.times, low, side="right")) - 1, 0)
-    return replace(force, times=force.times[first:] - low, values=force.values[first:])
-
-
-def _state_at(whole: Linearised, record: Record, p: dict[str, float], time: float) -> np.ndarray:
-    """Displacement and velocity at a time of the record, as the whole fit has them."""
-    start = whole.model.starts(whole.theta)[0]
+def _state_at(whole: Linearised, time: float) -> np.ndarray:
+    """Return displacement and velocity at a time of the record, as the whole fit has them."""
+    record, start = whole.model.problem.records[0], whole.model.starts(whole.theta)[0]
     if time == 0.0:
-        state = start if isinstance(start, InitialState) else InitialState(start[0], start[1])
-        return np.concatenate([state.displacement, state.velocity])
+        return np.asarray(whole.model.states(whole.theta)[0])
+    p = {name: float(value) for name, value in whole.model.parameters(whole.theta).items()}
     motion = simulate(record.rig(whole.model.system), p, start, np.array([time]), record.forces)
     return np.concatenate([motion.displacement[:, 0], motion.velocity[:, 0]])

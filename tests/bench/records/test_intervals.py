@@ -207,6 +207,22 @@ def test_parts_widen_the_interval_of_a_repeat_where_the_frequency_changes() -> N
     assert np.log(k.high / k.low) / 2 < 2 * np.log(1.2)
 
 
+def test_records_fitted_together_have_the_interval_of_their_spread() -> None:
+    """Two records whose k/m differ by 4 %: each is a part, and another one may differ as much."""
+    rng = np.random.default_rng(9)
+    x = [np.exp(-0.24 * T) * np.cos(OMEGA * factor * T) + 0.01 * rng.standard_normal(300) for factor in (0.99, 1.01)]
+    problem = Problem(sum_from("sdof"), tuple(Record((Channel(T, one, offset=True),)) for one in x))
+    model = OutputError(problem)
+    at = at_theta(model, model.settle(model.vector({"m": 1.0, "c": TRUE["c_over_m"], "k": TRUE["k_over_m"]})[None])[0])
+    assert at is not None
+    parts = parts_of(at, OMEGA / (2 * np.pi))
+    assert [float(np.exp(part.theta[1])) for part in parts] == pytest.approx([35.3, 36.8], rel=0.01)
+    fit = linearised(problem, estimate_at(model, at.theta, at.white, at.used, Cost()))
+    assert fit is not None
+    k = stated_intervals(estimate_at(model, at.theta, at.white, at.used, Cost()), fit, parts)["k_over_m"]
+    assert k.low < 35.3 < 36.8 < k.high < 40.0
+
+
 # one joint distribution
 
 
