@@ -85,10 +85,11 @@ def judged(method: str, measured: Measured, outcome: Outcome, white: Finding | N
     with np.errstate(all="ignore"):
         at = linearised(measured.problem, estimate)
         parts = parts_of(at, _frequency(at)) if at is not None else []
-        missing = () if at is None else missing_forces(at)
+        missing = () if at is None or measured.comparison is not None else missing_forces(at)
         noise = at if white is None or at is None else _whitened(at)
         rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
-        intervals = _beside_white(stated_intervals(estimate, noise, parts, rate_error), white)
+        intervals = stated_intervals(estimate, noise, parts, rate_error, measured.comparison)
+        intervals = _beside_white(intervals, white)
         intervals = _with_mass(intervals, estimate, measured)
     diagnosis = diagnose(at, measured.problem, intervals, missing, outcome.message)
     finding = Finding(method, measured, outcome, intervals, {}, diagnosis.reasons, at, diagnosis.modes)

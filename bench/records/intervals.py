@@ -29,6 +29,7 @@ import numpy as np
 from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
 from bench.records.linearised import CORRELATED_CYCLES, Linearised
+from bench.records.models import ClassComparison
 from bench.records.strongest import strongest_frequency
 
 UPPER = 0.975
@@ -115,10 +116,13 @@ class Covariances:
     record_dof: float
     repeats_dof: float
 
-    def stated(self, own: StatedInterval, gradient: np.ndarray) -> StatedInterval:
-        """Return a method's interval with those of the record and of a repeat; ``gradient`` (k,): of its logarithm."""
+    def stated(self, own: StatedInterval, gradient: np.ndarray, classes: float) -> StatedInterval:
+        """Return a method's interval with those of the record and of a repeat.
+
+        ``gradient`` (k,): of its logarithm; ``classes``: its variance between model classes that are as good.
+        """
         powers = np.linalg.solve(self.to.T, gradient)
-        noise, spread = max(float(powers @ self.record @ powers), 1e-300), float(powers**2 @ self.repeats)
+        noise, spread = max(float(powers @ self.record @ powers) + classes, 1e-300), float(powers**2 @ self.repeats)
         total = noise + spread
         dof = total**2 / (noise**2 / self.record_dof + spread**2 / self.repeats_dof)
         repeat = float(standard_quantile(UPPER, dof)) * math.sqrt(total)
@@ -148,7 +152,11 @@ def limited(own: StatedInterval, error: float, power: float) -> StatedInterval:
 
 
 def stated_intervals(
-    estimate: Estimate, fit: Linearised | None, parts: Sequence[Linearised] = (), rate_error: float = 0.0
+    estimate: Estimate,
+    fit: Linearised | None,
+    parts: Sequence[Linearised] = (),
+    rate_error: float = 0.0,
+    classes: ClassComparison | None = None,
 ) -> dict[str, StatedInterval]:
     """Return the quantities that an answer determines, each with its intervals.
 
@@ -157,6 +165,7 @@ def stated_intervals(
         fit: The likelihood there; without one, or where it leaves a direction open, the method's interval is stated.
         parts: Fits of the parts of the record, or of each of several records; maybe none.
         rate_error: Relative standard uncertainty of the clock.
+        classes: Model classes that were compared; those that the record cannot tell apart widen the intervals.
     """
     covariances = None if fit is None else covariances_of(estimate, fit, parts, rate_error)
     intervals = {}
@@ -168,7 +177,7 @@ def stated_intervals(
         own = StatedInterval(float(marginal.value), *ends, *ends, *ends, quantity.unit)
         gradient = np.array(quantity.vector(fit.model.free)) if fit is not None else np.zeros(1)
         if covariances is not None and marginal.ppf is not None and np.any(gradient) and own.value > 0:
-            own = covariances.stated(own, gradient)
+            own = covariances.stated(own, gradient, 0.0 if classes is None else classes.variance(quantity.name))
         elif own.value == 0:
             own = replace(own, limit="at most")
         elif 0 < own.low < own.high < math.inf and math.log(own.high / own.low) > 2.0 * WIDEST:

@@ -91,6 +91,14 @@ class ClassComparison:
         weights = np.exp([(self.chosen.score - model.score) / 2.0 for model in having])
         return list(zip(values, (weights / np.sum(weights)).tolist(), strict=True))
 
+    def variance(self, quantity: str) -> float:
+        """Return the mean square of a quantity's logarithm about the chosen class, over the classes that are as good.
+
+        J. A. Hoeting and others, Stat. Sci. 14:382, 1999, for the average over models.
+        """
+        average = [(value, weight) for value, weight in self.average(quantity) if value > 0]
+        return float(sum(weight * np.log(value / average[0][0]) ** 2 for value, weight in average))
+
 
 def _quantities(system: System) -> set[str]:
     return {quantity.name for quantity in system.quantities}

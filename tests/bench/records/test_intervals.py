@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -246,6 +247,21 @@ def test_a_clock_that_may_be_wrong_widens_what_hangs_on_time() -> None:
     assert halves["k_over_m"] == pytest.approx(0.02, rel=0.02)
     assert halves["c_over_m"] == pytest.approx(0.01, rel=0.02)
     assert halves["damping_ratio"] < 0.002
+
+
+def test_classes_as_good_widen_both_intervals() -> None:
+    """Of equal weights and values that differ by 20 %: half of ``ln(1.2)²`` more of variance."""
+    problem, at, before = fitted(MOTION + 1e-3 * np.random.default_rng(8).standard_normal(300))
+    variance = np.log(1.2) ** 2 / 2
+    model = OutputError(problem)
+    theta = np.append(np.log([TRUE["c_over_m"], TRUE["k_over_m"]]), np.zeros(3))
+    estimate = estimate_at(model, theta, 1e-12 * np.eye(5), at.used, Cost())
+    classes = SimpleNamespace(variance=lambda name: variance if name == "c_over_m" else 0.0)
+    after = stated_intervals(estimate, at, [], 0.0, classes)  # type: ignore[arg-type]
+    c, k = after["c_over_m"], after["k_over_m"]
+    assert np.log(c.record_high / c.record_low) / 2 == pytest.approx(1.968 * np.sqrt(variance), rel=0.02)
+    assert np.log(c.high / c.low) > np.log(c.record_high / c.record_low)
+    assert k.record_high - k.record_low < 2 * (before["k_over_m"].record_high - before["k_over_m"].record_low)
 
 
 def test_a_damping_that_the_data_leave_open_has_a_limit_and_takes_nothing_from_the_stiffness() -> None:

@@ -57,6 +57,8 @@ def test_values_of_classes_as_good_have_the_weights_of_their_scores() -> None:
     assert second == pytest.approx((0.2, 0.25))
     assert classes.average("natural_frequency")[0][0] == pytest.approx(3.0 / (2 * np.pi))
     assert classes.average("mu_over_m") == []
+    assert classes.variance("c_over_m") == pytest.approx(0.25 * np.log(1.5) ** 2)
+    assert classes.variance("mu_over_m") == 0.0
 
 
 def test_uneven_times_and_other_units_give_the_same() -> None:
