@@ -15,6 +15,7 @@ from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.models import first_guess
 from bench.records.modes import Mode, alias_of, line, modes_of
+from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
 from bench.scoring.statistics import whiteness
@@ -38,11 +39,6 @@ sample in 500 million, so each is an outlier, and a robust fit is made beside th
 MOST_OUTLIERS = 0.05
 """Share of samples beyond which they are no outliers, but noise with heavy tails, or a wrong model."""
 OUTLIERS = "samples are far off"
-RUN, CLIPPED_RUNS = 3, 3
-"""Samples in a row at the largest or smallest value, and how often, that show a clipped sensor: by chance continuous
-values repeat nowhere. An answer from a clipped record is refused: its damping is too small."""
-FINE = 0.02
-"""Step of the resolution over the range of the signal below which flat turning points are not of the resolution."""
 SECOND_MODE = 0.05
 """Root mean square of a line in the residuals over the fitted motion that is said: below it the values move little."""
 SAME_LINE = 0.15
@@ -198,17 +194,16 @@ def _outliers(at: Linearised) -> list[Reason]:
 
 
 def _clipping(at: Linearised) -> list[Reason]:
-    """Several stretches of samples that stay at the largest or the smallest value."""
-    for values in _values(at):
-        for extreme in (np.max(values), np.min(values)):
-            held = np.concatenate([[False], values == extreme, [False]])
-            ends = np.flatnonzero(np.diff(held.astype(int)))
-            runs = ends[1::2] - ends[::2]
-            step = np.min(np.diff(np.unique(values)), initial=np.inf)
-            fine = step < FINE * np.ptp(values) or np.unique(values).size < 5
-            if fine and (np.count_nonzero(runs >= RUN) >= CLIPPED_RUNS or np.max(runs, initial=0) >= 3 * RUN):
-                return [Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")]
-    return []
+    """Find samples of a motion at the limit of its sensor, or of a force whose fit leaves coloured residuals."""
+    found = []
+    if any(np.any(at_limit(values)) for values in _values(at)):
+        found.append(Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value"))
+    forces = [force for record in at.model.problem.records for force in record.forces]
+    cut = sum(int(np.count_nonzero(at_limit(force.values))) for force in forces)
+    if cut and whiteness_level(at) <= LEVEL:
+        said = f"the force sensor is saturated: {cut} samples stay at its largest or smallest value"
+        found.append(Reason(Trust.NO, said))
+    return found
 
 
 def _several_modes(at: Linearised, problem: Problem) -> Diagnosis:

@@ -17,6 +17,7 @@ from bench.errors import InputError
 from bench.records.decimation import decimated
 from bench.records.free_motion import SensorDrift, drift, first_change, silence
 from bench.records.reading import ReadOptions, Recording, Signal
+from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
 
 LEAST_CYCLES, LEAST_SAMPLES = 3.0, 20
@@ -56,7 +57,7 @@ def prepare(
     """
     runs: list[Recording] = []
     for recording in _without_copies(recordings):
-        recording = _without_computed(recording)
+        recording = _within_limits(_without_computed(recording), options)
         free = not any(s.measures == "force" and np.any(s.values) for s in recording.signals)
         cut = [recording]
         if free and not known_state:
@@ -170,6 +171,18 @@ def _colour(signal: Signal) -> float:
     cycles = strongest_frequency(signal.times, signal.values) * float(np.ptp(signal.times)) / signal.values.size
     noise = (frequencies > NOISE_BAND * cycles) & (power > 0)
     return float(np.std(np.log(power[noise]))) if np.any(noise) else np.inf
+
+
+def _within_limits(recording: Recording, options: ReadOptions) -> Recording:
+    """Return the recording without samples of a motion at the limit of its sensor; decimation needs them all."""
+    signals, said = [], []
+    for signal in recording.signals:
+        cut = at_limit(signal.values) if signal.measures != "force" and options.decimate == 1 else np.zeros(0, bool)
+        if np.any(cut):
+            said.append(f"{signal.role} is clipped: {np.count_nonzero(cut)} samples at the sensor's limit are left out")
+            signal = replace(signal, times=signal.times[~cut], values=signal.values[~cut])
+        signals.append(signal)
+    return _said(replace(recording, signals=tuple(signals)), *said)
 
 
 def _released(recording: Recording) -> Recording:

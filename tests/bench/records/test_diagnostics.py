@@ -191,8 +191,6 @@ def coloured() -> np.ndarray:
 SPOILT: dict[str, tuple[Callable[[], np.ndarray], tuple[Trust, ...], str]] = {
     "an outlier": (outlier, CARE_AT_LEAST, "samples are far off"),
     "a huge outlier": (huge_outlier, CARE_AT_LEAST, "samples are far off"),
-    "a clipped sensor": (lambda: np.clip(noisy(free(T), 30.0), -0.5, 0.5), REFUSED, "the sensor is clipped"),
-    "a sensor clipped on one side": (lambda: np.minimum(noisy(free(T), 30.0), 0.4), REFUSED, "the sensor is clipped"),
     "a weak second mode": (
         lambda: noisy(free(T) + free(T, 15.0, 0.02, 0.1), 30.0),
         CARE_AT_LEAST,

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
 import bench
 from bench.errors import InputError
 from bench.records.prepare import prepare
 from bench.records.reading import ReadOptions, Recording, Signal, of_arrays
+from bench.records.saturation import at_limit
 
 OMEGA, ZETA = 12.0, 0.02
 PERIOD = 2 * np.pi / OMEGA
@@ -187,3 +189,46 @@ def test_a_velocity_computed_from_the_displacement_is_left_out_and_a_measured_on
     (prepared,) = prepare([Recording((place, measured), (), "simulated", "")], ReadOptions())
     assert len(prepared.signals) == 2
     assert not prepared.notes
+
+
+# sensors at their limit
+
+
+@pytest.mark.parametrize("behind", [0.0, 1e-4])
+@pytest.mark.parametrize("limit", [0.5, 0.7])
+def test_clipped_samples_are_left_out_and_the_answer_is_right(behind: float, limit: float) -> None:
+    """With small noise behind the limit, too."""
+    times = np.arange(0.0, 20 * PERIOD, PERIOD / 40)
+    values = np.clip(decay(times) + noise(times.size, 0, 0.003), -limit, limit) + noise(times.size, 1, behind)
+    answer = bench.identify(times, values, method="output_error")
+    assert any("clipped" in note for note in answer.notes)
+    assert answer.values["k_over_m"] == pytest.approx(OMEGA**2, rel=0.002)
+    assert answer.values["c_over_m"] == pytest.approx(2 * ZETA * OMEGA, rel=0.02)
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("zeta", [0.0, 0.001, 0.02])
+@pytest.mark.parametrize("a_cycle", [10, 148, 999])
+def test_flat_turning_points_are_not_clipped(step: float, zeta: float, a_cycle: int) -> None:
+    times = np.arange(0.0, 20 * PERIOD, PERIOD / a_cycle)
+    values = step * np.round((decay(times, zeta=zeta) + noise(times.size, 0)) / step)
+    assert not np.any(at_limit(values))
+
+
+def test_a_square_wave_and_a_rest_are_no_limit_of_a_sensor() -> None:
+    times = np.arange(1000.0)
+    assert not np.any(at_limit(np.sign(np.sin(times / 7))))
+    assert not np.any(at_limit(np.round(1.0 - np.exp(-times / 50), 2)))
+
+
+def test_a_saturated_force_is_refused_and_a_bounded_one_is_not() -> None:
+    """The force that acted is not the recorded one; where it is, its own limit does no harm."""
+    times = np.arange(0.0, 30 * PERIOD, PERIOD / 30)
+    force = np.sin(np.cumsum(np.linspace(0.3, 1.8, times.size)) * OMEGA * times[1])
+    cut = np.clip(force, -0.5, 0.5)
+    for acting, trust in ((force, "do not trust"), (cut, "trust")):
+        motion = lsim(([1.0], [1.0, 2 * 0.05 * OMEGA, OMEGA**2]), acting, times)[1]
+        values = motion + np.std(motion) * noise(times.size, 0)
+        answer = bench.identify(times, values, cut, method="output_error")
+        assert answer.trust == trust, answer.reasons
+        assert any("force sensor is saturated" in reason for reason in answer.reasons) == (trust != "trust")
