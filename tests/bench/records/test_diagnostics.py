@@ -301,7 +301,7 @@ def test_both_modes_are_offered_where_the_system_has_one() -> None:
 
 def test_tops_cut_off_and_noise_behind_them_are_a_harmonic() -> None:
     x = np.clip(free(T, zeta=0.02), -0.4, 0.4)
-    finding = judge(T, x + 2e-4 * np.random.default_rng(2).standard_normal(T.size))
+    finding = judge(T, x + 1e-2 * np.random.default_rng(2).standard_normal(T.size))
     assert finding.trust is Trust.NO
     assert "a clipped sensor, or a spring that is far from linear" in reasons(finding)
     assert not finding.modes
