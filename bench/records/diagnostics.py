@@ -102,7 +102,7 @@ def diagnose(
     if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
         reasons += _few(at)
         reasons += [] if part_of_signal(at) < NOISE_FREE else _of_residuals(intervals, missing)
-        reasons += _of_intervals(intervals)
+        reasons += reasons_of_intervals(intervals)
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
     return Diagnosis(tuple(dict.fromkeys(reasons)), several.modes)
@@ -119,22 +119,24 @@ def _of_residuals(intervals: Mapping[str, StatedInterval], missing: Sequence[str
     return [Reason(Trust.CAUTION, text) for text in texts]
 
 
-def _of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason]:
+def reasons_of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason]:
+    """Return the reasons for caution that stated intervals give."""
     texts = []
     uneven, most = max(intervals.items(), key=lambda item: item[1].unevenness, default=("", None))
     if most is not None and most.unevenness > UNEVEN and not most.limit:
-        said = f"{_readable(uneven)} may differ by {100 * most.relative_error:.2g} %"
+        said = f"{readable(uneven)} may differ by {100 * most.relative_error:.2g} %"
         texts.append(f"{said} within the record or between repeats: the interval takes it in")
     limits = [name for name, interval in intervals.items() if interval.limit]
     if limits:
-        texts.append(f"not determined, only limited to one side: {', '.join(map(_readable, limits))}")
+        texts.append(f"not determined, only limited to one side: {', '.join(map(readable, limits))}")
     wide = [name for name, own in intervals.items() if not (own.limit or own.relative_error < WIDE)]
     if wide:
-        texts.append(f"known to an order of magnitude at most: {', '.join(map(_readable, wide))}")
+        texts.append(f"known to an order of magnitude at most: {', '.join(map(readable, wide))}")
     return [Reason(Trust.CAUTION, text) for text in texts]
 
 
-def _readable(name: str) -> str:
+def readable(name: str) -> str:
+    """Return the name of a quantity as it is written: k/m."""
     return name.replace("_over_", "/").replace("_", " ")
 
 

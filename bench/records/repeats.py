@@ -11,13 +11,14 @@ rig, and left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from bench.contract.belief import standard_quantile
+from bench.records.diagnostics import readable, reasons_of_intervals
 from bench.records.finding import Finding, Run
 from bench.records.intervals import HALF, PRIOR_SPREAD, UPPER, WIDEST, StatedInterval, paule_mandel
 from bench.records.record import Measured
@@ -28,8 +29,6 @@ LEVEL = 1e-3
 """Probability that any run of repeats of one rig is taken for one of another rig."""
 LEAST_DOF = 3
 """Degrees of freedom of the variance between runs; where these are too few for it, the prior makes up for the rest."""
-UNALIKE = 5.0
-"""Standard deviation between runs over the prior's beyond which they may be of different rigs."""
 
 
 def runs_of(measured: Measured) -> list[Measured]:
@@ -59,10 +58,13 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
     }
     intervals = {**shown.finding.intervals, **{name: effect.interval for name, effect in effects.items()}}
     own = [Reason(reason.verdict, f"{shown.name}: {reason.text}") for reason in shown.finding.reasons]
-    reasons = (*_reasons(runs, effects), *own)
+    reasons = (*_left_out(runs), *reasons_of_intervals({name: e.interval for name, e in effects.items()}), *own)
     stands = all(reason.verdict is not Trust.NO for reason in reasons)
-    measured, said = shown.finding.measured, [f"{_readable(name)} by {e.percent}" for name, e in effects.items()][:2]
-    note = f"{len(runs)} runs, each answered alone, differ in {' and in '.join(said)} (standard deviation)"
+    measured, said = (
+        shown.finding.measured,
+        [f"{readable(name)} by {e.percent:.2g} %" for name, e in effects.items()][:2],
+    )
+    note = f"{len(kept)} runs, each answered alone, differ in {' and in '.join(said)} (standard deviation)"
     return replace(
         shown.finding,
         measured=replace(measured, notes=(*dict.fromkeys(measured.notes), *([note] if said else []))),
@@ -77,8 +79,8 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
 class RandomEffects:
     """The random-effects model of a quantity's logarithm.
 
-    ``mean`` with its variance ``error``; the variance ``between`` runs with its degrees of freedom, and their standard
-    ``deviation`` as it is; ``unevenness``: the standard deviation between runs over that of the prior.
+    ``mean`` with its variance ``error``; the variance ``between`` runs with its degrees of freedom; ``percent``: the
+    standard deviation between the values.
     """
 
     interval: StatedInterval
@@ -86,12 +88,7 @@ class RandomEffects:
     error: float
     between: float
     dof: int
-    deviation: float
-    unevenness: float
-
-    @property
-    def percent(self) -> str:
-        return f"{100 * self.deviation:.2g} %"
+    percent: float
 
 
 def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system: System) -> RandomEffects:
@@ -117,7 +114,7 @@ def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system:
     )
     if repeat > WIDEST:
         interval = replace(interval, low=0.0, limit="at most")
-    return RandomEffects(interval, mean, error, between, dof, float(np.std(y, ddof=1)), uneven)
+    return RandomEffects(interval, mean, error, between, dof, 100.0 * float(np.std(y, ddof=1)))
 
 
 def _variance(low: float, high: float) -> float:
@@ -153,23 +150,17 @@ def _odd_run(kept: Sequence[Run]) -> Run | None:
             chance = 2.0 * float(t.sf(abs(math.log(own.value) - rest.mean) / error, rest.dof))
             chance *= len(stated) * len(groups)
             if chance < least:
-                values = f"{_readable(quantity.name)} = {own.value:.4g}, theirs {math.exp(rest.mean):.4g}"
+                values = f"{readable(quantity.name)} = {own.value:.4g}, theirs {math.exp(rest.mean):.4g}"
                 least, odd = chance, replace(run, left_out=f"not a repeat of the others: {values}")
     return odd
 
 
-def _reasons(runs: Sequence[Run], effects: Mapping[str, RandomEffects]) -> list[Reason]:
-    """Return a reason for each run that is left out, and for runs that are hardly of one rig."""
+def _left_out(runs: Sequence[Run]) -> list[Reason]:
+    """Return a reason for each run that is left out."""
     reasons = [Reason(Trust.CAUTION, f"{run.name} is left out: {run.left_out}") for run in runs if run.left_out]
     kept = len(runs) - len(reasons)
-    if 2 * kept < len(runs):
-        reasons.insert(0, Reason(Trust.NO, f"only {kept} of {len(runs)} runs agree and can be answered"))
-    unlike = {name: effect for name, effect in effects.items() if effect.unevenness > UNALIKE}
-    if unlike:
-        name = max(unlike, key=lambda name: unlike[name].unevenness)
-        said = f"the runs differ by {unlike[name].percent} in {_readable(name)}"
-        reasons.append(Reason(Trust.CAUTION, f"{said}, more than repeats of one rig do: is each of them of it?"))
-    return reasons
+    too_few = Reason(Trust.NO, f"only {kept} of {len(runs)} runs agree and can be answered")
+    return [too_few, *reasons] if 2 * kept < len(runs) else reasons
 
 
 def _middle(kept: Sequence[Run]) -> Run:
@@ -191,7 +182,3 @@ def _names(alone: Sequence[Finding]) -> list[str]:
     sources = [finding.measured.recordings[0].source for finding in alone]
     names = [Path(source).name for source in sources]
     return names if len(set(names)) == len(names) else sources
-
-
-def _readable(name: str) -> str:
-    return name.replace("_over_", "/")
