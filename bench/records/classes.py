@@ -19,7 +19,7 @@ from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.colour import criterion_error
 from bench.records.fit import Outcome
-from bench.records.general_law import COEFFICIENTS, POSITIVE, ClassFits, LawFitter, excerpt, padded
+from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerpt
 from bench.records.intervals import HALF
 from bench.records.linearised import at_theta
 from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity
@@ -35,8 +35,6 @@ AXES = {"no spring: viscous": (), "no spring: viscous + Coulomb": ("mu",),
         "no spring: viscous + Coulomb + bias": ("mu", "b")}  # fmt: skip
 """The same of what a force drives to and fro, and nothing pulls back: an axis of a machine."""
 TERM_OF = {"c": "viscous", "k": "spring", "pendulum": "pendulum", "c2": "quadratic", "mu": "coulomb", "b": "bias"}
-UNIT = {"c": (1, 0), "k": (2, 0), "pendulum": (2, 0), "k3": (2, -2), "c2": (0, -1), "mu": (2, 1), "b": (2, 1)}
-"""Powers of the record's rate and size in a coefficient over the mass."""
 STRONG = 6.0
 """Evidence that each further term needs: twice the logarithm of a Bayes factor (R. E. Kass, A. E. Raftery, J. Am. Stat.
 Assoc. 90:773, 1995, section 3.2)."""
@@ -67,8 +65,8 @@ def needless_terms(measured: Measured) -> Mapping[str, float]:
     simple = [name for name in names if name not in ("mu", "c2")]
     wanted = {"simple": _free(simple, problem.forced), "named": _free(names, problem.forced)}
     fits = _fits(problem, list(wanted.values()), dict(system.fixed).get("l"))
-    zero = fits[0][1].free[1] != wanted["named"]
-    return {name: most for name, most in _limits(*fits[0], 1).items() if zero[COEFFICIENTS.index(name)]}
+    zero = fits[0].free[1] != wanted["named"]
+    return {name: most for name, most in fits[0].limits_in_si(1).items() if zero[COEFFICIENTS.index(name)]}
 
 
 def best_class(measured: Measured, comparison: ClassComparison | None) -> Measured:
@@ -126,34 +124,28 @@ def _free(names: Sequence[str], forced: bool) -> np.ndarray:
     return np.array([name in names or (forced and name == "1/m") for name in COEFFICIENTS])
 
 
-def _fits(
-    problem: Problem, wanted: Sequence[np.ndarray], length: float | None = 1.0
-) -> list[tuple[LawFitter, ClassFits]]:
+def _fits(problem: Problem, wanted: Sequence[np.ndarray], length: float | None = 1.0) -> list[ClassFits]:
     """Fit classes to each record; ``length``: of the pendulum (m, or 1 of angles), if it is known."""
-    fitters = []
-    for cut in padded([excerpt(record) for record in problem.records]):
-        turn = 0.3 if length is None else cut.size / length
-        fitters.append(LawFitter(cut, np.array(wanted), turn))
-    return [(fitter, fitter.fitted()) for fitter in fitters]
+    cuts = [excerpt(record) for record in problem.records]
+    turns = [0.3 if length is None else cut.size / length for cut in cuts]
+    return [LawFitter(cut, np.array(wanted), turn).fitted() for cut, turn in zip(cuts, turns, strict=True)]
 
 
-def _compared(
-    measured: Measured, wanted: Mapping[str, np.ndarray], fits: Sequence[tuple[LawFitter, ClassFits]]
-) -> ClassComparison:
+def _compared(measured: Measured, wanted: Mapping[str, np.ndarray], fits: Sequence[ClassFits]) -> ClassComparison:
     """Score the classes, each kind once, and sort them."""
-    names, free = list(wanted), np.any([fit.free for _, fit in fits], axis=0)
+    names, free = list(wanted), np.any([fit.free for fit in fits], axis=0)
     terms = [int(np.sum(coefficients)) for coefficients in wanted.values()]
     kept: list[int] = []
     for case in sorted(range(len(names)), key=lambda i: terms[i]):
         if not any(np.array_equal(free[case], free[other]) for other in kept):
             kept.append(case)
     left = np.array(
-        [np.sqrt(np.mean(np.concatenate([fit.residuals[i] for _, fit in fits]) ** 2)) for i in range(len(names))]
+        [np.sqrt(np.mean(np.concatenate([fit.residuals[i] for fit in fits]) ** 2)) for i in range(len(names))]
     )
     kept = _oscillating(kept, free, left, fits)
-    logs = np.concatenate([fit.log_likelihoods for _, fit in fits], axis=1)
+    logs = np.concatenate([fit.log_likelihoods for fit in fits], axis=1)
     criteria = -2.0 * np.sum(logs, axis=1)
-    for _, fit in fits:
+    for fit in fits:
         criteria += fit.unknowns * np.log(max(float(np.max(fit.independent[kept])), 2.0))
     best = min(kept, key=lambda i: criteria[i])
     classes = []
@@ -168,9 +160,7 @@ def _compared(
     )
 
 
-def _oscillating(
-    kept: list[int], free: np.ndarray, left: np.ndarray, fits: Sequence[tuple[LawFitter, ClassFits]]
-) -> list[int]:
+def _oscillating(kept: list[int], free: np.ndarray, left: np.ndarray, fits: Sequence[ClassFits]) -> list[int]:
     """Leave out springs that no vibration shows, where an axis without one describes the record.
 
     The position of a driven axis drifts, and a weak spring may imitate that; it is none while the motion is overdamped.
@@ -179,7 +169,7 @@ def _oscillating(
     axes = [i for i in kept if not np.any(free[i, springs])]
     if not axes or min(left[i] for i in axes) > DESCRIBES:
         return kept
-    values = fits[0][1].coefficients
+    values = fits[0].coefficients
     overdamped = values[:, 1] ** 2 >= 4.0 * np.maximum(values[:, springs[0]], values[:, springs[1]])
     return [i for i in kept if i in axes or not overdamped[i]]
 
@@ -188,12 +178,12 @@ def _model_class(
     measured: Measured,
     name: str,
     case: int,
-    fits: Sequence[tuple[LawFitter, ClassFits]],
+    fits: Sequence[ClassFits],
     figures: tuple[float, float, float, float],
 ) -> ModelClass:
     """Describe a fitted class in SI units, by means over the records."""
-    free = np.any([fit.free[case] for _, fit in fits], axis=0)
-    each = [_values(fitter, fit.coefficients[case]) for fitter, fit in fits]
+    free = np.any([fit.free[case] for fit in fits], axis=0)
+    each = [fit.in_si(fit.coefficients[case]) for fit in fits]
     values = {key: float(np.mean([one[key] for one in each])) for key in each[0]}
     terms = [term for key, term in TERM_OF.items() if free[COEFFICIENTS.index(key)]]
     if free[COEFFICIENTS.index("k3")]:
@@ -207,24 +197,10 @@ def _model_class(
     known = {"k": values["pendulum"] if "pendulum" in terms else values["k"], "k3s": values["k3"]}
     parameters = {n: abs((values | known)[n]) * (1.0 if n == "m" else mass) for n in system.names if n != "m"}
     parameters |= {"m": mass} if measured.problem.forced else {}
-    limits = [_limits(fitter, fit, case) for fitter, fit in fits]
+    limits = [fit.limits_in_si(case) for fit in fits]
     zero = {key: max(one[key] for one in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
-    held_out = float(np.mean([fit.held_out[case] for _, fit in fits]))
+    held_out = float(np.mean([fit.held_out[case] for fit in fits]))
     criterion, error, score, left = figures
-    cut, (x, v) = fits[0][0].excerpt, fits[0][1].starts[case]
+    cut, (x, v) = fits[0].excerpt, fits[0].starts[case]
     start = float(x) * cut.size, float(v) * cut.size * cut.rate
     return ModelClass(name, system, parameters, start, criterion, error, score, left, held_out, zero)
-
-
-def _values(fitter: LawFitter, coefficients: np.ndarray) -> dict[str, float]:
-    """Convert coefficients to SI units, over the mass."""
-    cut, by_name = fitter.excerpt, dict(zip(COEFFICIENTS, coefficients.tolist(), strict=True))
-    values = {name: by_name[name] * cut.rate**rate * cut.size**size for name, (rate, size) in UNIT.items()}
-    mass = cut.force_size / (cut.size * cut.rate**2 * by_name["1/m"]) if by_name["1/m"] else 1.0
-    return {**values, "m": mass, "l": cut.size / by_name["1/l"]}
-
-
-def _limits(fitter: LawFitter, fit: ClassFits, case: int) -> dict[str, float]:
-    """Return the limits of the coefficients of damping in SI units, over the mass."""
-    values = _values(fitter, np.where(POSITIVE, fit.limits[case], 1.0))
-    return {name: values[name] for name, positive in zip(COEFFICIENTS, POSITIVE, strict=True) if positive}

@@ -9,7 +9,7 @@ frequency and half of its range are 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -60,106 +60,82 @@ GAUSS = 0.5 / np.sqrt(3.0)
 """Places of the two-point rule of Gauss, over the length, from the middle."""
 
 
+UNIT = {"c": (1, 0), "k": (2, 0), "pendulum": (2, 0), "k3": (2, -2), "c2": (0, -1), "mu": (2, 1), "b": (2, 1)}
+"""Powers of the record's rate and size in a coefficient over the mass."""
+ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Searched = tuple[np.ndarray, np.ndarray]
 Noises = Sequence[Sequence[Autoregression]]
-"""Of each class and group of samples."""
+"""Of each class and row."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """The windows (W) of a record that are compared, each with N samples and J steps; padded where ``weight`` is 0.
+    """What is compared of a record: rows (R), each a channel in a window, of N samples and J steps.
 
-    ``places`` (W, 2, N) are the times at which a sample's prediction is averaged, ``force`` the force there, ``push``
-    (W, J) the force during each step. ``order`` is 0, 1 or 2 for displacement, velocity and acceleration. ``rate``,
-    ``size`` and ``force_size`` are the units, and ``strongest`` the strongest angular frequency in them.
+    ``weight`` (R, N) is 0 where a row is padded. ``places`` (R, 2, N) are the times at which a sample's prediction is
+    averaged, ``force`` the force there, ``push`` (R, J) that during each step. ``order``, ``window`` and ``channel``
+    (R,) are the derivative that a row measures and where it is from. ``offsets`` are the channels with an unknown one.
+    ``rate``, ``size`` and ``force_size`` are the units, and ``strongest`` the strongest angular frequency in them.
     """
 
     values: np.ndarray
     weight: np.ndarray
     places: np.ndarray
-    order: np.ndarray
-    channel: np.ndarray
     force: np.ndarray
     push: np.ndarray
-    offset: tuple[bool, ...]
+    order: np.ndarray
+    window: np.ndarray
+    channel: np.ndarray
+    offsets: tuple[int, ...]
     rate: float
     strongest: float
     size: float
     force_size: float
-    start: np.ndarray | None
 
     @property
     def still(self) -> float:
         """Return the amplitude of the speed for smoothing friction: a fixed one where a force drives the body."""
         return self.strongest / np.sqrt(2.0) if np.any(self.push) else STILL
 
-    def groups(self) -> list[tuple[int, np.ndarray]]:
-        """Return window and places of the samples of each channel in each window."""
-        found = []
-        for window in range(len(self.values)):
-            for channel in range(len(self.offset)):
-                places = np.flatnonzero((self.channel[window] == channel) & (self.weight[window] > 0))
-                found.append((window, places))
-        return [group for group in found if group[1].size > 2]
-
-
-ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}
-
 
 def excerpt(record: Record) -> Excerpt:
-    """Cut a record into what is compared, in its own units."""
+    """Cut a record into what is compared, in its own units, at sizes that many records share."""
     first = record.channels[0]
     strongest = rate = 2 * np.pi * strongest_frequency(first.times, first.values)
     if record.forces:
         rate = max(rate, LEAST_STEPS * STEP / record.duration)
-    size = float(np.ptp(first.values)) / 2.0 or 1.0
-    size /= strongest ** ORDERS[first.measures]
+    size = (float(np.ptp(first.values)) / 2.0 or 1.0) / strongest ** ORDER[first.measures]
     force_size = max((float(np.std(f.values)) for f in record.forces), default=0.0) or 1.0
+
+    def forced(times: np.ndarray) -> np.ndarray:
+        return np.asarray(record.force(times.ravel(), 1)[0].reshape(times.shape) / force_size)
+
     windows = _windows(record, strongest)
-    cut = [[_averaged(c, low, high, rate) for c in record.channels] for low, high in windows]
-    n = 64 * -(-max(sum(t.size for t, _, _ in each) for each in cut) // 64)
-    longest = max(high - low for low, high in windows) * rate
-    steps = 256 * -(-int(longest / STEP + 2) // 256)
-    shape = (len(windows), n)
-    values, weight, order, channel = np.zeros(shape), np.zeros(shape), np.zeros(shape, int), np.zeros(shape, int)
-    places, force, push = np.zeros((shape[0], 2, n)), np.zeros((shape[0], 2, n)), np.zeros((shape[0], steps))
-    for w, ((low, _), each) in enumerate(zip(windows, cut, strict=True)):
-        place = 0
-        for i, ((times, means, widths), of) in enumerate(zip(each, record.channels, strict=True)):
-            own = slice(place, place := place + times.size)
-            kind = ORDERS[of.measures]
-            values[w, own], weight[w, own] = means / (size * rate**kind), 1.0
-            order[w, own], channel[w, own] = kind, i
-            both = np.stack([times - GAUSS * widths, times + GAUSS * widths])
-            places[w, :, own] = rate * (both - low)
-            force[w, :, own] = record.force(both.ravel(), 1)[0].reshape(both.shape) / force_size
+    rows = [
+        (w, low, i, ORDER[channel.measures], *_averaged(channel, low, high, rate))
+        for w, (low, high) in enumerate(windows)
+        for i, channel in enumerate(record.channels)
+    ]
+    rows = [row for row in rows if row[4].size > 2]
+    n, steps = _rounded(max(row[4].size for row in rows), 512), _rounded(rate * np.ptp(windows[0]) / STEP + 2, 2048)
+    values, weight = np.zeros((len(rows), n)), np.zeros((len(rows), n))
+    places, force, push = np.zeros((len(rows), 2, n)), np.zeros((len(rows), 2, n)), np.zeros((len(rows), steps))
+    for r, (_, low, _, order, times, means, widths) in enumerate(rows):
+        used, both = times.size, np.stack([times - GAUSS * widths, times + GAUSS * widths])
+        values[r, :used], weight[r, :used] = means / (size * rate**order), 1.0
+        places[r, :, :used] = rate * (both - low)
         if record.forces:
-            nodes = low + (np.arange(steps)[:, None] + np.array([0.125, 0.375, 0.625, 0.875])) * STEP / rate
-            push[w] = np.mean(record.force(nodes.ravel(), 1)[0].reshape(nodes.shape), axis=1) / force_size
-    known = record.initial_state
-    start = None
-    if known is not None:
-        start = np.array([known.displacement[0] / size, known.velocity[0] / (size * rate)])
-    offset = tuple(c.offset for c in record.channels)
-    return Excerpt(
-        values, weight, places, order, channel, force, push, offset, rate, strongest / rate, size, force_size, start
-    )
+            force[r, :, :used] = forced(both)
+            nodes = (np.arange(steps)[:, None] + np.array([0.125, 0.375, 0.625, 0.875])) * STEP / rate
+            push[r] = np.mean(forced(low + nodes), axis=1)
+    window, _, channel, kind = (np.array(column) for column in list(zip(*rows, strict=True))[:4])
+    offsets = tuple(i for i, c in enumerate(record.channels) if c.offset)
+    units = rate, strongest / rate, size, force_size
+    return Excerpt(values, weight, places, force, push, kind, window, channel, offsets, *units)
 
 
-def padded(excerpts: Sequence[Excerpt]) -> list[Excerpt]:
-    """Bring excerpts to one number of samples and steps, so that what is compiled serves all of them."""
-    samples, steps = max(e.values.shape[1] for e in excerpts), max(e.push.shape[1] for e in excerpts)
-
-    def longer(array: np.ndarray, size: int) -> Any:
-        return np.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, size - array.shape[-1])])
-
-    def same(cut: Excerpt) -> Excerpt:
-        fields: dict[str, Any] = {"push": longer(cut.push, steps)}
-        for name in ("values", "weight", "places", "order", "channel", "force"):
-            fields[name] = longer(getattr(cut, name), samples)
-        return replace(cut, **fields)
-
-    return [same(cut) for cut in excerpts]
+def _rounded(size: float, least: int) -> int:
+    return max(least, 1 << int(np.ceil(np.log2(size))))
 
 
 def _windows(record: Record, rate: float) -> list[tuple[float, float]]:
@@ -174,7 +150,7 @@ def _windows(record: Record, rate: float) -> list[tuple[float, float]]:
         alive = int(np.flatnonzero(spread >= DIED_OUT * np.max(spread))[-1]) + 1
         end = min(end, float(first.times[0]) + max(alive, 3) * period)
     longest = MOST_CYCLES * period
-    if end <= longest or record.initial_state is not None:
+    if end <= longest:
         return [(0.0, min(end, longest))]
     return [(low, low + longest / 3.0) for low in np.linspace(0.0, end - longest / 3.0, 3)]
 
@@ -245,6 +221,7 @@ class ClassFits:
     were not correlated. ``limits`` (C, 9): the one-sided 95 % limit of each coefficient of damping.
     """
 
+    excerpt: Excerpt
     free: np.ndarray
     coefficients: np.ndarray
     starts: np.ndarray
@@ -254,6 +231,18 @@ class ClassFits:
     independent: np.ndarray
     limits: np.ndarray
     held_out: np.ndarray
+
+    def in_si(self, coefficients: np.ndarray) -> dict[str, float]:
+        """Convert coefficients (9,) to values in SI units, over the mass; and mass and length."""
+        e, by_name = self.excerpt, dict(zip(COEFFICIENTS, coefficients.tolist(), strict=True))
+        values = {name: by_name[name] * e.rate**rate * e.size**size for name, (rate, size) in UNIT.items()}
+        mass = e.force_size / (e.size * e.rate**2 * by_name["1/m"]) if by_name["1/m"] else 1.0
+        return {**values, "m": mass, "l": e.size / by_name["1/l"]}
+
+    def limits_in_si(self, case: int) -> dict[str, float]:
+        """Convert the limits of a class's coefficients of damping to SI units, over the mass."""
+        values = self.in_si(np.where(POSITIVE, self.limits[case], 1.0))
+        return {name: values[name] for name, positive in zip(COEFFICIENTS, POSITIVE, strict=True) if positive}
 
 
 class LawFitter:
@@ -265,33 +254,34 @@ class LawFitter:
 
     def __init__(self, excerpt: Excerpt, free: np.ndarray, turn: float) -> None:
         self.excerpt, self.free, self.turn = excerpt, free.copy(), turn
-        self.law, self.windows = len(COEFFICIENTS), len(excerpt.values)
-        self.offsets = [i for i, unknown in enumerate(excerpt.offset) if unknown]
-        self.size = self.law + 2 * self.windows + len(self.offsets)
+        self.law, self.states = len(COEFFICIENTS), 2 * (int(np.max(excerpt.window)) + 1)
+        self.size = self.law + self.states + len(excerpt.offsets)
         self.whole = float(np.max(excerpt.places[:, 1] * excerpt.weight))
-        self.groups, self.using = excerpt.groups(), np.ones(len(free), bool)
+        self.counts = np.sum(excerpt.weight, axis=1).astype(int)
+        self.using = np.ones(len(free), bool)
 
     @property
     def open(self) -> np.ndarray:
-        """The unknowns of each class (C, size): coefficients, initial states of the windows, and offsets."""
+        """Return the unknowns of each class (C, size): coefficients, initial states of the windows, and offsets."""
         pulled = self.free[:, 2] | self.free[:, 3] | self.free[:, 4]
-        states = np.full((len(self.free), 2 * self.windows), self.excerpt.start is None)
-        return np.concatenate([self.free, states, np.repeat(pulled[:, None], len(self.offsets), axis=1)], axis=1)
+        states = np.ones((len(self.free), self.states), bool)
+        offsets = np.repeat(pulled[:, None], len(self.excerpt.offsets), axis=1)
+        return np.concatenate([self.free, states, offsets], axis=1)
 
     def evaluate(self, theta: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate all classes up to a time of each window: residuals (C, W, N), and derivatives (C, W, N, size)."""
+        """Simulate all classes up to a time of each window: residuals (C, R, N), and derivatives (C, R, N, size)."""
         e, law = self.excerpt, self.law
-        states = theta[:, law : law + 2 * self.windows].reshape(len(theta), self.windows, 2)
-        q = np.concatenate([np.repeat(theta[:, None, :law], self.windows, axis=1), states], axis=2)
+        places = law + 2 * e.window[:, None] + np.arange(2)  # of each row's initial state
+        q = np.concatenate([np.repeat(theta[:, None, :law], len(places), axis=1), theta[:, places]], axis=2)
         steps = min(int(length / STEP) + 2, e.push.shape[1])
         predicted, by_q = _simulator()(q, steps, e.push, e.places, e.force, e.order, e.still)
         left, by_q = np.asarray(predicted) - e.values, np.asarray(by_q)
         slopes = np.zeros((*left.shape, self.size))
         slopes[..., :law] = by_q[..., :law]
-        for w in range(self.windows):
-            slopes[:, w, :, law + 2 * w : law + 2 * w + 2] = by_q[:, w, :, law:]
-        for column, channel in enumerate(self.offsets, start=law + 2 * self.windows):
-            slopes[..., column] = e.channel == channel
+        for row, place in enumerate(places):
+            slopes[:, row, :, place[0] : place[1] + 1] = by_q[:, row, :, law:]
+        for column, channel in enumerate(e.offsets, start=law + self.states):
+            slopes[:, e.channel == channel, :, column] = 1.0
             left += theta[:, column, None, None] * slopes[..., column]
         return left, slopes
 
@@ -327,10 +317,10 @@ class LawFitter:
     def whitened(self, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whiten residuals and derivatives of each class by its noise."""
         white, turned = np.zeros_like(left), np.zeros_like(slopes)
-        for case, row in enumerate(noises):
-            for (w, places), noise in zip(self.groups, row, strict=True):
-                white[case, w, places] = noise.whitened(left[case, w, places])
-                turned[case, w, places] = noise.whitened(slopes[case, w, places].T).T
+        for case, noises_of_case in enumerate(noises):
+            for row, (noise, n) in enumerate(zip(noises_of_case, self.counts, strict=True)):
+                white[case, row, :n] = noise.whitened(left[case, row, :n])
+                turned[case, row, :n] = noise.whitened(slopes[case, row, :n].T).T
         return white, turned
 
     def fitted(self) -> ClassFits:
@@ -340,8 +330,6 @@ class LawFitter:
         theta[:, : self.law] = np.where(wanted, FIRST, 0.0)
         theta[:, 2:4] *= e.strongest**2
         theta[:, self.law - 1] = self.turn
-        if e.start is not None:
-            theta[:, self.law : self.law + 2] = e.start
         self.free = wanted & ~FURTHER
         length = 2 * np.pi * FIRST_CYCLES / e.strongest
         while length < self.whole:
@@ -370,39 +358,42 @@ class LawFitter:
         theta[:, : self.law] = np.where(POSITIVE, np.maximum(theta[:, : self.law], 0.0), theta[:, : self.law])
         left, slopes = self.evaluate(theta, self.whole)
         noises = self.noises(left)
-        logs = [
-            np.concatenate([
-                _log_likelihoods(noise, left[case, w, places], self._floor(w, places))
-                for (w, places), noise in zip(self.groups, row, strict=True)
-            ])
-            for case, row in enumerate(noises)
-        ]  # fmt: skip
-        sizes = [places.size for _, places in self.groups]
-        independent = [sum(_independent(noise, n) for noise, n in zip(row, sizes, strict=True)) for row in noises]
+        logs, independent = [], []
+        for residuals, row in zip(left, noises, strict=True):
+            each = list(zip(row, residuals, self.counts, strict=True))
+            logs.append(np.concatenate([_log_likelihoods(noise, r[:n], self._floor) for noise, r, n in each]))
+            independent.append(sum(_independent(noise, n) for noise, _, n in each))
         return ClassFits(
-            self.free, theta[:, : self.law], theta[:, self.law : self.law + 2],
-            np.nan_to_num(left[:, weight > 0], nan=np.inf) / float(np.std(self.excerpt.values[weight > 0]) or 1.0),
+            self.excerpt,
+            self.free,
+            theta[:, : self.law],
+            theta[:, self.law : self.law + 2],
+            np.nan_to_num(left[:, weight > 0], nan=np.inf) / self._signal,
             np.array(logs),
             self.open.sum(axis=1) + np.array([sum(noise.order for noise in row) for row in noises]),
-            np.array(independent), self._limits(theta, noises, left, slopes), self._held_out(theta),
-        )  # fmt: skip
+            np.array(independent),
+            self._limits(theta, noises, left, slopes),
+            self._held_out(theta),
+        )
 
     def noises(self, left: np.ndarray) -> Noises:
-        """Fit the colour of residuals, class by class and group by group."""
+        """Fit the colour of residuals, class by class and row by row."""
         left = np.nan_to_num(left, nan=1e6, posinf=1e6, neginf=-1e6)
-        used = self.open.sum(axis=1) / max(len(self.groups), 1)
-        found = []
-        for case, residuals in enumerate(left):
-            row = []
-            for w, places in self.groups:
-                noise = autoregression(residuals[w, places], min(used[case], places.size - 1))
-                least = self._floor(w, places) ** 2
-                row.append(noise if noise.variance > least else Autoregression(np.zeros(0), least))
-            found.append(row)
-        return found
+        used = self.open.sum(axis=1) / len(self.counts)
+        floor = Autoregression(np.zeros(0), self._floor**2)
+        found = [
+            [autoregression(r[:n], min(spent, n - 1)) for r, n in zip(residuals, self.counts, strict=True)]
+            for residuals, spent in zip(left, used, strict=True)
+        ]
+        return [[noise if noise.variance > floor.variance else floor for noise in row] for row in found]
 
-    def _floor(self, window: int, places: np.ndarray) -> float:
-        return NOISE_FLOOR * float(np.std(self.excerpt.values[window, places]) or 1.0)
+    @property
+    def _signal(self) -> float:
+        return float(np.std(self.excerpt.values[self.excerpt.weight > 0])) or 1.0
+
+    @property
+    def _floor(self) -> float:
+        return NOISE_FLOOR * self._signal
 
     def _limits(self, theta: np.ndarray, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Bound each coefficient of damping, one at a time beside the free ones: its estimate, or 0, and 1.645 sd."""
