@@ -42,6 +42,8 @@ from bench.records.reading.units import Measures
 Reader = Callable[[bytes, Path], Table]
 """From the bytes of a file and its path to its table."""
 MAX_UNPACKED = 256 * 2**20
+MAX_CELLS = 3_000_000
+"""Of a workbook, whose cells take some microseconds each."""
 PREAMBLE = 1000
 """Rows of a sheet that need not be of the table."""
 NESTED = 8
@@ -114,7 +116,10 @@ def _rows(sheet: Iterable[Sequence[object]], source: Path) -> list[TableRow]:
         if any(value is not None for value in values[MAX_COLUMNS:]):
             raise InputError("data", f"{source} row {i}", f"cells beyond column {MAX_COLUMNS}; keep those that matter")
         held += len(cells)
-        check_values(held, source)
+        if held > MAX_CELLS:
+            raise InputError(
+                "data", source, f"more than {MAX_CELLS} cells; keep the columns that matter, as csv or npz"
+            )
         check_rows(len(lines) - PREAMBLE, source)
         if any(isinstance(cell, str) or not math.isnan(cell) for cell in cells):
             lines[i] = cells

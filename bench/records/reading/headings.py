@@ -102,10 +102,10 @@ def _bracketed(text: str) -> tuple[str, str] | None:
 
 
 def _after_mark(text: str) -> tuple[str, str] | None:
-    """Split at the first stroke or the last comma with a unit behind it."""
-    for match in [*re.finditer("/", text), *reversed(list(re.finditer(",", text)))][: text.count("/") + 1]:
-        if match.start() and unit_of(text[match.end() :]):
-            return text[: match.start()].strip(), text[match.end() :].strip()
+    """Split at the first stroke or comma with a unit behind it."""
+    for mark in re.finditer("[/,]", text):
+        if mark.start() and unit_of(text[mark.end() :]):
+            return text[: mark.start()].strip(), text[mark.end() :].strip()
     return None
 
 

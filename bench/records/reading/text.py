@@ -25,7 +25,7 @@ from bench.records.reading.grid import (
     row_of,
     shape_of,
 )
-from bench.records.reading.table import Table, check_rows
+from bench.records.reading.table import Table, check_rows, check_values
 
 COMMENTS = ("#", "%", "!", "//")
 MARKS = (("utf-8-sig", b"\xef\xbb\xbf"), ("utf-16", b"\xff\xfe"), ("utf-16", b"\xfe\xff"))
@@ -88,7 +88,7 @@ FORMATS = [
 
 
 def read_text(data: bytes, source: object) -> Table:
-    """The table in the bytes of a text.
+    """Return the table in the bytes of a text.
 
     Raises:
         InputError: it is no text, holds no table, or more than one reading is possible.
@@ -120,9 +120,8 @@ def read_text(data: bytes, source: object) -> Table:
 def _without_marks_of_rows(text: str) -> str:
     """Return a matrix as MATLAB and others write it, ``[1 2; 3 4];``, as rows: a semicolon that only ends rows goes."""
     ends, matrix = re.compile(r";[ \t]*$", re.M), re.match(r"((?:\s*[#%!/].*\n)*)\s*(?:\w+\s*=\s*)?\[", text)
-    if matrix and "]" in text:
-        inside = ends.sub("", text[matrix.end() : text.rindex("]")])
-        return matrix[1] + inside.replace(";", "\n") if re.search(r"\d", inside) else text
+    if matrix and (inside := text[matrix.end() :].rstrip(" \t\n;")).endswith("]"):
+        return matrix[1] + ends.sub("", inside[:-1]).replace(";", "\n")
     rows = re.findall(r"^.*\d.*$", text[:HEAD_LETTERS], re.M)[:-1]
     return ends.sub("", text) if rows and all(row.count(";") == 1 and ends.search(row) for row in rows) else text
 
@@ -130,6 +129,7 @@ def _without_marks_of_rows(text: str) -> str:
 def _check_shape(data: bytes, source: object) -> None:
     """Refuse what is too long or too wide to be a record before it takes ten times its size in memory."""
     check_rows(max(data.count(b"\n"), data.count(b"\r")) - PREAMBLE, source)
+    check_values(max(map(data.count, (b",", b";", b"\t"))), source)
     letters = np.frombuffer(data, np.uint8)
     ends = np.flatnonzero((letters == ord("\n")) | (letters == ord("\r")))
     longest = int(np.max(np.diff(ends, prepend=-1, append=letters.size)))
@@ -139,7 +139,7 @@ def _check_shape(data: bytes, source: object) -> None:
 
 
 def decode(data: bytes, source: object) -> str:
-    """The text of bytes in UTF-8, UTF-16 (with a mark or without) or Windows-1252; raises InputError for others."""
+    """Return the text of bytes in UTF-8, UTF-16 (with a mark or without) or Windows-1252; raises InputError."""
     head = data[:LOOKED_AT]
     encodings = [name for name, mark in MARKS if data.startswith(mark)]
     if not encodings and len(data) % 2 == 0:
@@ -196,7 +196,7 @@ def _fixed_width(
 
 
 def _above(numbered: Sequence[tuple[int, str]], first: int, form: Format) -> Iterator[Above]:
-    """The lines above line number ``first``, nearest first."""
+    """Yield the lines above line number ``first``, nearest first."""
     for i in range(bisect_left(numbered, first, key=lambda item: item[0]) - 1, -1, -1):
         line = numbered[i][1].strip()
         comment = line.startswith(COMMENTS)
@@ -204,7 +204,7 @@ def _above(numbered: Sequence[tuple[int, str]], first: int, form: Format) -> Ite
 
 
 def _splits(line: str, form: Format) -> list[list[str]]:
-    """The ways to cut a header into cells: as the table is, by wide blanks, by blanks outside brackets, by others."""
+    """Return the ways to cut a header: as the table is, by wide blanks, by blanks outside brackets, by others."""
     wide = re.split(r"\s{2,}|\t", line.strip())
     if form.separator is not None:
         ways = [form.fields(line), wide]

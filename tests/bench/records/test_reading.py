@@ -84,6 +84,8 @@ SAME: dict[str, str | bytes] = {
     "decimal commas after tabs": "t [s]\tx [m]\n" + rows("\t", ","),
     "decimal commas after blanks": "t [s]  x [m]\n" + rows("  ", ","),
     "decimal commas in quotes": HEAD + '"0,0","1,0"\n"0,5","-2,25"\n"1,0","3,5"\n"2,5","0,125"\n',
+    "sections": "[Header]\nrate = 2\n[Data]\nt [s];x [m]\n" + rows(";"),
+    "units after commas": '"time, s";"position, m"\n' + rows(";"),
     "a quoted header": '"t [s]","x [m]"\n' + rows(),
     "quoted numbers": HEAD + "\n".join(f'"{t}","{x}"' for t, x in zip(T, X, strict=True)),
     "a comma inside a quoted header": '"time, s","position, m"\n' + rows(),
