@@ -42,7 +42,7 @@ PRIOR_DOF = 5.0
 """Degrees of freedom of the spread between parts before the data: it weighs as much as six parts."""
 PRIOR_SLOPE: Mapping[str, float] = {"mass": 0.02, "stiffness": 0.02, "damping": 0.3, "other": 0.1}
 """Standard deviation of a log-parameter's derivative by the log of the amplitude, before the data."""
-AMPLITUDES = 0.15
+AMPLITUDES = 0.2
 """Standard deviation of the log of the amplitude between repeats: a release by hand."""
 SWEEPS = 5
 """Alternations between slope and variance; they settle within three."""
@@ -81,21 +81,13 @@ class StatedInterval:
     @property
     def colour(self) -> float:
         """Width of this record's interval over that assuming white noise."""
-        return _ratio(self.record_high - self.record_low, self.white_high - self.white_low)
-
-    @property
-    def between(self) -> float:
-        """Width of a repeat's interval over that of this record."""
-        return _ratio(self.high - self.low, self.record_high - self.record_low)
+        width, white = self.record_high - self.record_low, self.white_high - self.white_low
+        return width / white if 0 < white < math.inf and math.isfinite(width) else 1.0
 
     @property
     def relative_error(self) -> float:
         """Half of the interval of a repeat over the value."""
         return (self.high - self.low) / 2.0 / abs(self.value) if self.value else math.inf
-
-
-def _ratio(width: float, reference: float) -> float:
-    return width / reference if 0 < reference < math.inf and math.isfinite(width) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
