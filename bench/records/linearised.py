@@ -105,18 +105,13 @@ class Linearised:
         """``J' S J`` of one channel."""
         noise, slopes = self.noises[i], self.slopes[own]
         if noise is not None:
-            covariances = noise.autocovariance(own.size)
             length = 1 << int(np.ceil(np.log2(2 * own.size)))
-            circle = np.zeros(length)
-            circle[: own.size], circle[length - own.size + 1 :] = covariances, covariances[:0:-1]
-            moved = np.fft.rfft(slopes, length, axis=0)
-            spread = np.fft.irfft(np.fft.rfft(circle)[:, None] * moved, length, axis=0)
-            middle = np.asarray(slopes.T @ spread[: own.size])
-            if noise.order == 0 or self.told is not None:
-                return middle
-            smooth, local = noise.spectrum(length), local_spectrum(self.residuals[own], slopes, length)
-            more = np.where(local > BEYOND * smooth, local, (local + smooth) / 2.0) - smooth
-            return middle + np.asarray(slopes.T @ np.fft.irfft(more[:, None] * moved, length, axis=0)[: own.size])
+            spectrum = noise.spectrum(length)
+            if noise.order and self.told is None:
+                local = local_spectrum(self.residuals[own], slopes, length)
+                spectrum = np.where(local > BEYOND * spectrum, local, (local + spectrum) / 2.0)
+            moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(slopes, length, axis=0), length, axis=0)
+            return np.asarray(slopes.T @ moved[: own.size])
         times, scores = self.model.channels[i][1].times, slopes * self.residuals[own][:, None]
         reach = CORRELATED_CYCLES / max(strongest_frequency(times, self.model.channels[i][1].values), 1e-12)
         total = np.zeros((self.theta.size, self.theta.size))
