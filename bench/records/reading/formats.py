@@ -41,7 +41,8 @@ from bench.records.reading.units import Measures
 
 Reader = Callable[[bytes, Path], Table]
 """From the bytes of a file and its path to its table."""
-MAX_UNPACKED = 256 * 2**20
+MAX_UNPACKED, MAX_WORKBOOK = 256 * 2**20, 64 * 2**20
+"""Bytes; those of a workbook take openpyxl a microsecond each where it does not state its dimensions."""
 MAX_CELLS = 3_000_000
 """Of a workbook, whose cells take some microseconds each."""
 PREAMBLE = 1000
@@ -54,17 +55,19 @@ def read_zip(data: bytes, source: Path) -> Table:
     """Read what is a zip file inside: a workbook (xlsx) or NumPy arrays (npz). Raises InputError."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
-        _check_unpacked(sum(info.file_size for info in archive.infolist()), source)
-    if any(name.startswith("xl/") for name in names):
+        unpacked = sum(info.file_size for info in archive.infolist())
+    workbook = any(name.startswith("xl/") for name in names)
+    _check_unpacked(unpacked, source, MAX_WORKBOOK if workbook else MAX_UNPACKED)
+    if workbook:
         return _read_xlsx(data, source)
     if names and all(name.endswith(".npy") for name in names):
         return read_numpy(data, source)
     raise InputError("data", source, "a zip file is not read; give one file out of it")
 
 
-def _check_unpacked(size: int, source: Path) -> None:
-    if size > MAX_UNPACKED:
-        raise InputError("data", source, f"more than {MAX_UNPACKED // 2**20} MiB when unzipped; thin or cut it")
+def _check_unpacked(size: int, source: Path, most: int) -> None:
+    if size > most:
+        raise InputError("data", source, f"more than {most // 2**20} MiB when unzipped; thin or cut it")
 
 
 # spreadsheets
@@ -146,7 +149,7 @@ def read_mat(data: bytes, source: Path) -> Table:
 
     if data[:10] == b"MATLAB 7.3" or data[:8] == b"\x89HDF\r\n\x1a\n":
         raise InputError("data", source, "HDF5, as MATLAB 7.3 writes it, is not read; save it with save(…, '-v7')")
-    _check_unpacked(_unpacked_mat(data), source)
+    _check_unpacked(_unpacked_mat(data), source, MAX_UNPACKED)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of objects that SciPy skips
         check_values(sum(math.prod(shape) for _, shape, _ in whosmat(io.BytesIO(data))), source)
