@@ -83,7 +83,7 @@ def missing_forces(fit: Linearised) -> tuple[str, ...]:
     kept = slice(0, end, -(-end // MOST_SAMPLES))
     slopes, residuals = fit.slopes[kept], fit.residuals[kept]
     columns = _columns(fit, candidates, kept)
-    first = information_criterion(residuals, fit.theta.size)
+    first = information_criterion(_residuals(slopes, residuals), fit.theta.size)
     gains: dict[tuple[str, ...], float] = {(): STRONG}
     for count in range(1, len(columns) + 1):
         for names_added in combinations(columns, count):
