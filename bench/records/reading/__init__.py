@@ -2,6 +2,6 @@
 
 from bench.records.reading.options import ReadOptions
 from bench.records.reading.recording import of_arrays, read_recording, read_recordings
-from bench.records.reading.signals import Recording, Signal
+from bench.records.reading.table import Recording, Signal
 
 __all__ = ["ReadOptions", "Recording", "Signal", "of_arrays", "read_recording", "read_recordings"]

@@ -17,8 +17,7 @@ from bench.records.reading.columns import columns_by_role
 from bench.records.reading.files import read_file
 from bench.records.reading.headings import is_trial
 from bench.records.reading.options import LETTERS, ReadOptions, slot
-from bench.records.reading.signals import Recording, Signal
-from bench.records.reading.table import Column, Table
+from bench.records.reading.table import Column, Recording, Signal, Table
 from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
 from bench.records.reading.units import unit_of
 

@@ -1,4 +1,4 @@
-"""What a file of any kind is read into, before anything is known of what its columns measure."""
+"""What reading makes of a file: a table of columns first, then signals over time."""
 
 from __future__ import annotations
 
@@ -55,6 +55,37 @@ class Table:
     def place(self, sample: int) -> str:
         """Where a sample (from 0) stands in the file."""
         return f"sample {sample + 1}" if self.rows is None else f"row {self.rows[sample]}"
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One measured quantity over time.
+
+    ``dof`` counts from 0; ``unit`` is in SI ("rad", "N·m" and so on where it turns), or the label as written where it
+    is no known unit. ``times`` (s) count from the first kept sample of the recording; a signal with missing values has
+    fewer samples than others.
+    """
+
+    role: str
+    measures: Measures
+    dof: int
+    values: np.ndarray
+    unit: str
+    times: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The signals of a file, what was done to it beyond reading it, where it is from, and the sha256 of its bytes.
+
+    ``rate_error`` is the relative standard uncertainty of the sampling rate that coarse time stamps leave.
+    """
+
+    signals: tuple[Signal, ...]
+    notes: tuple[str, ...]
+    source: str
+    sha256: str
+    rate_error: float = 0.0
 
 
 def check_rows(n: int, source: object) -> None:
