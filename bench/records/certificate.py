@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -115,14 +116,14 @@ def certify(
         on_look(RunState("step", 0, len(request.jobs) + 1, "model classes"))
         comparison = _comparison(measured, workers, missing)
         classes = () if comparison is None else tuple(comparison.classes)
-        if request.system == AUTO:
-            measured = best_class(measured, comparison)
+        auto = request.system == AUTO
+        measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
         answer, others = _answers(request, measured, workers, on_look)
-        if answer.finding.outcome.status is not Status.OK and classes and request.system == AUTO:
+        if answer.finding.outcome.status is not Status.OK and classes and auto:
             by_class = workers.one(Call(_of_class, (answer.finding, classes, measured), CLASSES_SECONDS))
             answer, others = (by_class, [answer.finding, *others]) if by_class else (answer, others)
         compared = comparisons([answer.finding, *others])
-        primary = with_reasons(answer.finding, compared)
+        primary = with_reasons(answer.finding, compared, missing)
         drawn = _replicas(primary, request.job, replicas, workers, on_look, say, missing)
     if not answer.what_if:
         missing["what_if"] = "the answer is not to be trusted, or the data leave a direction open"
@@ -241,15 +242,29 @@ def agreement_of(other: StatedInterval, reference: StatedInterval | None) -> str
     return "tied" if other.low <= reference.value <= other.high else "off"
 
 
-def with_reasons(primary: Finding, compared: Sequence[MethodComparison]) -> Finding:
-    """Add to the primary's reasons for caution that methods whose own answers are sound disagree with it."""
+def with_reasons(
+    primary: Finding, compared: Sequence[MethodComparison], missing: Mapping[str, str] = MappingProxyType({})
+) -> Finding:
+    """Add the reasons for caution that methods give whose own answers are sound, and the comparison of classes."""
     off: dict[str, list[str]] = {}
     for one in compared:
         if one.agreement == "off":
             off.setdefault(one.quantity, []).append(one.method)
     said = [f"{', '.join(methods)} disagree{'s' if len(methods) == 1 else ''} in {name.replace('_over_', '/')}"
             for name, methods in off.items()]  # fmt: skip
+    said += _reasons_of_classes(primary, missing)
     return replace(primary, reasons=(*primary.reasons, *(Reason(Trust.CAUTION, reason) for reason in said)))
+
+
+def _reasons_of_classes(primary: Finding, missing: Mapping[str, str]) -> list[str]:
+    comparison, terms = primary.measured.comparison, set(getattr(primary.problem.system, "terms", ()))
+    if comparison is None:
+        return [f"model classes were not compared: {missing['classes']}"] if "classes" in missing else []
+    good = [comparison.chosen, *comparison.tied]
+    if terms and all(set(one.system.terms) != terms for one in good):
+        return [f"the class {comparison.chosen.name} describes the record better: system=auto takes it"]
+    others = [one.name for one in good if set(one.system.terms) != terms]
+    return [f"the record does not distinguish these classes from the one taken: {', '.join(others)}"] if others else []
 
 
 # ------------------------------------------------------------------------------------------------ consequences

@@ -10,7 +10,8 @@ from bench.reporting.rounding import number, readable
 from bench.reporting.terminal import table, wrapped
 
 FREE = "free vibration without a prior: m, c and k are not individually identifiable, only k/m and c/m"
-WHITE = "White-noise interval: assumes white noise and a correct model."
+WIDEST = 5
+"""Columns of values that fit a terminal: the interval assuming white noise is in the JSON and in the certificate."""
 
 
 def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
@@ -25,9 +26,10 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
     lines.append(wrapped(f"record: {found['data']}, {found['samples']} samples"))
     lines += [wrapped(f"note: {note}", "    ", "  ") for note in found["notes"]]
     if stated or found["withdrawn"]:
-        lines += ["", _table(values_table(stated, found["withdrawn"]), 2), ""]
+        headers, rows = values_table(stated, found["withdrawn"])
+        lines += ["", table([row[:WIDEST] for row in rows], headers[:WIDEST], (0, 2)), ""]
     if stated:
-        lines.append(wrapped(f"Intervals {MEANING}. {WHITE}"))
+        lines.append(wrapped(f"Intervals {MEANING}."))
     if found["modes"]:
         lines += ["", _table(modes_table(found["modes"])), ""]
     if found["runs"]:
@@ -42,10 +44,10 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
     return "\n".join(lines)
 
 
-def _table(rows: Rows, words: int = -1) -> str:
-    """Return a table for the terminal; the first column and the one numbered ``words`` hold words."""
+def _table(rows: Rows) -> str:
+    """Return a table for the terminal; its first and last column hold words."""
     headers, lines = rows
-    return table(lines, headers, (0, words % len(headers)))
+    return table(lines, headers, (0, len(headers) - 1))
 
 
 def methods_page(found: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
