@@ -27,6 +27,8 @@ from bench.systems import Quantity, System
 
 LEVEL = 1e-3
 """Probability that any run of repeats of one rig is taken for one of another rig."""
+ROUNDING = 1e-24
+"""Least variance of a logarithm: of a record without noise the variances would otherwise vanish."""
 LEAST_DOF = 3
 """Degrees of freedom of the variance between runs; where these are too few for it, the prior makes up for the rest."""
 
@@ -56,14 +58,13 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
         for quantity in shown.finding.problem.system.quantities
         if len(stated := _stated(kept, quantity)) > 1
     }
-    intervals = {**shown.finding.intervals, **{name: effect.interval for name, effect in effects.items()}}
+    spread = {name: effect.interval for name, effect in effects.items()}
+    intervals = {**shown.finding.intervals, **spread}
     own = [Reason(reason.verdict, f"{shown.name}: {reason.text}") for reason in shown.finding.reasons]
-    reasons = (*_left_out(runs), *reasons_of_intervals({name: e.interval for name, e in effects.items()}), *own)
+    reasons = (*_left_out(runs), *reasons_of_intervals(spread), *own)
     stands = all(reason.verdict is not Trust.NO for reason in reasons)
-    measured, said = (
-        shown.finding.measured,
-        [f"{readable(name)} by {e.percent:.2g} %" for name, e in effects.items()][:2],
-    )
+    measured = shown.finding.measured
+    said = [f"{readable(name)} by {effect.percent:.2g} %" for name, effect in effects.items()][:2]
     note = f"{len(kept)} runs, each answered alone, differ in {' and in '.join(said)} (standard deviation)"
     return replace(
         shown.finding,
@@ -93,10 +94,8 @@ class RandomEffects:
 
 def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system: System) -> RandomEffects:
     """Fit the model to intervals of two runs or more."""
-    y, v = (
-        np.log([own.value for own in stated]),
-        np.array([_variance(own.record_low, own.record_high) for own in stated]),
-    )
+    y = np.log([own.value for own in stated])
+    v = np.array([_variance(own.record_low, own.record_high) for own in stated])
     prior, of_runs = _prior_variance(quantity, system), paule_mandel(y, v)
     more = max(LEAST_DOF - (y.size - 1), 0)
     dof = y.size - 1 + more
@@ -118,8 +117,8 @@ def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system:
 
 
 def _variance(low: float, high: float) -> float:
-    """Return the variance of a logarithm whose 95 % interval ends there."""
-    return (math.log(high / low) / (2.0 * HALF)) ** 2
+    """Return the variance of a logarithm whose 95 % interval ends there, at least that of rounding."""
+    return max((math.log(high / low) / (2.0 * HALF)) ** 2, ROUNDING)
 
 
 def _stated(runs: Sequence[Run], quantity: Quantity) -> dict[str, StatedInterval]:
