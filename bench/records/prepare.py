@@ -160,7 +160,7 @@ def _computed(one: Signal, other: Signal) -> bool:
     rate = (n - 1) / float(np.ptp(one.times))
     frequencies, coherent = coherence(one.values, other.values, rate, nperseg=2 * n // (BLOCKS + 1))
     noise = frequencies > NOISE_BAND * strongest_frequency(one.times, one.values)
-    return np.count_nonzero(noise) >= 8 and float(np.nanmedian(coherent[noise])) > COHERENT
+    return int(np.count_nonzero(noise)) >= 8 and float(np.nanmedian(coherent[noise])) > COHERENT
 
 
 def _colour(signal: Signal) -> float:

@@ -17,7 +17,7 @@ NAMES = sorted(
 
 
 def test_all_studies_are_here() -> None:
-    assert len(NAMES) == 11
+    assert len(NAMES) == 12
 
 
 @pytest.mark.parametrize("name", NAMES)
