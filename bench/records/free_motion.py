@@ -43,6 +43,8 @@ MODE = 0.3
 QUIET, DEPARTED, FLAT = 12, 10.0, 3.0
 """Least samples of silence; least size of the motion after it over its scatter; least length over the time in which
 the motion then covers half of its way, 0.25 cycles of a release at rest."""
+JUMP, LEAST_NEAR = 6.0, 8
+"""Second difference over the median of so many around it that is a jump of the value or of the slope."""
 CHUNK = 8192
 
 
@@ -74,7 +76,7 @@ def silence(times: np.ndarray, values: np.ndarray) -> float | None:
         last = max(new, QUIET)
     early, late = np.mean(values[: last // 2]), np.mean(values[last // 2 : last])
     waited, rise = times[last - 1] - times[0], times[min(half, times.size - 1)] - times[last - 1]
-    if last <= QUIET or abs(late - early) > scatter or waited < FLAT * rise or half <= last:
+    if last <= QUIET or abs(late - early) > scatter or waited < FLAT * rise:
         return None
     return float(times[last])
 
@@ -89,7 +91,7 @@ def first_change(times: np.ndarray, values: np.ndarray) -> Cut | None:
     level = values - np.polynomial.Polynomial.fit(times, values, 1)(times)
     if not np.any(level):
         return None
-    frequency = strongest_frequency(times, level)
+    frequency, samples = strongest_frequency(times, level), (times, values)
     times, values = _even(times, values, frequency)
     step = float(times[1] - times[0])
     reach = round(REACH / (frequency * step))
@@ -107,8 +109,18 @@ def first_change(times: np.ndarray, values: np.ndarray) -> Cut | None:
     if place < reach:  # what is left unexplained grows with the place: the first that leaves out nearly all of it
         place = int(np.argmax(change[: place + 1] >= 0.9 * change[place]))
     elif place > values.size - reach:
-        place = values.size - 1 - int(np.argmax(change[: place - 1 : -1] >= 0.9 * change[place]))
-    return Cut(float(times[place] - 0.5 * step), float(np.max(share)))
+        place = values.size - 1 - int(np.argmax(change[: place - 1 : -1] >= 0.5 * change[place]))
+    return Cut(_jump(*samples, float(times[place] - 0.5 * step), 0.75 / frequency), float(np.max(share)))
+
+
+def _jump(times: np.ndarray, values: np.ndarray, time: float, near: float) -> float:
+    """Return when (s) the first sample lies that leaves the line through the two before it as far as none near does."""
+    places = np.flatnonzero(np.abs(times[2:] - time) <= near) + 2
+    if places.size < LEAST_NEAR:
+        return time
+    left = np.abs(values[places] - 2 * values[places - 1] + values[places - 2])
+    first = places[int(np.argmax(left >= 0.6 * np.max(left)))]
+    return float(times[first]) if np.max(left) > JUMP * np.median(left) else time
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def _at_top(values: np.ndarray) -> np.ndarray:
     if size == 0 or not np.any(inner):
         return nowhere
     resolution = float(np.min(np.diff(np.unique(values))))
-    for step in sorted({max(width * size, 1.001 * resolution) for width in STEPS}):
+    for step in sorted({max(width * size, 1.001 * resolution) for width in STEPS}, reverse=True):
         below = np.round((top - values) / step)
         counts = np.bincount(below[inner].astype(int), minlength=4)
         least = max(LEAST, PILED * (np.mean(counts[1:4]) + 1.0), OTHERS * np.max(counts[1:]))
