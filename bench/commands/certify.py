@@ -36,7 +36,8 @@ def certify(
     """
     again = command_line(certify, locals())
     request = _request(data, system, method, record)
-    start_server(PRELOADED)  # it imports while this process does
+    if all(path.is_file() for path in request.files):
+        start_server(PRELOADED)  # it imports while this process does
     try:
         import jinja2  # noqa: F401 - before the work, where the page could not be made after it
         import matplotlib  # noqa: F401

@@ -74,6 +74,8 @@ def silence(times: np.ndarray, values: np.ndarray) -> float | None:
         if quiet.size == 0 or (new := int(quiet[-1]) + 1) == last:
             break
         last = max(new, QUIET)
+    if np.median(away[half : half + QUIET]) <= 3.0 * scatter:  # one sample far off is an outlier, not a release
+        return None
     early, late = np.mean(values[: last // 2]), np.mean(values[last // 2 : last])
     waited, rise = times[last - 1] - times[0], times[min(half, times.size - 1)] - times[last - 1]
     if last <= QUIET or abs(late - early) > scatter or waited < FLAT * rise:

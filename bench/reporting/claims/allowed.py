@@ -89,7 +89,19 @@ ALLOWED_IN = {
         r"Do intervals of 95 % cover",
     ),
     # definitions
-    "docs/explanation/intervals.md": (r"holds the truth in 95 of 100",),
+    "docs/explanation/intervals.md": (
+        r"holds the truth in 95 of 100",
+        r"both of 95 %",
+        r"(?:Mandel|Spiegelhalter|Cheung|Raftery),? (?:1982|2007|2009|2010)",
+        r"is half of that of k/m",
+        r"at most 0\.4",
+        r"once in a thousand",
+        r"ideal interval, 1 where",
+        r"amplitudes differ by 20 %",
+        r"a prior of 0\.2 % of a stiffness and 4 % of a damping",
+    ),
+    "docs/explanation/measured.md": (r"records of 33 kinds",),
+    "docs/how_to/measured_record.md": (r"At most a million rows of 64 columns", r"at most 0\.4"),
     "docs/explanation/paper.md": (r"against the replicates of the same method here, twice:",),
     "docs/reference/commands.md": (r"exit status is 0 .*? and 129 for",),
     "docs/reference/file_formats.md": (
@@ -112,8 +124,8 @@ ALLOWED_IN = {
     "docs/tutorials/first_cell.md": (r"It should be near 95",),
     "docs/tutorials/own_record.md": (
         r"vibrates at 2 Hz with a damping ratio of 2 %",
-        r"95 % (?:low|high)",
-        r"The truth, 2 Hz and 0\.02,",
+        r"The truth, 2 Hz and 2 %,",
+        r"200 simulated replicas",
     ),
     "docs/tutorials/plan_test.md": (
         r"want c/m to 5 %",

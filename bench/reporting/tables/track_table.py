@@ -34,10 +34,10 @@ HEAD = """# Table 11. The measured track
 
 Real records, cut into siblings or repeated, fitted by each method without a prior, the start and a sensor's offset
 unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
-**score**: interval score (Gneiting and Raftery, 2007) of the logarithm's 95 % interval of a repeat against the mean of
-the other siblings, over that of the ideal interval, which is as wide as the siblings scatter; 1 is ideal, and neither
+**score**: interval score (T. Gneiting, A. E. Raftery) of the logarithm's interval of a repeat against the mean of
+the other siblings, over that of the ideal interval, which is as wide as the siblings scatter: one is ideal, and neither
 too narrow nor too wide intervals pay. **R**: standard deviation between siblings over the median stated standard error;
-1 is right, above it the statement is too narrow. **cov.**: how many siblings' intervals hold the mean of the other
+one is right, above it the statement is too narrow. **cov.**: how many siblings' intervals hold the mean of the other
 siblings. **x/÷**: the median factor by which the interval reaches to either side. In brackets the same for the interval
 assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median distance to
 what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %, predicted
