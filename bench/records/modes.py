@@ -18,6 +18,8 @@ LINE_LEVEL = 1e-6
 """Chance that white noise has such a line: far below that of a false alarm in a life of records."""
 LINE_SHARE = 0.03
 """Least root mean square of a line over that of the signal: a mode below 3 % hardly moves the values of the others."""
+BANDWIDTHS = 2.0
+"""Half-power bandwidths of a mode within which a line in the residuals is what its fit has left."""
 BEGINNINGS, LEAST_BEGINNING = (1, 4, 16), 100
 """Parts of the record in whose beginning lines are sought, and the least samples there."""
 MOST_MODES = 4
@@ -54,7 +56,8 @@ def modes_of(times: np.ndarray, values: np.ndarray, most: int = MOST_MODES) -> t
     poles, residuals = np.zeros((0, 2)), y - np.mean(y)
     while len(poles) < most and y.size > 6 * (len(poles) + 1):
         frequency, share = line(t, residuals, y) if len(poles) else (strongest_frequency(t, residuals), 1.0)
-        if share < LINE_SHARE:
+        near = np.abs(2 * np.pi * frequency - poles[:, 1]) < BANDWIDTHS * 2 * poles[:, 0]
+        if share < LINE_SHARE or np.any(near):
             break
         added = _search(t, y, poles, 2 * np.pi * frequency)
         if added is None:
