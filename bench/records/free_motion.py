@@ -7,7 +7,8 @@ wave over both sides is compared with that of one wave on each side (G. C. Chow,
 ends of a record the shorter side is left unexplained (Chow's predictive test).
 
 A change counts where it is large beside the motion (``SHARE``) and beside what noise of the record's own colour does
-(``MEDIANS`` times the median over all places); both thresholds were chosen on clean simulated records, which stay below.
+(``MEDIANS`` times the median over all places); both thresholds were chosen on clean simulated records, which stay
+below.
 """
 
 from __future__ import annotations
