@@ -46,6 +46,8 @@ class LS(RegressionIdentifier):
     derivative: Literal["finite", "spline", "weak"] = "finite"
     bootstrap: int = 100
 
+    version: ClassVar[int] = 2
+    """2: its smoothing splines are exact to rounding, which decided irregular times before."""
     card: ClassVar[Card] = Card(
         summary="equation-error least squares on finite differences, smoothing splines or in weak form (derivative=)",
         start="used when known",

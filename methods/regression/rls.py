@@ -74,6 +74,8 @@ class RLS(RegressionIdentifier):
     diffuse: float = 1e6
     bootstrap: int = 100
 
+    version: ClassVar[int] = 2
+    """2: its smoothing splines are exact to rounding, which decided irregular times before."""
     card: ClassVar[Card] = Card(
         summary="recursive least squares over finite differences, sample by sample, with a forgetting factor",
         start="used when known",

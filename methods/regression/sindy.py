@@ -64,7 +64,7 @@ class SINDy(RegressionIdentifier):
     form: Literal["strong", "weak"] = "strong"
 
     version: ClassVar[int] = 2
-    """2: its smoothing splines are exact to rounding, which decided many samples in weak form before."""
+    """2: its smoothing splines are exact to rounding, which decided irregular times and the weak form before."""
     card: ClassVar[Card] = Card(
         summary="pysindy: greedy sparse regression (FROLS) on cubic polynomials of a smoothing spline's motion",
         start="used when known",
