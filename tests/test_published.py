@@ -40,7 +40,7 @@ SEED = os.environ.get("PUBLISHED_SEED", RUN[-8:])
 TOLERANCE = 1e-3
 """Of the error's size: no table shows a smaller difference."""
 LOOSER = {"ddnn": 10.0, "frequency": 10.0, "pinn_family": 100.0, "ls_spline": 20.0, "rls": 10.0}
-"""How many times the tolerance a method or variant has whose training, search or smoothing ends elsewhere by rounding."""
+"""How many times the tolerance a method or variant has whose search or smoothing ends elsewhere by rounding."""
 LOOSER_WITHOUT_SCALE = 10.0
 """The same for single parameters, whose scale the prior sets by a search; their ratios are compared as they are."""
 UNDERFLOW = 1e-37
