@@ -45,7 +45,7 @@ def certify(
         from bench.engine.progress import progress_bar
         from bench.face.results import nulls
         from bench.records.certificate import certify as certificate_of
-        from bench.records.record import read_measured
+        from bench.records.problem import read_measured
         from bench.records.verdict import Trust
         from bench.reporting.certificate.contents import contents, listed
         from bench.reporting.certificate.page import page

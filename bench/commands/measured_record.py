@@ -17,7 +17,7 @@ def identify_records(overrides: Overrides) -> int:
     """Print what methods find in measured records; 1 where no method's answer is to be trusted."""
     from bench.face.identification import identified
     from bench.records.find import find_all
-    from bench.records.record import read_measured
+    from bench.records.problem import read_measured
     from bench.records.request import request_of
     from bench.records.response import best_of, response_of
     from bench.reporting.record_page import methods_page

@@ -18,8 +18,8 @@ from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.modes import Mode
+from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
-from bench.records.record import read_measured
 from bench.records.request import request_of
 from bench.reporting.record_page import record_page
 

@@ -12,7 +12,7 @@ from bench.planning.longer import Taken, start_of
 from bench.records.find import find
 from bench.records.finding import Finding
 from bench.records.intervals import HALF
-from bench.records.record import read_measured
+from bench.records.problem import read_measured
 from bench.records.request import Overrides, request_of
 from bench.records.verdict import Trust
 

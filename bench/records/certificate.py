@@ -28,7 +28,7 @@ from bench.records.held_out import early_fit
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.models import ClassComparison, ModelClass
-from bench.records.record import Measured, spare_factor, with_fewer_samples
+from bench.records.problem import Measured, spare_factor, with_fewer_samples
 from bench.records.replicas import ReplicaCoverage, coverage_on_replicas
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust

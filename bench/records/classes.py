@@ -23,7 +23,7 @@ from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerp
 from bench.records.intervals import HALF
 from bench.records.linearised import at_theta
 from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity
-from bench.records.record import Measured, of_system, with_system
+from bench.records.problem import Measured, of_system, with_system
 from bench.systems import LENGTH, MEASURED
 from bench.systems.sums import Sum
 

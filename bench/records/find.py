@@ -19,7 +19,7 @@ from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome, fit, within_time
 from bench.records.intervals import StatedInterval
 from bench.records.models import unit_over_mass, without
-from bench.records.record import Measured, spare_factor, with_fewer_samples, with_system
+from bench.records.problem import Measured, spare_factor, with_fewer_samples, with_system
 from bench.records.repeats import combined, runs_of
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust

@@ -17,7 +17,7 @@ from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.model_error import missing_forces
 from bench.records.modes import Mode
 from bench.records.parts import parts_of
-from bench.records.record import Measured, spare_factor
+from bench.records.problem import Measured, spare_factor
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
 from bench.scoring.combination import combine_with_prior

@@ -22,7 +22,7 @@ from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import make_method, missing_package
 from bench.errors import InputError
 from bench.isolation.processes import Children, Died
-from bench.records.record import Measured
+from bench.records.problem import Measured
 
 Result = TypeVar("Result")
 

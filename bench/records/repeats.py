@@ -21,7 +21,7 @@ from bench.contract.belief import standard_quantile
 from bench.records.diagnostics import readable, reasons_of_intervals
 from bench.records.finding import Finding, Run
 from bench.records.intervals import HALF, PRIOR_SPREAD, UPPER, WIDEST, StatedInterval, paule_mandel
-from bench.records.record import Measured
+from bench.records.problem import Measured
 from bench.records.verdict import Reason, Trust
 from bench.systems import Quantity, System
 

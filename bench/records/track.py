@@ -23,8 +23,8 @@ from bench.records.find import find
 from bench.records.finding import Finding
 from bench.records.held_out import held_out_fit
 from bench.records.intervals import StatedInterval
+from bench.records.problem import Measured, read_measured, with_system
 from bench.records.reading import Recording, read_recording
-from bench.records.record import Measured, read_measured, with_system
 from bench.records.request import Request, request_of
 from bench.records.sets import MeasuredSet
 from bench.records.siblings import pieces

@@ -22,8 +22,8 @@ from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import at_theta, linearised
+from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
-from bench.records.record import read_measured
 from bench.records.request import request_of
 from bench.reporting.tables.common import markdown_table
 from bench.scoring.statistics import wilson_interval

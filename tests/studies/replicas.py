@@ -19,7 +19,7 @@ from bench.entrants.registry import make_method
 from bench.likelihood.autoregression import Autoregression
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
-from bench.records.record import Measured
+from bench.records.problem import Measured
 from bench.records.replicas import answered, coverage_of, true_values, widened
 from bench.records.request import request_of
 from bench.reporting.tables.common import markdown_table

@@ -19,7 +19,7 @@ from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
 from bench.records.models import ModelClass, unit_over_mass
-from bench.records.record import summary_of
+from bench.records.problem import summary_of
 from bench.records.verdict import Trust
 from bench.reporting.answer import answer
 from bench.reporting.rounding import number

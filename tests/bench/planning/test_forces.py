@@ -15,7 +15,7 @@ from bench.planning.free_decay import Oscillator
 from bench.planning.multisine import ALL, wanted_columns
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
-from bench.records.record import read_measured
+from bench.records.problem import read_measured
 from bench.records.request import request_of
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario

@@ -14,8 +14,8 @@ from bench.records.find import find
 from bench.records.held_out import HELD_OUT, held_out_fit
 from bench.records.linearised import at_theta
 from bench.records.models import ClassComparison
+from bench.records.problem import Measured, read_measured
 from bench.records.reading import Recording, Signal
-from bench.records.record import Measured, read_measured
 from bench.records.request import request_of
 from bench.systems.sums import Sum, sum_from
 

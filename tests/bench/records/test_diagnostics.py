@@ -21,8 +21,8 @@ from bench.entrants.registry import make_method
 from bench.records.diagnostics import steady_sine
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
+from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
-from bench.records.record import read_measured
 from bench.records.request import request_of
 from bench.records.verdict import Reason, Trust, verdict
 

@@ -16,8 +16,8 @@ from bench.contract.problem import Channel, Problem, Record
 from bench.records.finding import Finding
 from bench.records.fit import Outcome
 from bench.records.intervals import PRIOR_SPREAD, StatedInterval
+from bench.records.problem import Measured
 from bench.records.reading import Recording
-from bench.records.record import Measured
 from bench.records.repeats import combined, runs_of
 from bench.records.verdict import Reason, Trust
 from bench.systems.linear import SDOF

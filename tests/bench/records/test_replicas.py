@@ -19,7 +19,7 @@ from bench.likelihood.autoregression import Autoregression, autoregression
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
 from bench.records.intervals import StatedInterval
-from bench.records.record import Measured
+from bench.records.problem import Measured
 from bench.records.replicas import (
     Replica,
     ReplicaCoverage,

@@ -7,8 +7,8 @@ import pytest
 
 from bench.records.find import find_all
 from bench.records.finding import Finding
+from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
-from bench.records.record import read_measured
 from bench.records.request import request_of
 from bench.records.response import best_of, response_of
 from bench.records.verdict import Trust

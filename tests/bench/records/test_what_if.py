@@ -14,7 +14,7 @@ from bench.likelihood.autoregression import Autoregression
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
 from bench.records.linearised import Linearised
-from bench.records.record import Measured
+from bench.records.problem import Measured
 from bench.records.what_if import WhatIf, what_if
 from bench.scenario.truth import closed_form
 from bench.systems.linear import SDOF

@@ -26,8 +26,8 @@ from bench.records.classes import NAME
 from bench.records.held_out import held_out_fit
 from bench.records.intervals import StatedInterval
 from bench.records.models import ClassComparison
+from bench.records.problem import Measured, read_measured
 from bench.records.reading import of_arrays
-from bench.records.record import Measured, read_measured
 from bench.records.replicas import ReplicaCoverage
 from bench.records.request import Request, request_of
 from bench.records.verdict import Trust
