@@ -259,7 +259,7 @@ def identified(finding: Finding) -> Identification:
 
 
 def _residuals(finding: Finding) -> ChannelResiduals | None:
-    at = finding.at
+    at = finding.fit
     if at is None:
         return None
     channel = finding.problem.records[0].channels[0]

@@ -37,8 +37,8 @@ def _taken(finding: Finding) -> Taken:
     oscillator = Oscillator(found["natural_frequency"].value, found["damping_ratio"].value)
     times = channel.times - channel.times[0]
     start = start_of(oscillator, times, channel.values)
-    assert finding.at is not None
-    own = finding.at.channels[0]
-    sigma = finding.channel_size * float(np.sqrt(np.mean(finding.at.residuals[own] ** 2)))
+    assert finding.fit is not None
+    own = finding.fit.channels[0]
+    sigma = finding.channel_size * float(np.sqrt(np.mean(finding.fit.residuals[own] ** 2)))
     supported = {name: math.log(one.high / one.low) / (2.0 * HALF) for name, one in found.items()}
     return Taken(times, oscillator, start, sigma, supported)

@@ -151,7 +151,7 @@ def primary_answer(job: Job, measured: Measured) -> PrimaryAnswer:
 
 
 def _with_consequences(finding: Finding) -> PrimaryAnswer:
-    prediction = None if finding.at is None else prediction_of(finding.at)
+    prediction = None if finding.fit is None else prediction_of(finding.fit)
     changes = () if finding.trust is Trust.NO else what_if(finding)
     return PrimaryAnswer(finding, prediction, changes)
 
@@ -288,10 +288,10 @@ def _replicas(
     say: Callable[[str], None],
     missing: dict[str, str],
 ) -> tuple[ReplicaCoverage, ...]:
-    primary = next((run.finding for run in primary.runs if run.finding.at is primary.at), primary)
+    primary = next((run.finding for run in primary.runs if run.finding.fit is primary.fit), primary)
     if n == 0:
         missing["replicas"] = "none were asked for (twins=0)"
-    elif primary.trust is Trust.NO or primary.at is None:
+    elif primary.trust is Trust.NO or primary.fit is None:
         missing["replicas"] = "the answer is not to be trusted, so no replicas of it are simulated"
     elif primary.method != job.label:
         missing["replicas"] = f"replicas are fitted by a method, and this answer is the {primary.method}"

@@ -80,7 +80,7 @@ def _answer(job: Job, measured: Measured) -> Finding:
 def _coloured(finding: Finding, job: Job) -> Finding:
     """Where the residuals are coloured, what the method finds when it is told so, if it can be."""
     more = coloured_settings(job.config.method["name"])
-    noises = () if finding.at is None else finding.at.noises
+    noises = () if finding.fit is None else finding.fit.noises
     coloured = any(noise is not None and noise.order for noise in noises)
     if not (more and coloured) or "method.likelihood" in job.explicit:
         return finding

@@ -38,7 +38,7 @@ class Finding:
     """The answer of one method to measured records.
 
     ``intervals`` hold what the data tell, by name of the quantity; none where the answer is withdrawn or failed.
-    ``withdrawn`` keeps what the method itself says of an answer that is not to be trusted. ``at`` is the likelihood
+    ``withdrawn`` keeps what the method itself says of an answer that is not to be trusted. ``fit`` is the likelihood
     there, in the problem's natural units. Of repeats that were answered alone ``runs`` hold each of them, and all but
     the intervals is that of the run in the middle.
     """
@@ -49,7 +49,7 @@ class Finding:
     intervals: Mapping[str, StatedInterval] = field(default_factory=dict)
     withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
-    at: Linearised | None = None
+    fit: Linearised | None = None
     modes: tuple[Mode, ...] = ()
     runs: tuple[Run, ...] = ()
 
@@ -64,12 +64,12 @@ class Finding:
 
     @property
     def units(self) -> Units:
-        """The natural units in which ``at`` is, in the user's."""
+        """The natural units in which ``fit`` is, in the user's."""
         return self.problem.natural_units()
 
     @property
     def channel_size(self) -> float:
-        """How much one unit of the first channel in ``at`` is in the channel's own unit."""
+        """How much one unit of the first channel in ``fit`` is in the channel's own unit."""
         return self.units.of(MEASURED[self.problem.records[0].channels[0].measures])
 
 

@@ -86,20 +86,20 @@ def coverage_on_replicas(
         workers: Processes that fit.
         on_replicas: Gets the progress; first when the time is known.
     """
-    assert finding.at is not None
+    assert finding.fit is not None
     starts = [*range(0, FIRST * AT_ONCE, FIRST), *range(FIRST * AT_ONCE, n, TOGETHER), n]
     numbers = [range(low, min(high, n)) for low, high in pairwise(starts) if low < n]
     answers: list[Intervals] = []
     done, started = 0, time.monotonic()
     tasks = [
-        Call(answered, (job, finding.at, finding.problem, some), LIMIT_S * len(some), job.config.memory_mb)
+        Call(answered, (job, finding.fit, finding.problem, some), LIMIT_S * len(some), job.config.memory_mb)
         for some in numbers
     ]
     for number, result in workers.perform(tasks, keep=True):
         done += len(numbers[number])
         answers += [] if isinstance(result, Died) else result
         on_replicas(done, (time.monotonic() - started) / done * (n - done))
-    truth = true_values(finding.at, finding.problem)
+    truth = true_values(finding.fit, finding.problem)
     quantities = determined_quantities(finding.problem)
     lines = (coverage_of(q, float(q.value(truth)), answers, finding) for q in quantities)
     return tuple(line for line in lines if line is not None)

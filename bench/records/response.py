@@ -72,7 +72,7 @@ def best_of(findings: Sequence[Finding]) -> Finding:
 
 
 def _left(finding: Finding) -> float:
-    return np.inf if finding.at is None else part_of_signal(finding.at)
+    return np.inf if finding.fit is None else part_of_signal(finding.fit)
 
 
 def response_of(finding: Finding) -> Response:
@@ -87,7 +87,7 @@ def response_of(finding: Finding) -> Response:
         times=channel.times,
         values=channel.values,
         frequency=frequency,
-        fit=None if finding.at is None else _fit(finding, finding.at, frequency),
+        fit=None if finding.fit is None else _fit(finding, finding.fit, frequency),
     )
 
 

@@ -164,7 +164,7 @@ def fitted(task: MeasuredFit) -> TrackFit:
         nothing = {"reasons": (), "wall_s": math.nan, "samples": 0}
         return TrackFit(**head, status="refused", message=str(error), trust="do not trust", **nothing)  # type: ignore[arg-type]
     with np.errstate(all="ignore"):
-        held_out = math.nan if finding.at is None else held_out_fit(finding.at)
+        held_out = math.nan if finding.fit is None else held_out_fit(finding.fit)
     return TrackFit(
         **head,  # type: ignore[arg-type]
         status=finding.outcome.status.value,
@@ -182,7 +182,7 @@ def fitted(task: MeasuredFit) -> TrackFit:
 
 def _offset(finding: Finding) -> float:
     """Of the first channel, in the user's units."""
-    at = finding.at
+    at = finding.fit
     if at is None:
         return math.nan
     return finding.channel_size * float(at.model.offsets(at.theta)[0])

@@ -47,7 +47,7 @@ def what_if(finding: Finding) -> tuple[WhatIf, ...]:
     of white noise times what they are more today. What parts of the record differ by, or the model lacks, is left out
     of both: no more data help there.
     """
-    at = finding.at
+    at = finding.fit
     if at is None or at.coloured is None:
         return ()
     problem, sigma = at.model.problem, at.sigma

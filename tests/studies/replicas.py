@@ -73,10 +73,10 @@ def found(problem: Problem, seed: int) -> Finding | None:
 
 def covers(finding: Finding, replicas: int, job: Job) -> dict[tuple[str, str], bool]:
     """Decide whether the intervals cover the true value, by quantity and kind."""
-    assert finding.at is not None
+    assert finding.fit is not None
     answers, truth = (
-        answered(job, finding.at, finding.problem, range(replicas)),
-        true_values(finding.at, finding.problem),
+        answered(job, finding.fit, finding.problem, range(replicas)),
+        true_values(finding.fit, finding.problem),
     )
     covered: dict[tuple[str, str], bool] = {}
     for name in SHOWN:
@@ -97,7 +97,7 @@ def coverage(name: str, records: int, replicas: int, seed: int) -> list[list[str
     for i in tracked(range(records), "record"):
         rng = np.random.default_rng([seed, *name.encode(), i])
         finding = found(case.problem(rng), i)
-        if finding is not None and finding.at is not None:
+        if finding is not None and finding.fit is not None:
             job = request_of({"data": ["x"], "method": [METHOD], "seed": [int(rng.integers(2**31))]}).job
             told.append(covers(finding, replicas, job))
     return rows(case.title, told)

@@ -81,8 +81,8 @@ def sentences(certificate: Certificate) -> list[str]:
     length = f"{record['samples']} samples over {number(record['seconds'])} s"
     runs = [run.name for run in primary.runs if not run.left_out]
     support = [f"{primary.method} on " + (f"{len(runs)} runs, each alone" if runs else length)]
-    if primary.at is not None:
-        support.append(f"residual RMS: {100 * part_of_signal(primary.at):.2g} % of signal RMS")
+    if primary.fit is not None:
+        support.append(f"residual RMS: {100 * part_of_signal(primary.fit):.2g} % of signal RMS")
     others = {one.method for one in certificate.findings[1:] if one.intervals}
     off = {one.method for one in certificate.compared if one.agreement == "off"}
     if primary.intervals:
@@ -95,7 +95,7 @@ def _intervals(intervals: Mapping[str, StatedInterval]) -> dict[str, dict[str, A
 
 
 def _residuals(finding: Finding) -> dict[str, Any] | None:
-    at = finding.at
+    at = finding.fit
     if at is None:
         return None
     size = finding.channel_size
@@ -149,7 +149,7 @@ def packages() -> dict[str, str]:
 def series(certificate: Certificate) -> dict[str, Any]:
     """Return the numbers behind the pictures, of the first channel, in its unit; None where there are none."""
     primary, prediction = certificate.primary, certificate.prediction
-    channel, at = primary.problem.records[0].channels[0], primary.at
+    channel, at = primary.problem.records[0].channels[0], primary.fit
     series: dict[str, Any] = {
         "source": Path(primary.measured.recordings[0].source).name,
         "unit": channel.unit, "measures": channel.measures, "times": channel.times, "values": channel.values,

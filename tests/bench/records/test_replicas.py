@@ -58,8 +58,8 @@ def finding_of(problem: Problem) -> Finding:
 
 def replicas(problem: Problem, n: int = 20, seed: int = 0) -> list[Replica]:
     finding = finding_of(problem)
-    assert finding.at is not None
-    return list(drawn(finding.at, problem, range(n), seed))
+    assert finding.fit is not None
+    return list(drawn(finding.fit, problem, range(n), seed))
 
 
 def values(replica: Replica) -> np.ndarray:
@@ -79,14 +79,14 @@ def test_a_replica_is_the_fit_with_as_much_noise() -> None:
     """Mean of many replicas: the fit; their scatter: the noise (0.02), each within four standard errors of chance."""
     problem = record()
     finding = finding_of(problem)
-    assert finding.at is not None
-    made = np.array([values(replica) for replica in drawn(finding.at, problem, range(400), 0)])
+    assert finding.fit is not None
+    made = np.array([values(replica) for replica in drawn(finding.fit, problem, range(400), 0)])
     size = problem.natural_units().length
-    fit = problem.records[0].channels[0].values - size * finding.at.residuals
-    sigma = size * float(finding.at.sigma[0])
+    fit = problem.records[0].channels[0].values - size * finding.fit.residuals
+    sigma = size * float(finding.fit.sigma[0])
     assert np.max(np.abs(made.mean(axis=0) - fit)) < 4.5 * sigma / 20.0
     assert made.std(axis=0).mean() == pytest.approx(sigma, rel=0.05)
-    truth = next(drawn(finding.at, problem, range(1), 0)).truth
+    truth = next(drawn(finding.fit, problem, range(1), 0)).truth
     ratio = finding.intervals["k_over_m"].value
     assert truth["k"] / truth["m"] == pytest.approx(ratio, rel=1e-9)
 
@@ -130,11 +130,11 @@ def test_rounding_adds_no_noise() -> None:
     """A step of the noise's own size: what the replicas' residuals amount to is still the noise of the record."""
     problem = record(step=0.03)
     finding = finding_of(problem)
-    assert finding.at is not None
+    assert finding.fit is not None
     size = problem.natural_units().length
-    fit = problem.records[0].channels[0].values - size * finding.at.residuals
-    left = np.array([values(replica) - fit for replica in drawn(finding.at, problem, range(200), 0)])
-    assert np.sqrt(np.mean(left**2)) == pytest.approx(size * float(finding.at.sigma[0]), rel=0.05)
+    fit = problem.records[0].channels[0].values - size * finding.fit.residuals
+    left = np.array([values(replica) - fit for replica in drawn(finding.fit, problem, range(200), 0)])
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(size * float(finding.fit.sigma[0]), rel=0.05)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -146,12 +146,12 @@ def test_a_sensor_that_does_not_round_has_no_step(seed: int) -> None:
 def test_noise_of_a_replica_has_the_residuals_colour() -> None:
     problem = record(rho=0.8, times=np.arange(400) / 10.0)
     finding = finding_of(problem)
-    assert finding.at is not None
-    noise = finding.at.noises[0]
+    assert finding.fit is not None
+    noise = finding.fit.noises[0]
     assert noise is not None
     size = problem.natural_units().length
-    fit = problem.records[0].channels[0].values - size * finding.at.residuals
-    drawn_noise = [values(replica) - fit for replica in drawn(finding.at, problem, range(100), 0)]
+    fit = problem.records[0].channels[0].values - size * finding.fit.residuals
+    drawn_noise = [values(replica) - fit for replica in drawn(finding.fit, problem, range(100), 0)]
     lag_one = np.mean([r[1:] @ r[:-1] / (r @ r) for r in drawn_noise])
     covariance = noise.autocovariance(2)
     assert lag_one == pytest.approx(covariance[1] / covariance[0], abs=0.03)

@@ -34,10 +34,10 @@ def found(times: np.ndarray, force: Force | None = None, colour: float = 0.0, c:
 
 def with_noise(finding: Finding, noise: Autoregression) -> Finding:
     """The finding with its colour as told, so that chance in its order has no part."""
-    at = finding.at
+    at = finding.fit
     assert at is not None
     told = Autoregression(noise.coefficients, noise.variance * float(at.sigma[0]) ** 2)
-    return replace(finding, at=Linearised(at.model, at.theta, at.residuals, at.slopes, (told,)))
+    return replace(finding, fit=Linearised(at.model, at.theta, at.residuals, at.slopes, (told,)))
 
 
 WHITE = Autoregression(np.zeros(0), 1.0)
@@ -75,8 +75,8 @@ def test_twice_the_samples_of_white_noise_gain_a_root_of_two(free: tuple[WhatIf,
 def test_the_bound_of_a_sine(free: tuple[WhatIf, ...]) -> None:
     """``var(w) = 24 s² / (A² N T²)`` for a sine of unknown phase and amplitude; the damping's is a twin of it."""
     finding = found(np.arange(301) / 30.0)
-    assert finding.at is not None
-    sigma = float(finding.at.sigma[0]) * finding.problem.natural_units().length
+    assert finding.fit is not None
+    sigma = float(finding.fit.sigma[0]) * finding.problem.natural_units().length
     bound = np.sqrt(24.0 * sigma**2 / (301 * 10.0**2)) / np.sqrt(P["k"])
     assert free[0].today["natural_frequency"] == pytest.approx(bound, rel=0.03)
 
@@ -92,7 +92,7 @@ def test_denser_samples_of_noise_that_hangs_together_gain_nothing() -> None:
 
 def test_today_is_the_error_by_the_autoregression() -> None:
     finding = found(np.arange(200) / 10.0, colour=0.8, c=0.3)
-    at = finding.at
+    at = finding.fit
     assert at is not None
     covariance = replace(at, told=at.noises).coloured
     assert covariance is not None
@@ -124,4 +124,4 @@ def test_a_short_record_is_taken_as_long_again() -> None:
 
 def test_without_a_fit_nothing_is_predicted() -> None:
     finding = found(np.arange(100) / 10.0)
-    assert what_if(replace(finding, at=None)) == ()
+    assert what_if(replace(finding, fit=None)) == ()

@@ -127,7 +127,7 @@ def test_the_fit_is_in_the_units_of_the_record(shown: Mapping[str, Any]) -> None
 
 
 def test_the_prediction_is_that_of_held_out_fit(made: Certificate) -> None:
-    at = made.primary.at
+    at = made.primary.fit
     assert at is not None
     own = prediction_of(at)
     assert own is not None
