@@ -18,7 +18,7 @@ from bench.atlas.run import PointBlock, bound_at, read_block
 from bench.atlas.statistics import DISPLACEMENT, columns
 from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.reporting.whole_file import write
 
 NEAR = 1.2

@@ -24,9 +24,11 @@ from bench.contract.estimate import Status
 from bench.contract.problem import InitialState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
+from bench.reporting.bias import bias_share
 from bench.reporting.labels import cards, title
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
+from bench.scoring.statistics import wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import MARK, StoredCell
@@ -34,6 +36,8 @@ from bench.store.version import settings_version
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"
+Line = Mapping[str, Any]
+"""A line of a tidy table: its values by column."""
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
 
@@ -260,6 +264,15 @@ class Result:
         """The share of the intervals of a quantity that held the truth."""
         return self.statistic(f"{quantity}_coverage_{level}", "mean")
 
+    def coverage(self, quantity: str, level: int = 95) -> tuple[float, float, float]:
+        """The share of the intervals of successful replicates that held the truth, with its 95 % interval."""
+        return share(self.successful(f"{quantity}_coverage_{level}"))
+
+    def bias_pct(self, quantity: str) -> float:
+        """The mean of estimate over truth of the successful replicates, less one (%)."""
+        ratios = self.successful(f"{quantity}_ratio")
+        return 100 * float(np.mean(ratios) - 1) if ratios.size else math.nan
+
     @property
     def identifiable(self) -> Mapping[str, bool]:
         """By quantity, whether the data alone tell it."""
@@ -332,6 +345,16 @@ class Frame:
         return None if found is None else int(found)
 
     @property
+    def name(self) -> str:
+        """What the files of its table are called."""
+        return f"table{self.number}" if self.number else self.experiment
+
+    @property
+    def heading(self) -> str:
+        """The title of its table, with the number if it has one."""
+        return f"Table {self.number}. {self.title}" if self.number else self.title
+
+    @property
     def any_stored(self) -> bool:
         return any(result.stored for result in self.results)
 
@@ -339,6 +362,48 @@ class Frame:
     def command(self) -> str:
         """What makes the table again."""
         return f"python -m bench -m experiment={self.experiment} && python -m bench tables"
+
+
+def _statistic(name: str) -> Callable[[Result, str], float]:
+    return lambda result, metric: result.statistic(metric, name)
+
+
+STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
+VALUES: Mapping[str, Callable[[Result, str], Any]] = {
+    "system": lambda result, metric: result.system,
+    "initial_state": lambda result, metric: result.initial_state,
+    "snr_db": lambda result, metric: result.snr_db,
+    "disturbance": lambda result, metric: result.disturbance or "none",
+    "size": lambda result, metric: result.disturbance_size,
+    "method": lambda result, metric: result.label,
+    "metric": lambda result, metric: metric,
+    "quantity": lambda result, metric: quantity(metric),
+    **{name: _statistic(name) for name in STATISTICS},
+    "prior_share": lambda result, metric: result.prior_share.get(quantity(metric), math.nan),
+    "bias_share": lambda result, metric: bias_share(result.successful(f"{quantity(metric)}_ratio")),
+    "bias_pct": lambda result, metric: result.bias_pct(quantity(metric)),
+    "coverage_95": lambda result, metric: result.coverage(quantity(metric))[0],
+    "low_95": lambda result, metric: result.coverage(quantity(metric))[1],
+    "high_95": lambda result, metric: result.coverage(quantity(metric))[2],
+    "n_ok": lambda result, metric: result.n_ok,
+    "n": lambda result, metric: result.n,
+}
+"""By column of a tidy table, what stands there for a result and a metric; the columns of all tables mean the same."""
+
+
+def quantity(metric: str) -> str:
+    """The quantity of which a metric is the error."""
+    return metric.removesuffix(ERROR)
+
+
+def line(result: Result, metric: str, columns: Iterable[str]) -> dict[str, Any]:
+    """A line of a tidy table: those of the columns that have a value for every result."""
+    return {name: VALUES[name](result, metric) for name in columns if name in VALUES}
+
+
+def share(hits: np.ndarray) -> tuple[float, float, float]:
+    """The share of hits (n,), ones and zeros, with its 95 % interval (Wilson's); NaNs of none."""
+    return (float(hits.mean()), *wilson_interval(int(hits.sum()), hits.size)) if hits.size else (math.nan,) * 3
 
 
 def group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:

@@ -12,8 +12,8 @@ from bench.reporting.labels import title
 from bench.reporting.paper import own_method, paper_value, printed
 from bench.reporting.reproduction import ASSUMPTIONS, WIDE_MASS, Place, judged_labels, simple
 from bench.reporting.rounding import number
-from bench.reporting.tables.common import markdown_table
 from bench.reporting.tables.paper_tables import HEADINGS
+from bench.reporting.tables.render import markdown_table
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
 from bench.scoring.statistics import LEVEL

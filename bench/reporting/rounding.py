@@ -35,6 +35,26 @@ def excess_text(value: float) -> str:
     return f"{value:.2f}" if value < 10 else f"{value:.3g}"
 
 
+def with_excess(value: float, excess: float) -> str:
+    """A number, and behind it the excess where there is one."""
+    return number(value) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share in percent, without the sign."""
+    return "-" if math.isnan(share) else f"{100 * share:.{digits}f}"
+
+
+def percent_between(share: float, low: float, high: float, digits: int = 0) -> str:
+    """The same with its interval."""
+    return "-" if math.isnan(share) else f"{percent(share, digits)} ({percent(low, digits)} to {percent(high, digits)})"
+
+
+def answered(n_ok: int, n: int) -> str:
+    """How many fits gave an answer, of all."""
+    return f"{n_ok}/{n}" if n else "not run"
+
+
 def decimals(low: float, high: float) -> int | None:
     """The decimals of two significant digits of half the interval's width; None where it has no width or no end.
 

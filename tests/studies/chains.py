@@ -24,8 +24,8 @@ from bench.entrants.registry import default_settings, method_names
 from bench.errors import InputError
 from bench.reporting import frame, labels
 from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.common import markdown_table
 from bench.reporting.tables.pooling import pooled_excess
+from bench.reporting.tables.render import markdown_table
 from bench.scenario.declaration import Positive
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell

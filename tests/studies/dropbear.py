@@ -12,7 +12,7 @@ import numpy as np
 
 from bench import InputError, Layout, Sample, Sensor
 from bench.entrants.online import make_online
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.systems import make_system
 from tests.studies.common import RESULTS, Out, publish, study
 

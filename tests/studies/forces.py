@@ -18,7 +18,7 @@ from bench.planning.forced import ForcedTest
 from bench.planning.forces import ForceInformation, Forces, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.plans import drawn_likely, known
 

@@ -24,7 +24,7 @@ from bench.isolation.failure import one_line
 from bench.isolation.limits import limited
 from bench.isolation.machine import single_threaded
 from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.scenario.scenario import METHOD, Scenario
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior

@@ -19,7 +19,7 @@ from bench.isolation.machine import single_threaded
 from bench.planning.free_decay import QUANTITIES, Decay, errors, information
 from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, ProposedTest, cheapest, not_exceeded
 from bench.planning.verify import reached, simulated
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from tests.studies.common import RESULTS, Count, Out, publish, study
 
 MOST = 2000

@@ -25,7 +25,7 @@ from bench.records.linearised import at_theta, linearised
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.scoring.statistics import wilson_interval
 from tests.studies.common import Count, study, tracked
 

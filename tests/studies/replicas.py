@@ -22,7 +22,7 @@ from bench.records.fit import Outcome
 from bench.records.problem import Measured
 from bench.records.replicas import answered, coverage_of, true_values, widened
 from bench.records.request import request_of
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.scenario.truth import closed_form
 from bench.scoring.statistics import wilson_interval
 from bench.systems.linear import SDOF

@@ -18,7 +18,7 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.scenario.disturbance import Irregular
 from bench.scenario.scenario import METHOD, PriorSpec, Scenario
 from bench.scenario.truth import Truth

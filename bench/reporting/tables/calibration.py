@@ -6,15 +6,19 @@ spread, and the share of the displacement inside the band.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bench.reporting.frame import Frame, Result
-from bench.reporting.labels import title as title_of
-from bench.reporting.tables.common import Line, csv, markdown_table
+from bench.reporting.frame import ERROR, Frame, Line, Result, group, line
+from bench.reporting.rounding import percent, percent_between
+from bench.reporting.tables.render import MISSING, NAMED, NOISE, Columns, Rows, files, panel
 from bench.scoring.calibration import Calibration, calibration, together
 
+COLUMNS = (
+    "method", "initial_state", "snr_db", "quantity", "n", "coverage_50", "coverage_80", "coverage_95", "low_95",
+    "high_95", "mean_z", "rms_z", "uniform_p", "verdict", "band_95",
+)  # fmt: skip
 SYMBOLS = {"k_over_m": "k/m", "c_over_m": "c/m"}
 FEWEST = 20
 """Replicates below which nothing is judged."""
@@ -33,18 +37,14 @@ def lines(results: Iterable[Result]) -> list[Line]:
     places = [(result, name) for result in results if result.stored for name in SYMBOLS]
     levels = [_told(result, f"{name}_pit") for result, name in places]
     judged = iter(together([calibration(own) for own in levels if own.size >= FEWEST]))
-    rows: list[Line] = []
-    for (result, name), own in zip(places, levels, strict=True):
-        inside = _told(result, "band_inside_95")
-        rows.append(
-            {
-                "method": result.label, "initial_state": result.initial_state, "snr_db": result.snr_db,
-                "quantity": name,
-                **(_line(next(judged)) if own.size >= FEWEST else {"n": own.size, "verdict": "-"}),
-                "band_95": float(np.mean(inside)) if inside.size else np.nan,
-            }
-        )  # fmt: skip
-    return rows
+    return [
+        {
+            **line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity")),
+            **(_judged(next(judged)) if own.size >= FEWEST else {"verdict": MISSING}), "n": own.size,
+            "band_95": np.mean(inside) if (inside := _told(result, "band_inside_95")).size else np.nan,
+        }
+        for (result, name), own in zip(places, levels, strict=True)
+    ]  # fmt: skip
 
 
 def _told(result: Result, score: str) -> np.ndarray:
@@ -52,42 +52,37 @@ def _told(result: Result, score: str) -> np.ndarray:
     return np.asarray(scores[~np.isnan(scores)])
 
 
-def _line(found: Calibration) -> Line:
+def _judged(found: Calibration) -> Line:
     shares = {f"coverage_{round(100 * c.level)}": c.share for c in found.coverage}
     widest = found.coverage[-1]
     return {
-        "n": found.n, **shares, "low_95": widest.low, "high_95": widest.high, "mean_z": found.mean_z,
-        "rms_z": found.rms_z, "uniform_p": found.p_values[2], "verdict": found.verdict,
+        **shares, "low_95": widest.low, "high_95": widest.high, "mean_z": found.mean_z, "rms_z": found.rms_z,
+        "uniform_p": found.p_values[2], "verdict": found.verdict,
     }  # fmt: skip
 
 
-def markdown(data: Iterable[Line], title: str) -> str:
-    """The table for reading."""
-    panels: dict[str, dict[tuple[str, float], dict[str, Line]]] = {}
-    for line in data:
-        rows = panels.setdefault(line["initial_state"], {})
-        rows.setdefault((line["method"], line["snr_db"]), {})[line["quantity"]] = line
-    headers = ["method", "SNR (dB)", "n"]
-    headers += [f"{symbol} {what}" for symbol in SYMBOLS.values() for what in ("95 %", "RMS of z", "verdict")]
-    parts = [f"# {title}", LEGEND]
-    for told, rows in panels.items():
-        table = markdown_table([_row(*place, own) for place, own in rows.items()], [*headers, "band 95 %"])
-        parts += [f"## Initial state {told}", table]
-    return "\n\n".join(parts) + "\n"
+def _panel(data: Sequence[Line]) -> Rows:
+    return panel(
+        data,
+        lambda one: (one["method"], one["snr_db"]),
+        {**NAMED, **NOISE, "n": lambda own: str(own[0]["n"])},
+        lambda one: one["quantity"],
+        _quantity,
+        {"band 95 %": lambda own: percent(own[0]["band_95"], 1)},
+    )
 
 
-def _row(method: str, snr: float, own: Mapping[str, Line]) -> list[str]:
-    """One method at one noise level, its quantities side by side."""
-    first = next(iter(own.values()))
-    cells = [title_of(method), f"{snr:g}", str(first["n"])]
-    for name in SYMBOLS:
-        line = own[name]
-        if line["verdict"] == "-":
-            cells += ["-", "-", "-"]
-            continue
-        share, low, high = (f"{100 * line[key]:.1f}" for key in ("coverage_95", "low_95", "high_95"))
-        cells += [f"{share} ({low} to {high})", f"{line['rms_z']:.2f}", line["verdict"]]
-    return [*cells, f"{100 * first['band_95']:.1f}" if np.isfinite(first["band_95"]) else "-"]
+def _quantity(any_line: Line) -> Columns[Line]:
+    name = SYMBOLS[any_line["quantity"]]
+    return {
+        f"{name} 95 %": lambda one: _coverage(one),
+        f"{name} RMS of z": lambda one: f"{one['rms_z']:.2f}" if "rms_z" in one else MISSING,
+        f"{name} verdict": lambda one: one["verdict"],
+    }
+
+
+def _coverage(one: Line) -> str:
+    return percent_between(one["coverage_95"], one["low_95"], one["high_95"], 1) if "low_95" in one else MISSING
 
 
 def calibration_table(frame: Frame) -> Mapping[str, str]:
@@ -95,6 +90,7 @@ def calibration_table(frame: Frame) -> Mapping[str, str]:
     if not frame.any_stored:
         return {}
     data = lines(frame)
-    text = f"{markdown(data, frame.title)}\nRegenerate: `{frame.command}`\n"
-    name = frame.experiment
-    return {f"{name}.md": text, f"{name}.csv": csv(data, 5)}
+    parts: list[str | Rows] = [f"# {frame.title}", LEGEND]
+    for told, own in group(data, lambda one: one["initial_state"]).items():
+        parts += [f"## Initial state {told}", _panel(own)]
+    return files(frame.name, [*parts, f"Regenerate: `{frame.command}`"], data, COLUMNS, 5)

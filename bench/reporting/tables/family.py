@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from bench.reporting.family import Family, FamilyRow, Member, Place, Section, any_stored, family_of
 from bench.reporting.frame import Frame, Result
-from bench.reporting.tables.common import Line, Rows, csv, failure_notes, markdown_table
 from bench.reporting.tables.family_latex import latex
 from bench.reporting.tables.family_numbers import (
     ACCURACY,
@@ -27,6 +26,7 @@ from bench.reporting.tables.family_numbers import (
 from bench.reporting.tables.family_product import combinations
 from bench.reporting.tables.family_sentences import sentences
 from bench.reporting.tables.family_sources import sources
+from bench.reporting.tables.render import Line, Rows, csv, failure_notes, markdown_table
 from bench.scoring.traces import MOMENTS
 
 LEGEND = """A row is one way of training the network on the same data. It differs from a base in one thing.

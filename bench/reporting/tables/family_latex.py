@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from bench.reporting.family import Family, FamilyRow, Section
 from bench.reporting.frame import group
-from bench.reporting.tables.common import latex_tables
 from bench.reporting.tables.family_numbers import ACCURACY, PLACE, accuracy_cells
+from bench.reporting.tables.render import latex_tables
 
 HEADS = ("n", *ACCURACY.values())
 

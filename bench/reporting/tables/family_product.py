@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import product
 
 from bench.reporting.family import Family, Member
-from bench.reporting.tables.common import Rows, markdown_table
 from bench.reporting.tables.family_numbers import GROUP, MISSING, OTHER, PLACE, accuracy, median, text
+from bench.reporting.tables.render import Rows, markdown_table
 
 Combination = tuple[object, ...]
 """A value of each setting."""

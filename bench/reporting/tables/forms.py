@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from bench.reporting.frame import Frame
 from bench.reporting.tables.calibration import calibration_table
@@ -14,19 +14,16 @@ from bench.reporting.tables.robustness import robustness_table
 from bench.reporting.tables.systems import system_table
 from bench.store.store import Store
 
+FORMS = {
+    "paper": paper_table, "calibration": calibration_table, "systems": system_table, "open": open_table,
+    "misspecified": misspecified_table, "family": family_table,
+}  # fmt: skip
+
 
 def table_files(frame: Frame, store: Store) -> Mapping[str, str]:
     """The files of an experiment's table by name; none where the store holds no cell of it.
 
     ``store`` is for what stands beside a table's own cells: the undisturbed ones of a disturbed cell.
     """
-    forms: dict[str, Callable[[Frame], Mapping[str, str]]] = {
-        "paper": paper_table,
-        "robustness": lambda own: robustness_table(own, store),
-        "calibration": calibration_table,
-        "systems": system_table,
-        "open": open_table,
-        "misspecified": misspecified_table,
-        "family": family_table,
-    }
-    return forms[str(frame.table.get("form", "paper"))](frame)
+    form = str(frame.table.get("form", "paper"))
+    return robustness_table(frame, store) if form == "robustness" else FORMS[form](frame)

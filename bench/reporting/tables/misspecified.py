@@ -6,18 +6,15 @@ which is a disturbance that the model has not, or a prior whose nominal values a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bench.reporting.frame import ERROR, Frame, Result, group
-from bench.reporting.labels import title as title_of
+from bench.reporting.frame import ERROR, Frame, Line, Result, group, line
 from bench.reporting.labels import warns
 from bench.reporting.residuals import coloured
-from bench.reporting.rounding import excess_text, number, readable
-from bench.reporting.tables.common import Line, csv, failure_notes, markdown_table
-from bench.scoring.statistics import wilson_interval
+from bench.reporting.rounding import answered, number, percent, percent_between, readable, with_excess
+from bench.reporting.tables.render import NAMED, NOISE, Columns, Rows, ending, files, panel
 
 COLUMNS = (
     "wrong", "system", "initial_state", "snr_db", "method", "quantity", "median_error_pct", "bias_pct", "excess",
@@ -48,54 +45,46 @@ def wrong(result: Result) -> str:
 def lines(results: Sequence[Result]) -> list[Line]:
     """One line a cell and quantity; a cell that was not run has n = 0."""
     noticed = coloured(results)
-    return [_line(result, quantity, noticed) for result in results for quantity in QUANTITIES]
+    return [
+        {
+            **line(result, name + ERROR, COLUMNS), "wrong": wrong(result),
+            "median_error_pct": result.statistic(name + ERROR, "median"), "said": said(result),
+            "coloured": np.mean(noticed[result.identity]) if np.size(noticed.get(result.identity, ())) else np.nan,
+        }
+        for result in results
+        for name in QUANTITIES
+    ]  # fmt: skip
 
 
-def _line(result: Result, quantity: str, noticed: Mapping[str, np.ndarray]) -> Line:
-    by_residuals = noticed.get(result.identity, np.empty(0))
-    ratios = result.successful(f"{quantity}_ratio")
-    hits = result.successful(f"{quantity}_coverage_95")
-    low, high = wilson_interval(int(hits.sum()), hits.size) if hits.size else (math.nan, math.nan)
-    return {
-        "wrong": wrong(result), "system": result.system, "initial_state": result.initial_state,
-        "snr_db": result.snr_db, "method": result.label, "quantity": quantity,
-        "median_error_pct": result.statistic(quantity + ERROR, "median"),
-        "bias_pct": 100 * float(np.mean(ratios) - 1) if ratios.size else math.nan,
-        "excess": result.excess(quantity + ERROR),
-        "coverage_95": float(hits.mean()) if hits.size else math.nan, "low_95": low, "high_95": high,
-        "said": _said(result), "coloured": float(by_residuals.mean()) if by_residuals.size else math.nan,
-        "n_ok": result.n_ok, "n": result.n,
-    }  # fmt: skip
-
-
-def _said(result: Result) -> float:
+def said(result: Result) -> float:
     """The share of the fits that failed or came with a warning; NaN where messages are no warnings."""
     if not result.n or not warns(result.label):
-        return math.nan
+        return np.nan
     return float(np.mean([not ok or bool(message) for ok, message in zip(result.ok, result.messages, strict=True)]))
 
 
-def _panel(data: Sequence[Line]) -> str:
-    rows = []
-    for own in group(data, lambda line: (line["system"], line["snr_db"], line["method"])).values():
-        cells = [cell for line in own for cell in (_error(line), number(line["bias_pct"]), _coverage(line))]
-        shares = ["-" if math.isnan(own[0][key]) else f"{100 * own[0][key]:.0f}" for key in ("said", "coloured")]
-        ok = f"{own[0]['n_ok']}/{own[0]['n']}" if own[0]["n"] else "not run"
-        rows.append([title_of(own[0]["method"]), f"{own[0]['snr_db']:g}", *cells, *shares, ok])
-    what = [f"{readable(name)} {part}" for name in QUANTITIES for part in ("error %", "bias %", "95 %")]
-    return markdown_table(rows, ["method", "SNR (dB)", *what, "said %", "residuals %", "ok"])
+def _panel(data: Sequence[Line]) -> Rows:
+    return panel(
+        data,
+        lambda one: (one["system"], one["snr_db"], one["method"]),
+        {**NAMED, **NOISE},
+        lambda one: one["quantity"],
+        _quantity,
+        {
+            "said %": lambda own: percent(own[0]["said"]),
+            "residuals %": lambda own: percent(own[0]["coloured"]),
+            "ok": lambda own: answered(own[0]["n_ok"], own[0]["n"]),
+        },
+    )
 
 
-def _error(line: Line) -> str:
-    excess = line["excess"]
-    return number(line["median_error_pct"]) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
-
-
-def _coverage(line: Line) -> str:
-    if math.isnan(line["coverage_95"]):
-        return "-"
-    share, low, high = (f"{100 * line[key]:.0f}" for key in ("coverage_95", "low_95", "high_95"))
-    return f"{share} ({low} to {high})"
+def _quantity(any_line: Line) -> Columns[Line]:
+    name = readable(any_line["quantity"])
+    return {
+        f"{name} error %": lambda one: with_excess(one["median_error_pct"], one["excess"]),
+        f"{name} bias %": lambda one: number(one["bias_pct"]),
+        f"{name} 95 %": lambda one: percent_between(one["coverage_95"], one["low_95"], one["high_95"]),
+    }
 
 
 def misspecified_table(frame: Frame) -> Mapping[str, str]:
@@ -103,11 +92,7 @@ def misspecified_table(frame: Frame) -> Mapping[str, str]:
     if not any(result.stored for result in frame if wrong(result) != RIGHT):
         return {}
     data = lines(frame.results)
-    parts = [f"# {frame.title}", LEGEND]
-    for (what, told), own in group(data, lambda line: (line["wrong"], line["initial_state"])).items():
+    parts: list[str | Rows] = [f"# {frame.title}", LEGEND]
+    for (what, told), own in group(data, lambda one: (one["wrong"], one["initial_state"])).items():
         parts += [f"## Wrong: {what.replace('_', ' ')}; initial state {told}", _panel(own)]
-    notes = failure_notes(frame)
-    parts += [f"## What failed\n\n{notes}"] if notes else []
-    parts.append(f"Regenerate: `{frame.command}`")
-    name = frame.experiment
-    return {f"{name}.md": "\n\n".join(parts) + "\n", f"{name}.csv": csv(data, columns=COLUMNS)}
+    return files(frame.name, [*parts, *ending(frame)], data, COLUMNS)

@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
 from bench.reporting.rounding import excess_text, number, readable
-from bench.reporting.tables.common import csv, markdown_table
+from bench.reporting.tables.render import csv, markdown_table
 
 COLUMNS = (
     "scenario", "method", "quantity", "excess", "rms_pct", "share_told", "coverage_pct",

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from bench.reporting.frame import ERROR, Frame, Result, group
+from bench.reporting.frame import ERROR, Frame, Line, Result, group, share
 from bench.reporting.labels import in_order
-from bench.reporting.labels import title as title_of
-from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.common import Line, csv, failure_notes, markdown_table
-from bench.reporting.tables.pooling import lower_median
+from bench.reporting.rounding import answered, excess_text, number, percent_between
+from bench.reporting.tables.pooling import lower_median, root_mean_square
+from bench.reporting.tables.render import MISSING, NAMED, Columns, Rows, ending, files, panel
 from bench.scoring.comparison import gross
-from bench.scoring.statistics import wilson_interval
 
 COLUMNS = (
     "part", "method", "metric", "n", "n_answered", "median_over_bound", "rms_over_bound", "gross", "gross_low",
@@ -44,57 +41,26 @@ leave the frequency open to everyone. Time: processor time of the median fit tha
 scenarios of the panel."""
 
 
-@dataclass(frozen=True)
-class Pooled:
-    """One method by one metric: errors over bounds (n,), infinite where it failed, and hits of its 95 % intervals."""
-
-    ratios: np.ndarray
-    hits: np.ndarray
-
-    @property
-    def answered(self) -> np.ndarray:
-        """The finite ones."""
-        return np.asarray(self.ratios[np.isfinite(self.ratios)])
-
-    @property
-    def median(self) -> float:
-        """Over all scenarios, infinite where most failed."""
-        return lower_median(self.ratios) if self.ratios.size else math.nan
-
-    @property
-    def rms(self) -> float:
-        """Over those answered."""
-        return float(np.sqrt(np.mean(self.answered**2))) if self.answered.size else math.nan
-
-    @property
-    def gross(self) -> tuple[float, float, float]:
-        """Share of gross errors (:func:`bench.scoring.comparison.gross`), with Wilson's interval."""
-        return _share(int(np.sum(gross(self.ratios, 1.0))), self.ratios.size)
-
-    @property
-    def coverage(self) -> tuple[float, float, float]:
-        """Share of the 95 % intervals that held the truth, with Wilson's interval."""
-        return _share(int(self.hits.sum()), self.hits.size)
-
-
-def _share(k: int, n: int) -> tuple[float, float, float]:
-    return (k / n, *wilson_interval(k, n)) if n else (math.nan,) * 3
-
-
-def pooled(results: Iterable[Result], metric: str, bounds: Mapping[str, float]) -> Pooled:
-    """The replicates of one method over the scenarios that tell a metric; ``bounds`` are by question.
+def over_bounds(results: Iterable[Result], metric: str, bounds: Mapping[str, float]) -> Line:
+    """The errors of one method over the bounds, of the scenarios that tell a metric; ``bounds`` are by question.
 
     A reference row that states no error of its own, and a method that does not tell the metric, count as failed.
     """
-    ratios, hits = [], []
+    ratios, hits = [np.empty(0)], [np.empty(0)]
     for result in results:
         bound = bounds.get(result.question, math.nan)
         told = math.isfinite(bound) and bound > 0 and (metric == "rmse" or bound < UNTOLD)
         if told and result.stored:
             ratios.append(result.errors(metric) / bound)
             hits.append(result.successful(f"{metric.removesuffix(ERROR)}_coverage_95"))
-    none = np.empty(0)
-    return Pooled(np.concatenate([none, *ratios]), np.concatenate([none, *hits]))
+    every, held = np.concatenate(ratios), np.concatenate(hits)
+    known = every[np.isfinite(every)]
+    shares = dict(zip(("gross", "gross_low", "gross_high"), share(gross(every, 1.0)), strict=True))
+    held_shares = dict(zip(("coverage_95", "low_95", "high_95"), share(held), strict=True))
+    return {
+        "n": every.size, "n_answered": known.size, "median_over_bound": lower_median(every),
+        "rms_over_bound": root_mean_square(known), **shares, "n_coverage": held.size, **held_shares,
+    }  # fmt: skip
 
 
 def bounds_of(results: Iterable[Result], metric: str) -> dict[str, float]:
@@ -116,62 +82,54 @@ def parts(results: Sequence[Result]) -> dict[str, list[Result]]:
 
 
 def lines(results: Sequence[Result]) -> list[Line]:
-    """One line a part, method and metric."""
+    """One line a part, method and metric; ``results``: those of the method in that part."""
     bounds = {metric: bounds_of(results, metric) for metric in METRICS}
     return [
-        _line(part, method, metric, by_method[method], pooled(by_method[method], metric, bounds[metric]))
+        {
+            "part": part, "method": method, "metric": metric, "results": by_method[method],
+            "median_cpu_s": _median_time(by_method[method]), **over_bounds(by_method[method], metric, bounds[metric]),
+        }
         for part, own in parts(results).items()
         for by_method in [group(own, lambda result: result.label)]
         for method in in_order(by_method)
         for metric in METRICS
-    ]
+    ]  # fmt: skip
 
 
-def _line(part: str, method: str, metric: str, results: Sequence[Result], found: Pooled) -> Line:
+def _median_time(results: Iterable[Result]) -> float:
     times = np.concatenate([np.empty(0), *(result.cpu_s[result.ok] for result in results if result.stored)])
-    gross, coverage = found.gross, found.coverage
-    return {
-        "part": part, "method": method, "metric": metric, "n": found.ratios.size, "n_answered": found.answered.size,
-        "median_over_bound": found.median, "rms_over_bound": found.rms,
-        "gross": gross[0], "gross_low": gross[1], "gross_high": gross[2],
-        "n_coverage": found.hits.size, "coverage_95": coverage[0], "low_95": coverage[1], "high_95": coverage[2],
-        "median_cpu_s": float(np.median(times)) if times.size else math.nan,
-    }  # fmt: skip
+    return float(np.median(times)) if times.size else math.nan
 
 
-def _panel(data: Sequence[Line], results: Sequence[Result]) -> str:
-    rows = []
-    by_method = group(results, lambda result: result.label)
-    for method in dict.fromkeys(line["method"] for line in data):
-        own = [line for line in data if line["method"] == method]
-        ran = sum(result.n for result in by_method[method])
-        answered = sum(result.n_ok for result in by_method[method])
-        time = own[0]["median_cpu_s"]
-        cells = [cell for line in own for cell in _cells(line)]
-        took = "-" if math.isnan(time) else f"{time:.2g}"
-        rows.append([title_of(method), f"{answered}/{ran}" if ran else "not run", *cells, took])
-    what = ("median", "RMS", "gross %", "95 %")
-    shown = [f"{name} {one}" for metric, name in METRICS.items() for one in what if _has(metric, one)]
-    return markdown_table(rows, ["method", "answered", *shown, "time (s)"])
+def _panel(data: Sequence[Line]) -> Rows:
+    return panel(
+        data,
+        lambda one: one["method"],
+        {**NAMED, "answered": _answered},
+        lambda one: one["metric"],
+        _metric,
+        {"time (s)": lambda own: MISSING if math.isnan(own[0]["median_cpu_s"]) else f"{own[0]['median_cpu_s']:.2g}"},
+    )
 
 
-def _has(metric: str, column: str) -> bool:
-    """Whether a metric has a column: nobody states an interval of the displacement as one number."""
-    return metric != "rmse" or column != "95 %"
+def _answered(own: Sequence[Line]) -> str:
+    return answered(sum(one.n_ok for one in own[0]["results"]), sum(one.n for one in own[0]["results"]))
 
 
-def _cells(line: Line) -> list[str]:
-    if not line["n"]:
-        return ["-"] * (4 if _has(line["metric"], "95 %") else 3)
-    median = line["median_over_bound"]
-    cells = [number(median) if not math.isfinite(median) else excess_text(median), excess_text(line["rms_over_bound"])]
-    cells.append(_percent(line["gross"], line["gross_low"], line["gross_high"]))
-    covered = _percent(line["coverage_95"], line["low_95"], line["high_95"])
-    return [*cells, covered] if _has(line["metric"], "95 %") else cells
+def _metric(any_line: Line) -> Columns[Line]:
+    """What is shown of a metric; nobody states an interval of the displacement as one number."""
+    name = METRICS[any_line["metric"]]
+    columns: Columns[Line] = {
+        f"{name} median": lambda one: _median(one["median_over_bound"]),
+        f"{name} RMS": lambda one: excess_text(one["rms_over_bound"]),
+        f"{name} gross %": lambda one: percent_between(one["gross"], one["gross_low"], one["gross_high"]),
+    }
+    covered = {f"{name} 95 %": lambda one: percent_between(one["coverage_95"], one["low_95"], one["high_95"])}
+    return {**columns, **(covered if any_line["metric"] != "rmse" else {})}
 
 
-def _percent(share: float, low: float, high: float) -> str:
-    return "-" if math.isnan(share) else f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+def _median(value: float) -> str:
+    return excess_text(value) if math.isfinite(value) else number(value)
 
 
 def sparse(result: Result) -> bool:
@@ -186,16 +144,12 @@ def open_table(frame: Frame) -> Mapping[str, str]:
     if not frame.any_stored:
         return {}
     scenarios = {result.question: result for result in frame}.values()
-    data, name = lines(frame.results), frame.experiment
+    data = lines(frame.results)
     said = LEGEND.format(
-        n=len(scenarios), release=frame.table.get("release", ""), name=name, sparse=sum(map(sparse, scenarios))
+        n=len(scenarios), release=frame.table.get("release", ""), name=frame.name, sparse=sum(map(sparse, scenarios))
     )  # fmt: skip
-    texts = [f"# {frame.title}", said]
+    shown: list[str | Rows] = [f"# {frame.title}", said]
     for part, own in parts(frame.results).items():
         n = len({result.question for result in own})
-        panel = _panel([line for line in data if line["part"] == part], own)
-        texts += [f"## {part.capitalize()}: {n} scenarios", panel]
-    notes = failure_notes(frame)
-    texts += [f"## What failed\n\n{notes}"] if notes else []
-    texts.append(f"Regenerate: `{frame.command}`")
-    return {f"{name}.md": "\n\n".join(texts) + "\n", f"{name}.csv": csv(data, 5, COLUMNS)}
+        shown += [f"## {part.capitalize()}: {n} scenarios", _panel([one for one in data if one["part"] == part])]
+    return files(frame.name, [*shown, *ending(frame)], data, COLUMNS, 5)

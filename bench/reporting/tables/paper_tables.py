@@ -15,7 +15,7 @@ from bench.reporting.frame import ERROR, Frame, Result, group
 from bench.reporting.labels import title, told
 from bench.reporting.paper import paper_value, row_name
 from bench.reporting.rounding import excess_text, number
-from bench.reporting.tables.common import (
+from bench.reporting.tables.render import (
     PRIMARY,
     Rows,
     bold,

@@ -56,7 +56,7 @@ def pooled_excess(result: Result, names: tuple[str, ...]) -> float:
     """Root mean square of the pooled errors over the successful replicates; NaN without any."""
     errors = pooled_errors(result, names)
     good = errors[np.isfinite(errors) & result.ok]
-    return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
+    return root_mean_square(good)
 
 
 @cache
@@ -116,5 +116,10 @@ def _true_modes(system: System, parameters: tuple[tuple[str, float], ...]) -> Mo
 
 
 def lower_median(values: np.ndarray) -> float:
-    """The median where values may be infinite: the lower of the middle two."""
-    return float(np.sort(values)[(values.size - 1) // 2])
+    """The median where values may be infinite: the lower of the middle two; NaN of nothing."""
+    return float(np.sort(values)[(values.size - 1) // 2]) if values.size else math.nan
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """The root of the mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

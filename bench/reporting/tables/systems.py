@@ -18,7 +18,6 @@ from bench.dynamics.modal import modes
 from bench.reporting.frame import ERROR, Frame, Result, group
 from bench.reporting.labels import in_order, states_terms, title, told
 from bench.reporting.rounding import excess_text, number, readable
-from bench.reporting.tables.common import Rows, bold, csv, failure_notes, latex_tables, markdown_table
 from bench.reporting.tables.pooling import (
     MODAL,
     lower_median,
@@ -29,6 +28,7 @@ from bench.reporting.tables.pooling import (
     pooled_excess,
     pooled_quantities,
 )
+from bench.reporting.tables.render import Rows, bold, csv, failure_notes, latex_tables, markdown_table
 from bench.reporting.terms import terms_found
 from bench.scenario.scenario import Scenario
 from bench.scoring.comparison import ScenarioRanking, standing

@@ -17,7 +17,7 @@ from bench.records.sets import Known, MeasuredSet
 from bench.records.siblings import KINDS, SiblingAgreement, TotalScore, agreement, total
 from bench.records.track import TrackFit
 from bench.reporting.rounding import number, readable
-from bench.reporting.tables.common import csv, markdown_table
+from bench.reporting.tables.render import csv, markdown_table
 
 MAIN = ("k_over_m", "c_over_m")
 CERTIFIED = "mgh17"

@@ -7,7 +7,7 @@ import pytest
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
-from bench.reporting.tables.calibration import calibration_table, lines, markdown
+from bench.reporting.tables.calibration import calibration_table, lines
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -43,7 +43,7 @@ def test_honest_and_halved_uncertainties_are_told_apart(found: list[Result]) -> 
     # doubled scores beyond 1.96 are scores beyond 0.98: 67 % remain inside
     assert halved["coverage_95"] == pytest.approx(0.67, abs=0.01)
     assert data["pinn", "c_over_m"]["verdict"] == "-"
-    text = markdown(lines(found), "Calibration")
+    text = calibration_table(Frame("calibration", "T", {}, tuple(found)))["calibration.md"]
     assert "| 90.0" in text
     assert "too sure" in text
 

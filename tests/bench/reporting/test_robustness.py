@@ -16,9 +16,8 @@ from bench import Status
 from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
-from bench.reporting.frame import Result, table_experiments
-from bench.reporting.tables.robustness import COLUMNS, PANELS, DisturbedPair, markdown, ratio, tidy
-from bench.reporting.tables.robustness import pairs as pairs_of
+from bench.reporting.frame import Frame, Result, table_experiments
+from bench.reporting.tables.robustness import COLUMNS, PANELS, lines, ratio, robustness_table
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
@@ -50,9 +49,13 @@ def store(tmp_path: Path) -> Store:
     return found
 
 
-def pairs(cells: list[Cell], store: Store) -> list[DisturbedPair]:
-    """The pairs of some cells, as the store has them."""
-    return pairs_of([Result.of_cell(one, store.load(one.identity)) for one in cells], store)
+def results(cells: list[Cell], store: Store) -> tuple[Result, ...]:
+    """Cells as the store has them."""
+    return tuple(Result.of_cell(one, store.load(one.identity)) for one in cells)
+
+
+def text_of(cells: list[Cell], store: Store) -> str:
+    return robustness_table(Frame("robustness", "T", {}, results(cells, store)), store)["robustness.md"]
 
 
 def cell(reference: Scenario, method: str, kind: str | None, n: int = 10) -> Cell:
@@ -83,19 +86,19 @@ def test_each_line_stands_beside_its_undisturbed_value(reference: Scenario, stor
     plain, hit = cell(reference, "ls", None), cell(reference, "ls", "bias")
     store.save(stored(plain, 2.0))
     store.save(stored(hit, 5.0, covered=0.4))
-    data = tidy(pairs([plain, hit], store))
-    assert all(tuple(line) == COLUMNS for line in data)
-    lines = {(line["disturbance"], line["metric"]): line for line in data}
-    for metric, _ in PANELS:
-        line = lines["bias", metric]
+    data = lines(results([plain, hit], store), store)
+    assert all(set(line) == set(COLUMNS) for line in data)
+    by_place = {(line["disturbance"], line["metric"]): line for line in data}
+    for metric in PANELS:
+        line = by_place["bias", metric]
         assert line["excess"] == pytest.approx(5.0, rel=1e-5)
         assert line["excess_undisturbed"] == pytest.approx(2.0, rel=1e-5)
         assert [line[name] for name in ("ratio", "ratio_low", "ratio_high")] == pytest.approx([2.5] * 3, rel=1e-5)
         assert (line["size"], line["n"], line["n_ok"]) == (0.05, 10, 10)
-    assert lines["bias", "k_over_m_error_pct"]["coverage_95"] == pytest.approx(0.4)
-    assert lines["bias", "k_over_m_error_pct"]["coverage_95_undisturbed"] == 1.0
-    assert math.isnan(lines["bias", "rmse"]["coverage_95"])
-    panels = markdown("robustness", "T", data).split("## ")
+    assert by_place["bias", "k_over_m_error_pct"]["coverage_95"] == pytest.approx(0.4)
+    assert by_place["bias", "k_over_m_error_pct"]["coverage_95_undisturbed"] == 1.0
+    assert math.isnan(by_place["bias", "rmse"]["coverage_95"])
+    panels = text_of([plain, hit], store).split("## ")
     for panel in panels[1:4]:
         assert [x.strip() for x in panel.splitlines()[4].split("|")[2:4]] == ["2.00", "5.00 *"]
     assert [x.strip() for x in panels[4].splitlines()[4].split("|")[2:4]] == ["100", "40"]
@@ -106,7 +109,7 @@ def test_the_undisturbed_value_is_of_the_same_reading_of_the_start(reference: Sc
     found += [replace(c, scenario=replace(c.scenario, initial_state="unknown")) for c in found]
     for c, scale in zip(found, (1.0, 4.0, 3.0, 3.0), strict=True):
         store.save(stored(c, scale))
-    own = [line for line in tidy(pairs(found, store)) if line["metric"] == "rmse"]
+    own = [line for line in lines(results(found, store), store) if line["metric"] == "rmse"]
     ratios = {(line["initial_state"], line["disturbance"]): line["ratio"] for line in own}
     assert ratios["known", "late_trigger"] == pytest.approx(4.0, rel=1e-5)
     assert ratios["unknown", "late_trigger"] == pytest.approx(1.0, rel=1e-5)
@@ -116,7 +119,7 @@ def test_failures_and_cells_that_were_not_run_say_so(reference: Scenario, store:
     found = [cell(reference, "ls", kind) for kind in (None, "bias", "drift")]
     store.save(stored(found[0]))
     store.save(stored(found[1], 1.0, failures=3))
-    text = markdown("robustness", "T", tidy(pairs(found, store)))
+    text = text_of(found, store)
     (row,) = [line for line in text.split("## ")[1].splitlines() if line.startswith("| LS")]
     assert [x.strip() for x in row.split("|")[2:5]] == ["1.00", "1.00 (7/10)", "not run"]
     assert "1 cells were not run" in text
@@ -151,6 +154,6 @@ def test_the_command_finds_the_table_by_its_experiment(store: Store, tmp_path: P
     assert set(first) == {"robustness.md", "robustness.csv"}
     assert main(["tables", *arguments]) == 0
     assert {path.name: path.read_bytes() for path in out.glob("robustness*")} == first
-    lines = list(csv.DictReader(io.StringIO(first["robustness.csv"].decode())))
-    assert len(lines) == len(cells) * len(PANELS)
+    written = list(csv.DictReader(io.StringIO(first["robustness.csv"].decode())))
+    assert len(written) == len(cells) * len(PANELS)
     assert "python -m bench -m experiment=robustness && python -m bench tables" in first["robustness.md"].decode()

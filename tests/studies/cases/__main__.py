@@ -28,7 +28,7 @@ import numpy as np
 import bench
 from bench.commands.declaration import OneOf, Within
 from bench.errors import InputError
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from tests.studies.cases.kinds import KINDS, Case
 from tests.studies.common import Count, study, tracked
 

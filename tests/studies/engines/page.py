@@ -15,7 +15,7 @@ import pandas as pd
 
 from bench.reporting import labels
 from bench.reporting.rounding import number
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from tests.studies.engines.floors import FORMULAS, Rates
 from tests.studies.engines.peers import Peer
 from tests.studies.engines.picture import caption

@@ -17,7 +17,7 @@ from bench.online.follow import Followed
 from bench.online.paths import Tracking, in_order, read_paths
 from bench.online.scenario import OnlineScenario, OnlineTruth, Stream
 from bench.online.score import Z95, scored
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 
 SCENARIO = "constant_multisine"
 QUANTITIES = ("k_over_m", "c_over_m")

@@ -12,7 +12,7 @@ from bench.contract.online import Sample, Standing, Tracker
 from bench.entrants.online import make_online, online_card
 from bench.online.follow import moments
 from bench.online.scenario import Stream
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.twin.state import plain, restored
 from tests.studies.common import tracked
 

@@ -18,7 +18,7 @@ from bench.config.online import online_scenario
 from bench.errors import InputError
 from bench.online.course import Course
 from bench.online.scenario import Stream
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 
 RATE = 200
 LOOK_S = 0.02

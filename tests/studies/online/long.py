@@ -13,7 +13,7 @@ from rich.progress import track
 from bench.config.online import online_scenario
 from bench.entrants.online import make_online, online_card
 from bench.online.follow import held_bytes
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 
 SAMPLES, EARLY = 100_000, 2_000
 METHODS = ("ekf", "imm", "change_points", "cusum", "rls", "ar")

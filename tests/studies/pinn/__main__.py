@@ -15,7 +15,7 @@ from bench.commands.declaration import OneOf
 from bench.config.experiment import expand
 from bench.errors import InputError
 from bench.isolation.machine import single_threaded
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.reporting.whole_file import write
 from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.pinn import pictures

@@ -29,7 +29,7 @@ from bench.engine.pool import Limits
 from bench.entrants.registry import make_method, missing_package, registered
 from bench.isolation.machine import single_threaded
 from bench.records.fit import Outcome, fit_alone
-from bench.reporting.tables.common import markdown_table
+from bench.reporting.tables.render import markdown_table
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
 from tests.studies.common import RESULTS, Out, publish, study, tracked
