@@ -7,16 +7,13 @@ simulated replicas, and what a better record would bring. Nothing is drawn here.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
-
-import numpy as np
 
 from bench.config.schema import Job
 from bench.contract.estimate import Status
-from bench.engine.progress import RunState
+from bench.engine.progress import OnLook, RunState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
@@ -24,16 +21,15 @@ from bench.records.classes import NAME, best_class, class_fit, compare_classes
 from bench.records.find import find
 from bench.records.finding import Finding, judged
 from bench.records.fit import Outcome
-from bench.records.held_out import early_fit
+from bench.records.held_out import EarlyFit, early_fit
 from bench.records.intervals import StatedInterval
-from bench.records.linearised import Linearised
 from bench.records.models import ClassComparison, ModelClass
 from bench.records.problem import Measured, spare_factor, with_fewer_samples
 from bench.records.replicas import ReplicaCoverage, coverage_on_replicas
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust
 from bench.records.what_if import WhatIf, what_if
-from bench.records.workers import Call, Workers
+from bench.records.workers import Workers
 
 CLASSES_SECONDS = 60.0
 """Time to compare classes; then the certificate lacks them, and system=auto takes sdof."""
@@ -43,29 +39,9 @@ OTHERS_SAMPLES = 5000
 """Samples that the methods beside the first get at least of a longer record, decimated: they only check its answer."""
 COMPARED = 2
 """Quantities in which methods are compared."""
-OnLook = Callable[[RunState], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """The first channel as predicted by a fit of the part before ``split`` (s); ``fit`` in percent."""
-
-    split: float
-    predicted: np.ndarray
-    fit: float
-
-
-@dataclass(frozen=True)
-class MethodComparison:
-    """One method's value of one quantity beside the primary's: ``agrees``, ``tied`` or ``off``.
-
-    It agrees inside the primary's interval, and is tied with it where its own interval covers the primary's value.
-    """
-
-    method: str
-    quantity: str
-    interval: StatedInterval
-    agreement: str
+Say = Callable[[str], None]
+Answer = tuple[Finding, EarlyFit | None, tuple[WhatIf, ...]]
+"""The primary method's finding, the prediction of what was held out from its fit, and what would help."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +51,10 @@ class Certificate:
     ``missing`` says of a part that is not there why it is not.
     """
 
-    request: Request
     measured: Measured
     findings: tuple[Finding, ...]
-    compared: tuple[MethodComparison, ...]
     classes: tuple[ModelClass, ...] = ()
-    prediction: Prediction | None = None
+    prediction: EarlyFit | None = None
     replicas: tuple[ReplicaCoverage, ...] = ()
     what_if: tuple[WhatIf, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
@@ -89,18 +63,13 @@ class Certificate:
     def primary(self) -> Finding:
         return self.findings[0]
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The quantities in which methods are compared."""
-        return compared_quantities(self.findings)
-
 
 def certify(
     request: Request,
     measured: Measured,
     replicas: int,
     on_look: OnLook = lambda look: None,
-    say: Callable[[str], None] = lambda sentence: None,
+    say: Say = lambda sentence: None,
 ) -> Certificate:
     """Gather the certificate of records; raises InputError.
 
@@ -115,95 +84,28 @@ def certify(
     with Workers() as workers:
         on_look(RunState("step", 0, len(request.jobs) + 1, "model classes"))
         comparison = _comparison(measured, workers, missing)
-        classes = () if comparison is None else tuple(comparison.classes)
         auto = request.system == AUTO
         measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
-        answer, others = _answers(request, measured, workers, on_look)
-        if answer.finding.outcome.status is not Status.OK and classes and auto:
-            by_class = workers.one(Call(_of_class, (answer.finding, classes, measured), CLASSES_SECONDS))
-            answer, others = (by_class, [answer.finding, *others]) if by_class else (answer, others)
-        compared = comparisons([answer.finding, *others])
-        primary = with_reasons(answer.finding, compared, missing)
+        answer, findings = _answers(request, measured, workers, on_look)
+        if answer[0].outcome.status is not Status.OK and comparison is not None and auto:
+            by_class = workers.submit(CLASSES_SECONDS, _of_class, answer[0], comparison.chosen, measured).result()
+            answer, findings = (by_class, [answer[0], *findings]) if by_class else (answer, findings)
+        primary = with_reasons(answer[0], findings, missing)
         drawn = _replicas(primary, request.job, replicas, workers, on_look, say, missing)
-    if not answer.what_if:
+    _, prediction, changes = answer
+    if not changes:
         missing["what_if"] = "the answer is not to be trusted, or the data leave a direction open"
-    findings = (primary, *others)
-    return Certificate(
-        request, measured, findings, compared, classes, answer.prediction, drawn, answer.what_if, missing
-    )
+    classes = () if comparison is None else tuple(comparison.classes)
+    return Certificate(measured, (primary, *findings), classes, prediction, drawn, changes, missing)
 
 
-# ------------------------------------------------------------------------------------------------ methods
-
-
-@dataclass(frozen=True, eq=False)
-class PrimaryAnswer:
-    """The primary method's finding, and what follows from its fit."""
-
-    finding: Finding
-    prediction: Prediction | None = None
-    what_if: tuple[WhatIf, ...] = ()
-
-
-def primary_answer(job: Job, measured: Measured) -> PrimaryAnswer:
-    """Find the primary method's answer; raises InputError."""
-    return _with_consequences(find(job, measured))
-
-
-def _with_consequences(finding: Finding) -> PrimaryAnswer:
-    prediction = None if finding.fit is None else prediction_of(finding.fit)
-    changes = () if finding.trust is Trust.NO else what_if(finding)
-    return PrimaryAnswer(finding, prediction, changes)
-
-
-def other_answer(job: Job, measured: Measured) -> Finding | None:
-    """Find the answer of a method beside the first; None where it does not take measured records."""
-    factor = min(spare_factor(measured.problem), measured.problem.n // OTHERS_SAMPLES)
-    try:
-        return find(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured)
-    except InputError:
-        return None
-
-
-def _answers(
-    request: Request, measured: Measured, workers: Workers, on_look: OnLook
-) -> tuple[PrimaryAnswer, list[Finding]]:
-    """Perform the request's jobs side by side: the primary's answer, and the findings of the others in their order."""
-    first, jobs = request.jobs[0], [job for job in request.jobs if job.config.method["name"] not in REFERENCES]
-    jobs = [first, *(job for job in jobs if job is not first)]
-    limits = [job.config.timeout_s if job is first else min(job.config.timeout_s, OTHERS_SECONDS) for job in jobs]
-    tasks = [
-        Call(primary_answer if job is first else other_answer, (job, measured), limit, job.config.memory_mb)
-        for job, limit in zip(jobs, limits, strict=True)
-    ]
-    results: dict[int, PrimaryAnswer | Finding] = {}
-    on_look(RunState("step", 1, len(jobs) + 1, first.label))
-    for number, result in workers.perform(tasks):
-        if isinstance(result, Died):
-            outcome = Outcome(None, Status(result.reason), result.message, limits[number])
-            stopped = judged(jobs[number].label, measured, outcome)
-            result = stopped if number else PrimaryAnswer(stopped)
-        results[number] = result
-        on_look(RunState("step", 1 + len(results), len(jobs) + 1, jobs[number].label))
-    answer = results.pop(0)
-    assert isinstance(answer, PrimaryAnswer)
-    return answer, [finding for _, finding in sorted(results.items()) if isinstance(finding, Finding)]
-
-
-def _of_class(failed: Finding, classes: Sequence[ModelClass], measured: Measured) -> PrimaryAnswer | None:
-    """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
-    outcome = class_fit(classes[0], measured.problem) if len(measured.problem.records) == 1 else None
-    if outcome is None:
-        return None
-    finding = judged(NAME, measured, outcome)
-    said = f"{failed.method} found no answer: {failed.outcome.message}; this is the class's own fit"
-    return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
+# ------------------------------------------------------------------------------------------------ answers
 
 
 def _comparison(measured: Measured, workers: Workers, missing: dict[str, str]) -> ClassComparison | None:
     """Compare model classes, or say why they are not."""
     try:
-        comparison: ClassComparison | None = workers.one(Call(compare_classes, (measured,), CLASSES_SECONDS))
+        comparison: ClassComparison | None = workers.submit(CLASSES_SECONDS, compare_classes, measured).result()
     except Died as died:
         missing["classes"] = died.message
         return None
@@ -212,25 +114,80 @@ def _comparison(measured: Measured, workers: Workers, missing: dict[str, str]) -
     return comparison
 
 
+def _answers(request: Request, measured: Measured, workers: Workers, on_look: OnLook) -> tuple[Answer, list[Finding]]:
+    """Perform the request's jobs side by side: the primary's answer, and the findings of the others in their order.
+
+    A method that does not take measured records is left out, beside the first.
+    """
+    first = request.jobs[0]
+    jobs = [first, *(job for job in request.jobs[1:] if job.config.method["name"] not in REFERENCES)]
+    limits = [first.config.timeout_s, *(min(job.config.timeout_s, OTHERS_SECONDS) for job in jobs[1:])]
+    works = [primary_answer, *[other_answer] * len(jobs[1:])]
+    futures = {
+        workers.submit(limit, work, job, measured, memory_mb=job.config.memory_mb): number
+        for number, (job, limit, work) in enumerate(zip(jobs, limits, works, strict=True))
+    }
+    on_look(RunState("step", 1, len(jobs) + 1, first.label))
+    answers: dict[int, Answer] = {}
+    for done, future in enumerate(as_completed(futures), 2):
+        number = futures[future]
+        try:
+            answers[number] = future.result()
+        except Died as died:
+            outcome = Outcome(None, Status(died.reason), died.message, limits[number])
+            answers[number] = judged(jobs[number].label, measured, outcome), None, ()
+        except InputError:
+            if number == 0:
+                raise
+        on_look(RunState("step", done, len(jobs) + 1, jobs[number].label))
+    return answers.pop(0), [finding for _, (finding, _, _) in sorted(answers.items())]
+
+
+def primary_answer(job: Job, measured: Measured) -> Answer:
+    """Find the primary method's answer; raises InputError."""
+    return _with_consequences(find(job, measured))
+
+
+def _with_consequences(finding: Finding) -> Answer:
+    early = None if finding.fit is None else early_fit(finding.fit)
+    return finding, early, () if finding.trust is Trust.NO else what_if(finding)
+
+
+def other_answer(job: Job, measured: Measured) -> Answer:
+    """Find the answer of a method beside the first, which only checks it; raises InputError."""
+    factor = min(spare_factor(measured.problem), measured.problem.n // OTHERS_SAMPLES)
+    return find(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured), None, ()
+
+
+def _of_class(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer | None:
+    """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
+    outcome = class_fit(chosen, measured.problem) if len(measured.problem.records) == 1 else None
+    if outcome is None:
+        return None
+    finding = judged(NAME, measured, outcome)
+    said = f"{failed.method} found no answer: {failed.outcome.message}; this is the class's own fit"
+    return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
+
+
+# ------------------------------------------------------------------------------------------------ agreement
+
+
 def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return k/m and c/m, or the first two groups of the system that any method determines."""
-    stated = {name for one in findings for name in (one.intervals or one.withdrawn)}
+    stated = {name for finding in findings for name in (finding.intervals or finding.withdrawn)}
     groups = [q.name for q in findings[0].problem.system.groups if q.name in stated]
-    first = [name for name in ("k_over_m", "c_over_m") if name in groups]
-    return tuple([*first, *(name for name in groups if name not in first)][:COMPARED])
+    return tuple(sorted(groups, key=lambda name: name not in ("k_over_m", "c_over_m"))[:COMPARED])
 
 
-def comparisons(findings: Sequence[Finding]) -> tuple[MethodComparison, ...]:
-    """Compare each method's values with the primary's, whose own come first."""
-    rows = []
-    for name in compared_quantities(findings):
-        reference = findings[0].intervals.get(name)
-        for finding in findings:
-            interval = finding.intervals.get(name)
-            if interval is not None:
-                agreement = "primary" if finding is findings[0] else agreement_of(interval, reference)
-                rows.append(MethodComparison(finding.method, name, interval, agreement))
-    return tuple(rows)
+def agreements(finding: Finding, primary: Finding, names: Sequence[str]) -> dict[str, str]:
+    """Compare a method's values with the primary's: ``agrees``, ``tied`` or ``off``, by quantity.
+
+    It agrees inside the primary's interval, and is tied with it where its own interval covers the primary's value.
+    """
+    stated = {name: finding.intervals[name] for name in names if name in finding.intervals}
+    if finding.method == primary.method:
+        return dict.fromkeys(stated, "primary")
+    return {name: agreement_of(interval, primary.intervals.get(name)) for name, interval in stated.items()}
 
 
 def agreement_of(other: StatedInterval, reference: StatedInterval | None) -> str:
@@ -242,16 +199,15 @@ def agreement_of(other: StatedInterval, reference: StatedInterval | None) -> str
     return "tied" if other.low <= reference.value <= other.high else "off"
 
 
-def with_reasons(
-    primary: Finding, compared: Sequence[MethodComparison], missing: Mapping[str, str] = MappingProxyType({})
-) -> Finding:
+def with_reasons(primary: Finding, others: Sequence[Finding], missing: Mapping[str, str]) -> Finding:
     """Add the reasons for caution that methods give whose own answers are sound, and the comparison of classes."""
-    off: dict[str, list[str]] = {}
-    for one in compared:
-        if one.agreement == "off":
-            off.setdefault(one.quantity, []).append(one.method)
-    said = [f"{', '.join(methods)} disagree{'s' if len(methods) == 1 else ''} in {name.replace('_over_', '/')}"
-            for name, methods in off.items()]  # fmt: skip
+    names = compared_quantities([primary, *others])
+    found = {other.method: agreements(other, primary, names) for other in others}
+    said = []
+    for name in names:
+        off = [method for method, agreement in found.items() if agreement.get(name) == "off"]
+        if off:
+            said.append(f"{', '.join(off)} disagree{'s' if len(off) == 1 else ''} in {name.replace('_over_', '/')}")
     said += _reasons_of_classes(primary, missing)
     return replace(primary, reasons=(*primary.reasons, *(Reason(Trust.CAUTION, reason) for reason in said)))
 
@@ -261,33 +217,19 @@ def _reasons_of_classes(primary: Finding, missing: Mapping[str, str]) -> list[st
     if comparison is None:
         return [f"model classes were not compared: {missing['classes']}"] if "classes" in missing else []
     good = [comparison.chosen, *comparison.tied]
-    if terms and all(set(one.system.terms) != terms for one in good):
+    if terms and all(set(model.system.terms) != terms for model in good):
         return [f"the class {comparison.chosen.name} describes the record better: system=auto takes it"]
-    others = [one.name for one in good if set(one.system.terms) != terms]
-    return [f"the record does not distinguish these classes from the one taken: {', '.join(others)}"] if others else []
+    tied = [model.name for model in good if set(model.system.terms) != terms]
+    return [f"the record does not distinguish these classes from the one taken: {', '.join(tied)}"] if tied else []
 
 
-# ------------------------------------------------------------------------------------------------ consequences
-
-
-def prediction_of(at: Linearised) -> Prediction | None:
-    """Predict the last 40 % of the first channel by a fit of the first 60 %; None where that fit is not possible."""
-    early, samples = early_fit(at), at.channels[0]
-    if early is None or not np.all(np.isfinite(early.predicted[samples])):
-        return None
-    fit = early.fit_percent(at.model.data, samples)
-    return None if math.isnan(fit) else Prediction(early.split, early.predicted[samples], fit)
+# ------------------------------------------------------------------------------------------------ replicas
 
 
 def _replicas(
-    primary: Finding,
-    job: Job,
-    n: int,
-    workers: Workers,
-    on_look: OnLook,
-    say: Callable[[str], None],
-    missing: dict[str, str],
+    primary: Finding, job: Job, n: int, workers: Workers, on_look: OnLook, say: Say, missing: dict[str, str]
 ) -> tuple[ReplicaCoverage, ...]:
+    """Judge the intervals on ``n`` replicas, whose time is said before, or say why there are none."""
     primary = next((run.finding for run in primary.runs if run.finding.fit is primary.fit), primary)
     if n == 0:
         missing["replicas"] = "none were asked for (twins=0)"
@@ -297,13 +239,13 @@ def _replicas(
         missing["replicas"] = f"replicas are fitted by a method, and this answer is the {primary.method}"
     if "replicas" in missing:
         return ()
-    started = time.monotonic()
+    said = False
 
     def on_replicas(done: int, seconds_left: float) -> None:
-        nonlocal started
-        if started and done < n:
+        nonlocal said
+        if not said and math.isfinite(seconds_left):
+            said = True
             say(f"{n} simulated replicas: about {seconds_left:.0f} s more (twins=0 leaves them out)")
-        started = 0.0
         on_look(RunState("replica", done, n, "", seconds_left, at_least=False))
 
     coverages = coverage_on_replicas(primary, job, n, workers, on_replicas)

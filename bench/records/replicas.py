@@ -9,10 +9,12 @@ the calibrated, or double, bootstrap (R. Beran, Biometrika 74:457, 1987; W.-Y. L
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -24,18 +26,18 @@ from bench.isolation.processes import Died
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, linearised
-from bench.records.workers import AT_ONCE, Call, Workers
+from bench.records.workers import AT_ONCE, Workers
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
 from bench.systems import MEASURED, Quantity
 
 LEVEL = 0.95
 CHANCE = 0.05
-"""Level of the test of whether the coverage differs from 95 %."""
+"""Level of the test that the coverage is 95 %."""
 LEAST = 20
 """Answered replicas below which nothing is stated: the 95 % quantile of fewer is not among them."""
-FIRST, TOGETHER = 2, 5
-"""Replicas in the first tasks, by which the time of the others is known, and in each of the others."""
+TOGETHER = 5
+"""Replicas of a call, which are fitted as one batch."""
 LIMIT_S = 60.0
 """Time limit of a replica (s)."""
 ROUNDED = 0.9
@@ -47,7 +49,7 @@ LEAST_NOISE = 0.25
 
 Intervals = Mapping[str, StatedInterval]
 OnReplicas = Callable[[int, float], None]
-"""Gets the number of replicas that are done, and the seconds that the others will take."""
+"""Gets the number of replicas that are done, and the seconds that the others will take; NaN where it is unknown."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +68,6 @@ class ReplicaCoverage:
     corrected: tuple[float, float] | None
 
 
-@dataclass(frozen=True, eq=False)
-class Replica:
-    """A simulated record and the parameters that made it."""
-
-    problem: Problem
-    truth: Mapping[str, float]
-
-
 def coverage_on_replicas(
     finding: Finding, job: Job, n: int, workers: Workers, on_replicas: OnReplicas
 ) -> tuple[ReplicaCoverage, ...]:
@@ -84,21 +78,26 @@ def coverage_on_replicas(
         job: Its method, with its settings; its seed is that of noise and random streams.
         n: Number of replicas.
         workers: Processes that fit.
-        on_replicas: Gets the progress; first when the time is known.
+        on_replicas: Gets the progress.
     """
     assert finding.fit is not None
-    starts = [*range(0, FIRST * AT_ONCE, FIRST), *range(FIRST * AT_ONCE, n, TOGETHER), n]
-    numbers = [range(low, min(high, n)) for low, high in pairwise(starts) if low < n]
+    batches = [range(low, min(low + TOGETHER, n)) for low in range(0, n, TOGETHER)]
+    futures = {
+        workers.submit(
+            LIMIT_S * len(some), answered, job, finding.fit, finding.problem, some, memory_mb=job.config.memory_mb
+        ): some
+        for some in batches
+    }
     answers: list[Intervals] = []
-    done, started = 0, time.monotonic()
-    tasks = [
-        Call(answered, (job, finding.fit, finding.problem, some), LIMIT_S * len(some), job.config.memory_mb)
-        for some in numbers
-    ]
-    for number, result in workers.perform(tasks, keep=True):
-        done += len(numbers[number])
-        answers += [] if isinstance(result, Died) else result
-        on_replicas(done, (time.monotonic() - started) / done * (n - done))
+    done, compiled, since = 0, 0, time.monotonic()
+    for i, future in enumerate(as_completed(futures), 1):
+        done += len(futures[future])
+        with suppress(Died):  # its replicas have no answer
+            answers += future.result()
+        if i == AT_ONCE:  # each process has compiled the programmes of the method, which the others find
+            compiled, since = done, time.monotonic()
+        known = i >= 2 * AT_ONCE
+        on_replicas(done, (time.monotonic() - since) / (done - compiled) * (n - done) if known else math.nan)
     truth = true_values(finding.fit, finding.problem)
     quantities = determined_quantities(finding.problem)
     lines = (coverage_of(q, float(q.value(truth)), answers, finding) for q in quantities)
@@ -120,7 +119,7 @@ def true_values(at: Linearised, problem: Problem) -> dict[str, float]:
     return {p.name: float(natural[p.name]) * units.of(p.dimension) for p in problem.system.parameters}
 
 
-def drawn(at: Linearised, problem: Problem, numbers: Sequence[int], seed: int) -> Iterator[Replica]:
+def drawn(at: Linearised, problem: Problem, numbers: Sequence[int], seed: int) -> Iterator[Problem]:
     """Draw replicas of a problem, in its units; the i-th depends on the seed and on i alone.
 
     The nominal values of a prior are drawn too, about the true ones, as a prior assumes.
@@ -132,19 +131,15 @@ def drawn(at: Linearised, problem: Problem, numbers: Sequence[int], seed: int) -
         rng = np.random.default_rng([seed, i])
         made = []
         for number, ((channel, size), step, samples) in enumerate(zip(channels, steps, at.channels, strict=True)):
-            noise = _noise(at, number, samples.size, rng) * _share_of_noise(step / size, float(at.sigma[number]))
-            made.append(replace(channel, values=rounded(size * (motion[samples] + noise), step, channel)))
-        yield Replica(_with(problem, made, truth, rng), truth)
-
-
-def _noise(at: Linearised, number: int, n: int, rng: np.random.Generator) -> np.ndarray:
-    colour = at.noises[number]
-    return at.sigma[number] * rng.standard_normal(n) if colour is None else colour.drawn(n, rng)
-
-
-def _share_of_noise(step: float, sigma: float) -> float:
-    """Return the factor on noise before rounding, whose variance (step²/12) the residuals contain already."""
-    return float(np.sqrt(max(1.0 - step**2 / (12.0 * sigma**2), LEAST_NOISE)))
+            colour, sigma = at.noises[number], float(at.sigma[number])
+            noise = sigma * rng.standard_normal(samples.size) if colour is None else colour.drawn(samples.size, rng)
+            # the residuals contain the noise of rounding already, whose variance is step²/12
+            noise *= np.sqrt(max(1.0 - (step / size / sigma) ** 2 / 12.0, LEAST_NOISE))
+            values = size * (motion[samples] + noise)
+            if step > 0:
+                values = channel.values[0] + step * np.round((values - channel.values[0]) / step)
+            made.append(replace(channel, values=values))
+        yield _with(problem, made, truth, rng)
 
 
 def _with(problem: Problem, made: list[Channel], truth: Mapping[str, float], rng: np.random.Generator) -> Problem:
@@ -174,12 +169,6 @@ def rounding_step(values: np.ndarray) -> float:
     return float(np.sum(differences[whole]) / np.sum(np.round(multiples[whole])))
 
 
-def rounded(values: np.ndarray, step: float, like: Channel) -> np.ndarray:
-    """Round values to steps from those of a channel; without a step they stay."""
-    first = like.values[0] if like.n else 0.0
-    return first + step * np.round((values - first) / step) if step > 0 else values
-
-
 # ------------------------------------------------------------------------------------------------ fitting
 
 
@@ -188,14 +177,14 @@ def answered(job: Job, at: Linearised, problem: Problem, numbers: Sequence[int])
     seed, method = int(job.config.seed), make_method(job.config.method["name"], job.settings())
     replicas = list(drawn(at, problem, numbers, seed))
     streams = [anonymous_stream([seed, i, 1]) for i in numbers]
-    estimates = method.identify_many([one.problem for one in replicas], streams)
+    estimates = method.identify_many(replicas, streams)
     answers: list[Intervals] = []
-    for one, answer in zip(replicas, estimates, strict=True):
+    for replica, answer in zip(replicas, estimates, strict=True):
         estimate = replace(answer, system=problem.system).checked()
         if estimate.status is Status.OK:
-            estimate = combine_with_prior(estimate, one.problem.prior)
+            estimate = combine_with_prior(estimate, replica.prior)
             with np.errstate(all="ignore"):
-                answers.append(stated_intervals(estimate, linearised(one.problem, estimate)))
+                answers.append(stated_intervals(estimate, linearised(replica, estimate)))
     return answers
 
 
@@ -205,19 +194,25 @@ def answered(job: Job, at: Linearised, problem: Problem, numbers: Sequence[int])
 def coverage_of(
     quantity: Quantity, true: float, answers: Sequence[Intervals], finding: Finding
 ) -> ReplicaCoverage | None:
-    """Compare the intervals of answers with the true value of a quantity; None of fewer than twenty."""
+    """Compare the intervals of answers with the true value of a quantity; None of fewer than twenty.
+
+    They need correction where the share that covers it differs from 95 % (exact binomial test, two-sided).
+    """
+    from scipy.stats import binomtest
+
     stated = [one[quantity.name] for one in answers if quantity.name in one]
     if len(stated) < LEAST:
         return None
     errors = [100.0 * abs(one.value / true - 1.0) for one in stated]
     misses = np.array([miss(one.value, one.record_low, one.record_high, true) for one in stated])
     misses = misses[~np.isnan(misses)]
-    widening, interval = widening_of(misses), finding.intervals.get(quantity.name)
+    widening, interval, covered = widening_of(misses), finding.intervals.get(quantity.name), misses <= 1.0
+    chance = binomtest(int(np.sum(covered)), misses.size, LEVEL).pvalue if misses.size >= LEAST else 1.0
     corrected = None
-    if interval is not None and beyond_chance(misses):
+    if interval is not None and chance < CHANCE:
         corrected = widened(interval.value, interval.record_low, interval.record_high, widening)
-    covered = float(np.mean(misses <= 1.0))
-    return ReplicaCoverage(quantity.name, len(stated), float(np.median(errors)), covered, widening, corrected)
+    share = float(np.mean(covered))
+    return ReplicaCoverage(quantity.name, len(stated), float(np.median(errors)), share, widening, corrected)
 
 
 def miss(value: float, low: float, high: float, true: float) -> float:
@@ -240,14 +235,6 @@ def widening_of(misses: np.ndarray) -> float:
     probability 0.95 (R. J. Hyndman, Y. Fan, Am. Stat. 50:361, 1996, definition 6); infinite misses stay so.
     """
     return float(np.quantile(misses, LEVEL, method="weibull")) if misses.size >= LEAST else float("nan")
-
-
-def beyond_chance(misses: np.ndarray) -> bool:
-    """Return whether the share of covered true values differs from 95 %: exact binomial test, two-sided, at 5 %."""
-    from scipy.stats import binomtest
-
-    covered = int(np.sum(misses <= 1.0))
-    return misses.size >= LEAST and bool(binomtest(covered, misses.size, LEVEL).pvalue < CHANCE)
 
 
 def widened(value: float, low: float, high: float, by: float) -> tuple[float, float]:

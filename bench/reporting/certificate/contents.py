@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.likelihood.autoregression import autoregression, even_times
-from bench.records.certificate import Certificate
+from bench.records.certificate import Certificate, agreements, compared_quantities
 from bench.records.colour import autocorrelation
 from bench.records.diagnostics import lag_one, natural_frequency, part_of_signal, whiteness_level
 from bench.records.finding import Finding
@@ -38,11 +39,12 @@ OPENING = {
 
 def contents(certificate: Certificate, command: str) -> dict[str, Any]:
     """Return all of a certificate; ``command`` reproduces it."""
-    primary, prediction = certificate.primary, certificate.prediction
+    primary = certificate.primary
     record = summary_of(certificate.measured)
-    names = [Path(file).name for file in record["files"]]
+    files = [Path(file).name for file in record["files"]]
     modes = [dict(vars(mode)) for mode in primary.modes]
-    record |= {"names": names, "hashes": [list(pair) for pair in zip(names, record["sha256"], strict=True)]}
+    names = compared_quantities(certificate.findings)
+    record |= {"names": files, "hashes": [list(pair) for pair in zip(files, record["sha256"], strict=True)]}
     values = _intervals(primary.intervals)
     return {
         "answer": answer(values, modes),
@@ -59,10 +61,10 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
             run.name: {"estimates": _intervals(run.finding.intervals), "left_out": run.left_out} for run in primary.runs
         },
         "residuals": _residuals(primary),
-        "prediction": None if prediction is None else {"split": prediction.split, "fit_pct": prediction.fit},
+        "prediction": _prediction(certificate),
         "classes": [_class(one) for one in certificate.classes],
-        "compared": list(certificate.names),
-        "methods": [_method(one, certificate) for one in certificate.findings],
+        "compared": names,
+        "methods": [_method(finding, primary, names) for finding in certificate.findings],
         "replicas": [asdict(line) for line in certificate.replicas],
         "what_if": [asdict(one) for one in certificate.what_if],
         "missing": dict(certificate.missing),
@@ -84,7 +86,8 @@ def sentences(certificate: Certificate) -> list[str]:
     if primary.fit is not None:
         support.append(f"residual RMS: {100 * part_of_signal(primary.fit):.2g} % of signal RMS")
     others = {one.method for one in certificate.findings[1:] if one.intervals}
-    off = {one.method for one in certificate.compared if one.agreement == "off"}
+    names = compared_quantities(certificate.findings)
+    off = {one.method for one in certificate.findings if "off" in agreements(one, primary, names).values()}
     if primary.intervals:
         support.append(f"{len(others - off)} of {len(others)} other methods agree" if others else "no other method")
     return [f"{OPENING[primary.trust]}{reason}.", f"{'; '.join(support)}."]
@@ -109,6 +112,17 @@ def _residuals(finding: Finding) -> dict[str, Any] | None:
     }
 
 
+def _prediction(certificate: Certificate) -> dict[str, float] | None:
+    """Return what a fit of the first part of the first channel predicts of the rest; None where it predicts nothing."""
+    prediction, at = certificate.prediction, certificate.primary.fit
+    if prediction is None or at is None:
+        return None
+    fit = prediction.fit_percent(at.model.data, at.channels[0])
+    if math.isnan(fit):
+        return None
+    return {"split": certificate.primary.units.time * prediction.split, "fit_pct": fit}
+
+
 def _class(one: ModelClass) -> dict[str, Any]:
     return {
         "name": one.name,
@@ -121,7 +135,7 @@ def _class(one: ModelClass) -> dict[str, Any]:
     }
 
 
-def _method(one: Finding, certificate: Certificate) -> dict[str, Any]:
+def _method(one: Finding, primary: Finding, names: Sequence[str]) -> dict[str, Any]:
     return {
         "method": one.method,
         "status": one.outcome.status.value,
@@ -131,7 +145,7 @@ def _method(one: Finding, certificate: Certificate) -> dict[str, Any]:
         "wall_s": one.outcome.wall_s,
         "values": _intervals(one.intervals),
         "withdrawn": _intervals(one.withdrawn),
-        "agreement": {c.quantity: c.agreement for c in certificate.compared if c.method == one.method},
+        "agreement": agreements(one, primary, names),
     }
 
 
@@ -166,7 +180,7 @@ def series(certificate: Certificate) -> dict[str, Any]:
         series["spectrum"] = spectrum(channel.times, residuals, at, size, second)
         series["autocorrelation"] = {"values": autocorrelation(residuals, lags), "band": band}
     if prediction is not None:
-        series["prediction"] = {"split": second * prediction.split, "values": size * prediction.predicted}
+        series["prediction"] = size * prediction.predicted[at.channels[0]]
     return series
 
 

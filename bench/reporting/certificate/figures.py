@@ -35,7 +35,7 @@ def pictures(shown: Mapping[str, Any]) -> list[CertificatePicture]:
     series = shown["series"]
     drawers: list[tuple[str, str, bool, Callable[[Any, Any, Mapping[str, Any]], None], float]] = [
         ("record", "Record, fit and residual", True, _record, 1.25),
-        ("prediction", "Prediction of what was held out", series["prediction"] is not None, _prediction, 1.25),
+        ("prediction", "Prediction of what was held out", shown["prediction"] is not None, _prediction, 1.25),
         ("spectrum", "Spectrum of the residuals", series["spectrum"] is not None, _spectrum, 1.0),
         ("lags", "Autocorrelation of the residuals", series["autocorrelation"] is not None, _lags, 1.0),
         ("forest", "Methods side by side", bool(_rows(shown)), _forest, _height(shown)),
@@ -118,7 +118,7 @@ def _difference(figure: Any, axis: Any, curve: Curve, label: str) -> None:
 
 def _prediction(figure: Any, series: Mapping[str, Any], shown: Mapping[str, Any]) -> None:
     times, values = series["times"], series["values"]
-    split, predicted = series["prediction"]["split"], series["prediction"]["values"]
+    split, predicted = shown["prediction"]["split"], series["prediction"]
     late = times > split
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     above.axvspan(split, times[-1], color=LINE, alpha=0.3, lw=0)

@@ -15,11 +15,9 @@ from bench.records import certificate as gathering
 from bench.records import classes
 from bench.records.certificate import (
     Certificate,
-    MethodComparison,
     _comparison,
     agreement_of,
     certify,
-    prediction_of,
     with_reasons,
 )
 from bench.records.classes import NAME
@@ -126,15 +124,12 @@ def test_the_fit_is_in_the_units_of_the_record(shown: Mapping[str, Any]) -> None
     assert total == pytest.approx(np.var(series["residuals"]), rel=0.03)
 
 
-def test_the_prediction_is_that_of_held_out_fit(made: Certificate) -> None:
+def test_the_prediction_is_that_of_held_out_fit(made: Certificate, shown: Mapping[str, Any]) -> None:
     at = made.primary.fit
     assert at is not None
-    own = prediction_of(at)
-    assert own is not None
-    assert own.fit == pytest.approx(held_out_fit(at), abs=1e-3)
-    size, second = made.primary.channel_size, made.primary.units.time
-    assert second * own.split == pytest.approx(0.6 * TIMES[-1], abs=0.06)
-    assert np.max(np.abs(size * own.predicted - np.exp(-DECAY * TIMES) * np.cos(RATE * TIMES))) < 0.05
+    assert shown["prediction"]["fit_pct"] == pytest.approx(held_out_fit(at), abs=1e-3)
+    assert shown["prediction"]["split"] == pytest.approx(0.6 * TIMES[-1], abs=0.06)
+    assert np.max(np.abs(shown["series"]["prediction"] - np.exp(-DECAY * TIMES) * np.cos(RATE * TIMES))) < 0.05
 
 
 def test_the_chosen_class_is_what_system_auto_takes(compared: ClassComparison) -> None:
@@ -166,9 +161,9 @@ def test_agreement(value: float, low: float, high: float, agreement: str) -> Non
 
 
 def test_a_sound_method_that_disagrees_is_a_reason_for_caution(made: Certificate) -> None:
-    other = MethodComparison("iqml", "c_over_m", interval(2.0, 1.9, 2.1), "off")
-    alike = MethodComparison("ls", "c_over_m", interval(2.0, 0.1, 2.1), "tied")
-    primary = with_reasons(replace(made.primary, reasons=()), [other, alike])
+    other = replace(made.primary, method="iqml", intervals={"c_over_m": interval(2.0, 1.9, 2.1)})
+    alike = replace(made.primary, method="ls", intervals={"c_over_m": interval(2.0, 0.1, 2.1)})
+    primary = with_reasons(replace(made.primary, reasons=()), [other, alike], {})
     assert primary.trust is Trust.CAUTION
     assert [reason.text for reason in primary.reasons] == ["iqml disagrees in c/m"]
 
