@@ -1,17 +1,21 @@
-"""A fitted model simulated freely over a record that no fit has seen, under its force alone, and how far off it is."""
+"""Fitted models simulated freely over records that no fit has seen, under their force alone, and how far off they are.
+
+The test parts are those of the benchmarks at nonlinearbenchmark.org.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from bench.config.records import primary_method
 from bench.contract.problem import Record
-from bench.dynamics.ops import numpy_ops
-from bench.dynamics.stepper import rk4_step
+from bench.dynamics.intervals import Steps
+from bench.dynamics.stepper import compiled_path
 from bench.records.reading import read_recording
 from bench.records.request import request_of
 from bench.records.sets import MeasuredSet, SimulatedSpan
@@ -24,8 +28,33 @@ FIRST = 20
 """Samples whose spline gives the first state."""
 
 
+def free_runs(
+    of: MeasuredSet, system: str, fits: pd.DataFrame, data_root: Path | None
+) -> Iterator[tuple[str, list[float]]]:
+    """Yield models with their errors over the test parts of a set, in thousandths of the record's unit.
+
+    The models are the primary method's, with the medians over its siblings in ``fits``, rows of the track with answers
+    that stand, and the parameters that others have published. Raises InputError.
+    """
+    place = of.place(data_root)
+    if place is None or not (of.tests and of.paths(data_root)):
+        return
+    parts = [part_problem(of, system, part, place) for part in of.tests.values()]
+    names = list(parts[0][0].names)
+    models = {}
+    primary = fits[fits["method"] == primary_method()]
+    fitted = primary.pivot(index="sibling", columns="quantity", values="value").reindex(columns=names).dropna()
+    if len(fitted):
+        offsets = primary[primary["sibling"].isin(fitted.index)].drop_duplicates("sibling")["offset"]
+        models[f"{primary_method()}, median of {len(fitted)} siblings"] = dict(fitted.median()), float(offsets.median())
+    if set(names) <= set(of.known):
+        models["published parameters"] = {name: of.known[name].value for name in names}, 0.0
+    for model, (p, offset) in models.items():
+        yield model, [1e3 * free_run_error(system, p, record, offset, of.unscored) for system, record in parts]
+
+
 def part_problem(of: MeasuredSet, system: str, part: SimulatedSpan, folder: Path) -> tuple[System, Record]:
-    """The system and the whole record of a test part; raises InputError."""
+    """Return the system and the whole record of a test part; raises InputError."""
     whole = of.model_copy(update={"first": part.first, "last": part.last})
     path = folder / part.file
     request = request_of(whole.overrides(system, [primary_method()], path, 60.0))
@@ -36,37 +65,19 @@ def part_problem(of: MeasuredSet, system: str, part: SimulatedSpan, folder: Path
 def free_run_error(
     system: System, p: Mapping[str, float], record: Record, offset: float = 0.0, unscored: int = 0
 ) -> float:
-    """The root mean square error of a free simulation in the record's unit; NaN where it runs away.
+    """Compute the root mean square error of a free simulation in the record's unit; NaN where the motion diverges.
 
     Args:
-        system: of one degree of freedom.
-        p: its parameters.
-        record: a displacement at the samples of a force; the first samples give the first state.
-        offset: of the sensor.
-        unscored: so many first samples are left out.
+        system: Of one degree of freedom.
+        p: Its parameters.
+        record: A displacement at the samples of a force; the first samples give the initial state.
+        offset: Of the sensor.
+        unscored: Number of first samples that are left out.
     """
-    channel = record.channels[0]
-    left = channel.values - offset - simulated(system, p, record, offset)
-    error = float(np.sqrt(np.mean(left[unscored:] ** 2)))
+    times, values = record.channels[0].times, record.channels[0].values - offset
+    start = CubicSpline(times[:FIRST], values[:FIRST])
+    state = [np.array(start(times[0], derivative)) for derivative in (0, 1)]
+    steps = Steps.over(times, np.full(times.size - 1, STEPS), record.forces, 1)
+    motion = compiled_path(system, p, state, steps, np.arange(times.size))[0]
+    error = float(np.sqrt(np.mean((values - motion)[unscored:] ** 2)))
     return error if np.isfinite(error) else float("nan")
-
-
-def simulated(system: System, p: Mapping[str, float], record: Record, offset: float = 0.0) -> np.ndarray:
-    """The displacement (n,) at the samples of the record."""
-    channel = record.channels[0]
-    times = channel.times
-    start = CubicSpline(times[:FIRST], channel.values[:FIRST] - offset)
-    at = np.arange(2 * STEPS * (times.size - 1) + 1) / (2 * STEPS)
-    force = record.forces[0](np.interp(at, np.arange(times.size), times)).tolist()
-    lengths = (np.diff(times) / STEPS).tolist()
-    path = np.full(times.size, np.nan)
-    state = [float(start(times[0])), float(start(times[0], 1))]
-    path[0] = state[0]
-    try:
-        for i, length in enumerate(lengths):
-            for j in range(2 * STEPS * i, 2 * STEPS * (i + 1), 2):
-                state = rk4_step(system, p, state, length, ([force[j]], [force[j + 1]], [force[j + 2]]), numpy_ops)
-            path[i + 1] = state[0]
-    except OverflowError:  # it ran away; what follows stays NaN
-        pass
-    return path

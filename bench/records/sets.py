@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,17 +17,21 @@ from bench.errors import InputError
 from bench.scenario.declaration import validated
 
 GROUP = "measured"
-OF_READERS = {"title", "licence", "source", "note", "known", "tests", "quoted", "unscored"}
-"""Fields that no fit hangs on."""
+NOT_OF_FITS = {"title", "licence", "source", "note", "systems", "known", "tests", "quoted", "unscored"}
+"""Fields on which no fit depends; the system is part of a fit's key."""
 STRICT = ConfigDict(extra="forbid", frozen=True)
 
 
 class Known(BaseModel):
-    """A value that somebody else states of a quantity, perhaps with its standard deviation, and who."""
+    """A value that somebody else states of a quantity, and who.
+
+    A certified one has a standard deviation ``sd`` with ``dof`` degrees of freedom, by which intervals are compared.
+    """
 
     model_config = STRICT
     value: float
     sd: float | None = None
+    dof: float | None = None
     source: str
 
 
@@ -78,51 +83,47 @@ class MeasuredSet(BaseModel):
     systems: Annotated[list[str], Field(min_length=1)]
     fixed: dict[str, float] = {}
     bias_sign: Annotated[int, Field(ge=-1, le=1)] = 1
-    force_gain: float = 1.0
-    hold: Hold = "linear"
+    force_gain: float | None = None
+    hold: Hold | None = None
     known: dict[str, Known] = {}
     tests: dict[str, SimulatedSpan] = {}
     unscored: int = 0
     quoted: list[Quoted] = []
 
     def definition(self) -> str:
-        """What fits of it hang on, beside the bytes of its files, as a digest."""
-        stated = self.model_dump(mode="json", exclude=OF_READERS | {"systems"})
+        """Return a digest of what its fits depend on, beside the bytes of its files."""
+        stated = self.model_dump(mode="json", exclude=NOT_OF_FITS)
         return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:16]
 
     def place(self, data_root: Path | None) -> Path | None:
-        """The folder of its files: in the package, or below ``data_root``; None where that is not told."""
+        """Return the folder of its files: in the package, or below ``data_root``; None where that is not given."""
         if self.packaged:
             return Path(str(resources("bench").joinpath("data", GROUP, self.folder)))
         return None if data_root is None else data_root / self.folder
 
     def paths(self, data_root: Path | None) -> tuple[Path, ...]:
-        """Its files, all of them there, or none."""
+        """Return its files, all of them there, or none."""
         place = self.place(data_root)
-        if place is None or not all((place / name).is_file() for name in self.files):
-            return ()
-        return tuple(place / name for name in self.files)
+        paths = () if place is None else tuple(place / name for name in self.files)
+        return paths if all(path.is_file() for path in paths) else ()
 
-    def overrides(self, system: str, methods: list[str], path: Path, timeout_s: float) -> dict[str, list[Any]]:
-        """The fields that ask for it on the command line, of a file of it."""
-        fields: dict[str, Any] = {
-            "columns": self.columns, "units": self.units, "rate": self.rate, "from": self.first, "to": self.last,
+    def overrides(self, system: str, methods: Sequence[str], path: Path, timeout_s: float) -> dict[str, list[Any]]:
+        """Return the fields that ask for a file of it on the command line."""
+        given: dict[str, Any] = {
+            "data": str(path), "system": system, "columns": self.columns, "units": self.units, "rate": self.rate,
+            "from": self.first, "to": self.last, "force_gain": self.force_gain, "hold": self.hold,
+            "timeout_s": timeout_s, **{f"fixed.{name}": value for name, value in self.fixed.items()},
         }  # fmt: skip
-        told = {f"fixed.{name}": value for name, value in self.fixed.items()}
-        of_force = self.model_fields_set & {"force_gain", "hold"}
-        force: dict[str, Any] = {name: getattr(self, name) for name in sorted(of_force)}
-        stated = {name: value for name, value in fields.items() if value is not None}
-        given = {"data": str(path), "system": system, **stated, **force, "timeout_s": timeout_s, **told}
-        return {"method": list(methods), **{key: [value] for key, value in given.items()}}
+        return {"method": list(methods), **{name: [value] for name, value in given.items() if value is not None}}
 
 
 def set_names() -> list[str]:
-    """The names of the sets."""
+    """Return the names of the sets."""
     return sorted(file_names(GROUP))
 
 
 def measured_set(name: str) -> MeasuredSet:
-    """A set by its name; raises InputError."""
+    """Return a set by its name; raises InputError."""
     if name not in file_names(GROUP):
         raise InputError("set", name, f"known sets: {', '.join(set_names())}")
     return validated(MeasuredSet, read_yaml(GROUP, name))

@@ -1,22 +1,22 @@
-"""Siblings: records of one rig, or parts of one record, that determine the same quantities; and how well they agree.
+"""Scores of intervals on siblings: records of one rig, or parts of one record, that determine the same quantities.
 
 There is no truth of a measured record. Its siblings are what an interval of a repeat can be scored on: by the interval
 score of its logarithm against the mean of the other siblings, over that of the ideal interval, which is as wide as the
-siblings scatter. 1 is ideal; too narrow and too wide intervals both have more. Beside it stand how many intervals hold
+siblings scatter. 1 is ideal; too narrow and too wide intervals both have more. Beside it stand how many intervals cover
 that mean, ``R``, the standard deviation between siblings over the median stated standard error, and the median width.
+
+Intervals are rows of a frame whose columns are the fields of :class:`bench.records.intervals.StatedInterval`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from bench.records.intervals import HALF, StatedInterval
-from bench.records.reading import Recording, Signal
-from bench.records.sets import MeasuredSet
+from bench.records.intervals import ENDS, HALF
 
 KINDS = {"repeat": "", "record": "record_", "white": "white_"}
 """Kinds of interval, and how the names of their ends begin."""
@@ -24,40 +24,7 @@ LEAST_END = 1e-3
 """An end below this part of the value, or below zero, counts as this: a logarithm is needed."""
 
 
-def pieces(recording: Recording, of: MeasuredSet) -> list[Recording]:
-    """A recording of a set, cut into its parts, thinned, each from time 0."""
-    scaled = [replace(s, times=s.times * of.time_scale) for s in recording.signals]
-    end = max(float(s.times[-1]) for s in scaled)
-    edges = np.linspace(0.0, end * (1.0 + 1e-12), of.parts + 1)
-    found = []
-    for i in range(of.parts):
-        cut = [_cut(s, float(edges[i]), float(edges[i + 1]), i + 1 == of.parts) for s in scaled]
-        start = min(float(s.times[0]) for s in cut)
-        thin = tuple(_thinned(replace(s, times=s.times - start), of) for s in cut)
-        found.append(replace(recording, signals=thin))
-    return found
-
-
-def _cut(signal: Signal, low: float, high: float, last: bool) -> Signal:
-    inside = (signal.times >= low) & ((signal.times <= high) if last else (signal.times < high))
-    return replace(signal, times=signal.times[inside], values=signal.values[inside])
-
-
-def _thinned(signal: Signal, of: MeasuredSet) -> Signal:
-    if signal.measures != "force":
-        return replace(signal, times=signal.times[:: of.thin], values=signal.values[:: of.thin])
-    n = signal.values.size // of.thin_force * of.thin_force
-    if of.thin_force == 1 or n == 0:
-        return signal
-    times, values = (
-        np.concatenate([own[:1], own[:n].reshape(-1, of.thin_force).mean(axis=1), own[-1:]])
-        for own in (signal.times, signal.values)
-    )
-    return replace(signal, times=times, values=values)
-
-
-@dataclass(frozen=True)
-class IntervalScore:
+class IntervalScore(NamedTuple):
     """How intervals of one kind do: ``score`` over the ideal's, how many are ``covered``, R, and the median width.
 
     ``width`` is the factor by which an interval reaches to either side of its value.
@@ -69,63 +36,23 @@ class IntervalScore:
     width: float = math.nan
 
 
-@dataclass(frozen=True)
-class SiblingAgreement:
-    """How siblings agree on one quantity, by kind of interval.
-
-    ``n`` answers stand, of which ``counted`` have intervals that can be compared and ``limits`` state one end only;
-    ``error`` is the median distance to the known value over it (%), NaN where nothing is known.
-    """
-
-    n: int
-    median: float
-    error: float
-    counted: int
-    limits: int
-    kinds: Mapping[str, IntervalScore]
-
-
-def agreement(stated: Sequence[StatedInterval], known: float | None = None) -> SiblingAgreement:
-    """Compare the siblings that have an answer that stands."""
-    values = np.array([own.value for own in stated])
-    compared = [own for own in stated if not own.limit and own.value > 0 and _bounded(own)]
-    compared = compared if len(compared) > 1 else []
-    error = math.nan
-    if known is not None and values.size:
-        error = 100.0 * float(np.median(np.abs(values - known))) / abs(known)
-    return SiblingAgreement(
-        n=len(stated),
-        median=float(np.median(values)) if values.size else math.nan,
-        error=error,
-        counted=len(compared),
-        limits=sum(bool(own.limit) for own in stated),
-        kinds={kind: interval_score_of(compared, kind) if compared else IntervalScore() for kind in KINDS},
-    )
-
-
-def _bounded(own: StatedInterval) -> bool:
-    return all(math.isfinite(end) for end in (own.low, own.high, own.white_low, own.white_high))
-
-
-def interval_score_of(stated: Sequence[StatedInterval], kind: str) -> IntervalScore:
+def interval_score(stated: pd.DataFrame, kind: str) -> IntervalScore:
     """Score the intervals of a kind of two or more siblings with positive values, on the scale of the logarithm."""
-    values = np.log([own.value for own in stated])
-    low, high = (
-        np.log([max(getattr(own, f"{KINDS[kind]}{end}"), LEAST_END * own.value) for own in stated])
-        for end in ("low", "high")
-    )
+    sizes = stated["value"].to_numpy(float)
+    ends = (stated[f"{KINDS[kind]}{end}"].to_numpy(float) for end in ("low", "high"))
+    values, (low, high) = np.log(sizes), (np.log(np.maximum(end, LEAST_END * sizes)) for end in ends)
     others = (np.sum(values) - values) / (values.size - 1)
     spread, half = float(np.std(values, ddof=1)), float(np.median(high - low)) / 2.0
-    ideal = _interval_scores(values - HALF * spread, values + HALF * spread, others)
+    ideal = _gneiting_raftery(values - HALF * spread, values + HALF * spread, others)
     return IntervalScore(
-        score=float(np.mean(_interval_scores(low, high, others)) / np.mean(ideal)) if spread > 0 else math.nan,
+        score=float(np.mean(_gneiting_raftery(low, high, others)) / np.mean(ideal)) if spread > 0 else math.nan,
         covered=int(np.sum((low <= others) & (others <= high))),
         ratio=HALF * spread / half if half > 0 else math.nan,
         width=math.exp(half),
     )
 
 
-def _interval_scores(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def _gneiting_raftery(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return the width of 95 % intervals, and forty times the distance by which they miss the truth.
 
     T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102:359, 2007, section 6.2.
@@ -134,33 +61,36 @@ def _interval_scores(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np
     return np.asarray(high - low + 2.0 / 0.05 * missed)
 
 
-@dataclass(frozen=True)
-class TotalScore:
-    """Agreements taken together: median and worst score, coverage, medians of R and of the width."""
+def compare_siblings(stated: pd.DataFrame, known: float | None = None) -> dict[str, Any]:
+    """Compare siblings whose answers for one quantity stand.
 
-    score: float
-    worst: float
-    covered: int
-    counted: int
-    ratio: float
-    width: float
-
-
-def total(agreements: Iterable[SiblingAgreement], kind: str = "repeat") -> TotalScore:
-    """Add the counts, and take medians over the agreements that have a score."""
-    several = [each for each in agreements if each.counted]
-    scores = [each.kinds[kind] for each in several]
-    finite = [each.score for each in scores if math.isfinite(each.score)]
-    return TotalScore(
-        score=_middle([each.score for each in scores]),
-        worst=max(finite, default=math.nan),
-        covered=sum(each.covered for each in scores),
-        counted=sum(each.counted for each in several),
-        ratio=_middle([each.ratio for each in scores]),
-        width=_middle([each.width for each in scores]),
-    )
+    Returns:
+        ``n`` answers with their median ``value``; ``error_pct``, the median distance to the known value over it, NaN
+        where nothing is known; how many are ``counted``, which have two ends that can be compared, and how many state
+        one end only (``limits``); and each field of :class:`IntervalScore` with the kind of interval behind it.
+    """
+    compared = stated[(stated["limit"] == "") & (stated["value"] > 0) & np.isfinite(stated[list(ENDS)]).all(axis=1)]
+    counted = len(compared) if len(compared) > 1 else 0
+    scores = {kind: interval_score(compared, kind) if counted else IntervalScore() for kind in KINDS}
+    return {
+        "n": len(stated),
+        "value": stated["value"].median(),
+        "error_pct": math.nan if known is None else 100.0 * (stated["value"] - known).abs().median() / abs(known),
+        **{f"{name}_{kind}": value for kind, score in scores.items() for name, value in score._asdict().items()},
+        "counted": counted,
+        "limits": int((stated["limit"] != "").sum()),
+    }
 
 
-def _middle(values: Sequence[float]) -> float:
-    finite = [value for value in values if math.isfinite(value)]
-    return float(np.median(finite)) if finite else math.nan
+def total(agreements: pd.DataFrame, kind: str) -> dict[str, float]:
+    """Take agreements together: median and worst score, sums of the counts, medians of R and of the width."""
+    several = agreements[agreements["counted"] > 0]
+    column = {name: several[f"{name}_{kind}"] for name in IntervalScore._fields}
+    return {
+        "score": column["score"].median(),
+        "worst": column["score"].max(),
+        "covered": column["covered"].sum(),
+        "counted": several["counted"].sum(),
+        "ratio": column["ratio"].median(),
+        "width": column["width"].median(),
+    }

@@ -1,4 +1,4 @@
-"""The measured track: every set, sibling and method fitted once, and stored as a file.
+"""The measured track: every set, sibling and method fitted once, and stored as rows of Table 11.
 
 A fit is stored under a digest of all that it depends on: the definition of its set, the bytes of its file, the system,
 the part of the record, and the method with all its settings.
@@ -9,68 +9,35 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from bench.config.records import primary_method
 from bench.config.schema import Job
 from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.records.find import find
-from bench.records.finding import Finding
 from bench.records.held_out import held_out_fit
 from bench.records.intervals import StatedInterval
 from bench.records.problem import Measured, read_measured, with_system
-from bench.records.reading import Recording, read_recording
+from bench.records.reading import Recording, Signal, read_recording
 from bench.records.request import Request, request_of
 from bench.records.sets import MeasuredSet
-from bench.records.siblings import pieces
+from bench.records.verdict import Trust
 from bench.store.results import read_result, write_result
 from bench.systems.sums import Sum
 
+ROWS = 1
+"""Version of the stored rows; what :meth:`MeasuredFit.rows` returns counts it up."""
 ANALYSES, ANALYSIS_S = 50.0, 3600.0
 """Limit of a fit with all its diagnostics: so many times the limit of the fit alone, and so many seconds more."""
-
-
-@dataclass(frozen=True)
-class TrackFit:
-    """One finished fit: what it is of, what was found, and how far to trust it.
-
-    ``estimates`` stand; ``withdrawn`` are those of an answer that is not to be trusted. ``held_out``: the fit (%) of
-    the last 40 % predicted from the first 60; ``offset``: of the sensor.
-    """
-
-    key: str
-    set: str
-    system: str
-    sibling: str
-    method: str
-    status: str
-    message: str
-    trust: str
-    reasons: tuple[str, ...]
-    wall_s: float
-    timeout_s: float
-    samples: int
-    estimates: Mapping[str, StatedInterval] = field(default_factory=dict)
-    withdrawn: Mapping[str, StatedInterval] = field(default_factory=dict)
-    held_out: float = math.nan
-    offset: float = math.nan
-
-    def as_json(self) -> str:
-        """Return the fit as JSON, with NaN as Python writes it."""
-        return json.dumps(asdict(self), sort_keys=True)
-
-    @staticmethod
-    def of_json(text: str | bytes) -> TrackFit:
-        """Return the fit of such a text."""
-        content = json.loads(text)
-        for name in ("estimates", "withdrawn"):
-            content[name] = {quantity: StatedInterval(**interval) for quantity, interval in content[name].items()}
-        return TrackFit(**{**content, "reasons": tuple(content["reasons"])})
+Row = dict[str, Any]
+"""A row of the table: a quantity of a fit with its intervals; of a fit without an answer there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +53,15 @@ class MeasuredFit:
     timeout_s: float
     size: int = 1
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Return a digest of all that the fit depends on but its limit of time."""
         settings = {name: str(value) for name, value in self.job.settings().items()}
+        method = self.job.config.method["name"]
         parts = [
-            self.name, self.of.definition(), self.request.system, self.sibling, self.recording.sha256,
-            self.job.config.method["name"], load_method(self.job.config.method["name"]).version, settings,
-            self.job.config.seed, [field.name for field in fields(StatedInterval)],
+            ROWS, [field.name for field in fields(StatedInterval)], self.name, self.of.definition(),
+            self.request.system, self.sibling, self.recording.sha256, method, load_method(method).version, settings,
+            self.job.config.seed,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
@@ -107,22 +75,56 @@ class MeasuredFit:
         """Return the limit of the fit with all its diagnostics, whose fits of replicas have limits of their own."""
         return ANALYSES * self.timeout_s + ANALYSIS_S
 
+    @property
+    def head(self) -> Row:
+        """Return what every row of the fit states."""
+        system, method = self.request.system, self.job.label
+        return {"set": self.name, "system": system, "sibling": self.sibling, "method": method}
+
+    def read(self, folder: Path) -> list[Row] | None:
+        """Return the stored rows; None where there are none, or the fit ran out of a shorter time than is allowed."""
+        content = read_result(folder, self.key)
+        rows: list[Row] | None = None if content is None else json.loads(content)
+        late = rows is not None and rows[0]["status"] == "timeout" and rows[0]["timeout_s"] < self.timeout_s
+        return None if late else rows
+
     def stored(self, folder: Path) -> bool:
-        """Return whether the fit is stored, and has not run out of a shorter time than is allowed now."""
-        fit = read_fit(folder, self.key)
-        return fit is not None and not (fit.status == "timeout" and fit.timeout_s < self.timeout_s)
+        """Return whether the rows are stored whole."""
+        return self.read(folder) is not None
 
     def compute(self, folder: Path) -> None:
         """Fit and store; raises InputError where the folder cannot be written."""
-        write_result(folder, self.key, fitted(self).as_json().encode())
+        write_result(folder, self.key, json.dumps(self.rows()).encode())
 
     def measured(self) -> Measured:
         """Return the sibling as a problem."""
         return described(self.of, self.request, self.recording)
 
+    def rows(self) -> list[Row]:
+        """Fit the sibling; return a row for each quantity, or one that says why there is none."""
+        head = {**self.head, "timeout_s": self.timeout_s}
+        try:
+            finding = find(self.job, self.measured())
+        except InputError as error:
+            return [{**head, "status": "refused", "message": str(error), "trust": Trust.NO.value, "withdrawn": 0}]
+        fit, outcome, held_out, offset = finding.fit, finding.outcome, math.nan, math.nan
+        if fit is not None:
+            with np.errstate(all="ignore"):
+                held_out = held_out_fit(fit)
+            offset = finding.channel_size * float(fit.model.offsets(fit.theta)[0])
+        head |= {
+            "status": outcome.status.value,
+            "trust": finding.trust.value,
+            "withdrawn": int(bool(finding.withdrawn)),
+        }
+        head |= {"held_out": held_out, "offset": offset, "wall_s": outcome.wall_s}
+        stated = finding.intervals or finding.withdrawn
+        quantities: list[Row] = [{"quantity": name, **asdict(interval)} for name, interval in stated.items()]
+        return [{**head, **quantity} for quantity in quantities or [{"message": outcome.message}]]
+
 
 def described(of: MeasuredSet, request: Request, recording: Recording) -> Measured:
-    """A recording as a problem of a set; raises InputError."""
+    """Return a recording as a problem of a set; raises InputError."""
     measured = read_measured(request, (recording,))
     system = measured.problem.system
     if isinstance(system, Sum) and of.bias_sign != system.bias_sign:
@@ -133,56 +135,43 @@ def described(of: MeasuredSet, request: Request, recording: Recording) -> Measur
 def tasks(
     name: str, of: MeasuredSet, methods: Sequence[str], data_root: Path | None, timeout_s: float
 ) -> Iterator[MeasuredFit]:
-    """The fits of a set, sibling by sibling; none where its files are not there. Raises InputError."""
-    siblings: list[tuple[str, Path, Recording]] = []
-    for path in of.paths(data_root):
-        options = request_of(of.overrides(of.systems[0], [primary_method()], path, timeout_s)).options
-        cut = pieces(read_recording(path, options), of)
-        siblings += [(f"{path.name} {i}/{len(cut)}", path, piece) for i, piece in enumerate(cut, 1)]
+    """Yield the fits of a set, sibling by sibling; none where its files are not there. Raises InputError."""
     for system in of.systems:
-        for label, path, recording in siblings:
-            request = request_of(of.overrides(system, list(methods), path, timeout_s))
-            for job in request.jobs:
-                yield MeasuredFit(name, of, request, job, label, recording, timeout_s)
+        for path in of.paths(data_root):
+            request = request_of(of.overrides(system, methods, path, timeout_s))
+            for i, piece in enumerate(pieces(read_recording(path, request.options), of), 1):
+                for job in request.jobs:
+                    sibling = f"{path.name} {i}/{of.parts}"
+                    yield MeasuredFit(name, of, request, job, sibling, piece, timeout_s)
 
 
-def read_fit(folder: Path, key: str) -> TrackFit | None:
-    """Return a stored fit; None where there is none, or it is damaged."""
-    content = read_result(folder, key)
-    return None if content is None else TrackFit.of_json(content)
+def pieces(recording: Recording, of: MeasuredSet) -> list[Recording]:
+    """Cut a recording of a set into its parts, thinned, each from time 0."""
+    end = of.time_scale * max(float(signal.times[-1]) for signal in recording.signals)
+    edges = np.linspace(0.0, end * (1.0 + 1e-12), of.parts + 1)
+    edges[-1] = np.inf
+    cut = []
+    for low, high in pairwise(edges):
+        part = []
+        for signal in recording.signals:
+            times = signal.times * of.time_scale
+            inside = (times >= low) & (times < high)
+            part.append(replace(signal, times=times[inside], values=signal.values[inside]))
+        start = min(float(signal.times[0]) for signal in part)
+        thinned = (_thinned(replace(signal, times=signal.times - start), of) for signal in part)
+        cut.append(replace(recording, signals=tuple(thinned)))
+    return cut
 
 
-def fitted(task: MeasuredFit) -> TrackFit:
-    """Fit a sibling."""
-    head = {
-        "key": task.key, "set": task.name, "system": task.request.system, "sibling": task.sibling,
-        "method": task.job.label, "timeout_s": task.timeout_s,
-    }  # fmt: skip
-    try:
-        finding = find(task.job, task.measured())
-    except InputError as error:
-        nothing = {"reasons": (), "wall_s": math.nan, "samples": 0}
-        return TrackFit(**head, status="refused", message=str(error), trust="do not trust", **nothing)  # type: ignore[arg-type]
-    with np.errstate(all="ignore"):
-        held_out = math.nan if finding.fit is None else held_out_fit(finding.fit)
-    return TrackFit(
-        **head,  # type: ignore[arg-type]
-        status=finding.outcome.status.value,
-        message=finding.outcome.message,
-        trust=finding.trust.value,
-        reasons=tuple(reason.text for reason in finding.reasons),
-        wall_s=finding.outcome.wall_s,
-        samples=finding.problem.n,
-        estimates=dict(finding.intervals),
-        withdrawn=dict(finding.withdrawn),
-        held_out=held_out,
-        offset=_offset(finding),
+def _thinned(signal: Signal, of: MeasuredSet) -> Signal:
+    """Keep some samples of a motion, means of some of a force and its ends."""
+    if signal.measures != "force":
+        return replace(signal, times=signal.times[:: of.thin], values=signal.values[:: of.thin])
+    n = signal.values.size // of.thin_force * of.thin_force
+    if of.thin_force == 1 or n == 0:
+        return signal
+    times, values = (
+        np.concatenate([samples[:1], samples[:n].reshape(-1, of.thin_force).mean(axis=1), samples[-1:]])
+        for samples in (signal.times, signal.values)
     )
-
-
-def _offset(finding: Finding) -> float:
-    """Of the first channel, in the user's units."""
-    at = finding.fit
-    if at is None:
-        return math.nan
-    return finding.channel_size * float(at.model.offsets(at.theta)[0])
+    return replace(signal, times=times, values=values)

@@ -3,41 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
-import numpy as np
+import pandas as pd
 
 from bench.config.records import primary_method
 from bench.contract.belief import standard_quantile
-from bench.records.intervals import ENDS, StatedInterval
+from bench.records.intervals import ENDS
 from bench.records.sets import Known, MeasuredSet
-from bench.records.siblings import KINDS, SiblingAgreement, TotalScore, agreement, total
-from bench.records.track import TrackFit
+from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total
+from bench.records.verdict import Trust
 from bench.reporting.rounding import number, readable
-from bench.reporting.tables.render import csv, markdown_table
+from bench.reporting.tables.render import Columns, Rows, files, listing
 
 MAIN = ("k_over_m", "c_over_m")
-CERTIFIED = "mgh17"
-CERTIFIED_DOF = 28
 SAME = 1e-3
 """Widths that differ by less agree to three digits."""
-VERDICTS = ("trust", "use with caution", "do not trust")
-SCORES = ("score", "covered", "ratio", "width")
+MISSING = "not made yet"
+"""Status of a fit that the store lacks."""
+SCORES = tuple(f"{name}_{kind}" for kind in KINDS for name in IntervalScore._fields)
 COLUMNS = (
-    "set", "system", "method", "quantity", "sibling", "status", "trust", *ENDS, "limit", "known", "error_pct",
-    *(f"{name}_{kind}" for kind in KINDS for name in SCORES), "counted", "limits", "withdrawn", "held_out", "wall_s",
+    "set", "system", "method", "quantity", "sibling", "status", "trust", *ENDS, "limit", "known", "error_pct", *SCORES,
+    "counted", "limits", "withdrawn", "held_out", "wall_s", "message",
 )  # fmt: skip
 HEAD = """# Table 11. The measured track
 
-Real records, cut into siblings or repeated, fitted by each method without a prior, the start and a sensor's offset
-unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
+Real records, cut into siblings or repeated, fitted by each method without a prior, the initial state and a sensor's
+offset unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
 **score**: interval score (T. Gneiting, A. E. Raftery) of the logarithm's interval of a repeat against the mean of
 the other siblings, over that of the ideal interval, which is as wide as the siblings scatter: one is ideal, and neither
 too narrow nor too wide intervals pay. **R**: standard deviation between siblings over the median stated standard error;
-one is right, above it the statement is too narrow. **cov.**: how many siblings' intervals hold the mean of the other
+one is right, above it the statement is too narrow. **cov.**: how many siblings' intervals cover the mean of the other
 siblings. **x/÷**: the median factor by which the interval reaches to either side. In brackets the same for the interval
 assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median distance to
 what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %, predicted
@@ -45,296 +44,257 @@ from a fit of the first 60 % (median). **verdicts**: answers by trust / use with
 withdrawn: it has no interval and counts in no score. Parts of a decay have other amplitudes and differ by what the
 named system leaves out, more than repeats of the whole record would."""
 
-FREE_RUN = "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
-
 
 @dataclass(frozen=True, eq=False)
 class TrackPanel:
-    """A set with one system: its fits, and what is said where there are none."""
+    """A set described by a system.
+
+    ``rows``: of its fits (:mod:`bench.records.track`); one with the status :data:`MISSING` is of a fit that was asked
+    for, and one without a method has a status that says why the set is absent. ``free_runs``: models with their errors
+    over the test parts.
+    """
 
     name: str
     of: MeasuredSet
     system: str
-    fits: Sequence[TrackFit] = ()
-    absent: str = ""
+    rows: pd.DataFrame
+    free_runs: Sequence[tuple[str, Sequence[float]]] = ()
+
+    @staticmethod
+    def of_rows(name: str, of: MeasuredSet, system: str, rows: Sequence[Mapping[str, Any]]) -> TrackPanel:
+        """Return the panel of the rows of its fits."""
+        frame = pd.DataFrame(rows, columns=[*COLUMNS, "offset"]).assign(set=name, system=system)
+        return TrackPanel(name, of, system, frame)
 
     @property
-    def methods(self) -> list[str]:
-        return list(dict.fromkeys(fit.method for fit in self.fits))
+    def absent(self) -> str:
+        """The reason why there are no fits; empty where there are."""
+        return str(self.rows["status"].iloc[0]) if self.rows["method"].isna().all() else ""
 
-    def own(self, method: str) -> list[TrackFit]:
-        """The fits of a method."""
-        return [fit for fit in self.fits if fit.method == method]
+    @cached_property
+    def standing(self) -> pd.DataFrame:
+        """The rows of answers that are not withdrawn."""
+        return self.rows[self.rows["quantity"].notna() & (self.rows["withdrawn"] == 0)]
+
+    @cached_property
+    def fits(self) -> pd.DataFrame:
+        """A row for each fit that was made."""
+        return self.rows[self.rows["trust"].notna()].drop_duplicates(["method", "sibling"])
 
     @property
     def quantities(self) -> list[str]:
-        """What the table shows: the main ratios, and what is known."""
-        there = {name for fit in self.fits for name in (*fit.estimates, *fit.withdrawn)}
-        return [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in there]
+        """The main ratios, and what is known, as far as there are answers."""
+        answered = set(self.rows["quantity"])
+        return [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in answered]
 
-    def agreement(self, method: str, quantity: str) -> SiblingAgreement:
-        """Of the siblings whose answer stands."""
-        found = [fit.estimates[quantity] for fit in self.own(method) if quantity in fit.estimates]
-        known = self.of.known.get(quantity)
-        return agreement(found, known.value if known else None)
+    def by_method(self) -> list[MethodFits]:
+        """Return the fits that were made, method by method."""
+        return [MethodFits(self, method) for method in self.fits["method"].unique()]
+
+    @cached_property
+    def agreements(self) -> pd.DataFrame:
+        """How siblings agree, a row for each method and quantity."""
+        rows = []
+        for fits in self.by_method():
+            withdrawn = fits.made["withdrawn"].sum()
+            head = {"set": self.name, "system": self.system, "method": fits.method, "sibling": "all"}
+            for name in self.quantities:
+                known = self.of.known[name].value if name in self.of.known else None
+                rows.append({**head, "quantity": name, "known": known, "withdrawn": withdrawn, **fits.agreement(name)})
+        return pd.DataFrame(rows, columns=COLUMNS)
 
 
 @dataclass(frozen=True)
-class FreeRun:
-    """Errors of a model over the test parts of a set, in thousandths of the record's unit."""
+class MethodFits:
+    """The fits of a panel by a method."""
 
-    set: str
-    model: str
-    errors: tuple[float, ...]
-    source: str = "simulated here"
+    panel: TrackPanel
+    method: str
 
+    @property
+    def made(self) -> pd.DataFrame:
+        """A row for each fit."""
+        return self.panel.fits[self.panel.fits["method"] == self.method]
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """All that the table shows; ``missing`` fits were asked for and are not made yet."""
-
-    panels: Sequence[TrackPanel]
-    free_runs: Sequence[FreeRun] = field(default_factory=list)
-    missing: int = 0
-
-    def total(self, quantity: str, kind: str, methods: Sequence[str] | None = None) -> TotalScore:
-        """Take agreements on a quantity over all panels with siblings together, of some methods or all."""
-        return total(
-            (
-                panel.agreement(method, quantity)
-                for panel in self.panels
-                for method in panel.methods
-                if methods is None or method in methods
-            ),
-            kind,
-        )
+    def agreement(self, quantity: str) -> dict[str, Any]:
+        """Compare the siblings whose answer stands."""
+        stands = self.panel.standing
+        known = self.panel.of.known.get(quantity)
+        answers = stands[(stands["method"] == self.method) & (stands["quantity"] == quantity)]
+        return compare_siblings(answers, known.value if known else None)
 
 
-def track_table(track: Track, command: str) -> Mapping[str, str]:
-    """The files of the table by name."""
-    return {"table11.md": markdown(track, command), "table11.csv": csv(lines(track), columns=COLUMNS)}
-
-
-def markdown(track: Track, command: str) -> str:
-    """The table for reading."""
-    parts = [HEAD, summary(track), "## All sets", markdown_table(*overview(track))]
-    for panel in track.panels:
-        parts += _panel(panel, track.free_runs)
+def track_table(panels: Sequence[TrackPanel], command: str) -> Mapping[str, str]:
+    """Return the files of the table by name."""
+    parts: list[str | Rows] = [HEAD, summary(panels), "## All sets", overview(panels)]
+    for panel in panels:
+        parts += _section(panel)
     parts.append(f"Every sibling's values and intervals are in the CSV. Regenerate: `{command}`")
-    return "\n\n".join(parts) + "\n"
+    frames = pd.concat([frame for panel in panels for frame in (panel.rows, panel.agreements)])
+    by_method = frames.groupby(["set", "system", "method"], sort=False, dropna=False)
+    return files("table11", parts, [line for _, rows in by_method for line in rows.to_dict("records")], COLUMNS)
 
 
-# ------------------------------------------------------------------------------------------------ totals
+def _section(panel: TrackPanel) -> list[str | Rows]:
+    """Return what a set is, the tables of its fits, and what others state."""
+    of, heading = panel.of, f"## {panel.name}, {panel.system}"
+    note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
+    parts: list[str | Rows] = [heading, f"{of.title}. {of.source}; licence: {of.licence}.{note}"]
+    if panel.absent:
+        return [*parts, f"{panel.absent}."]
+    parts.append(method_rows(panel))
+    if of.known:
+        stated = [f"{readable(name)} {known.value:.6g} ({known.source})" for name, known in of.known.items()]
+        parts.append(f"Known: {'; '.join(stated)}.")
+    if any(known.sd for known in of.known.values()):
+        parts += ["Against the certified values:", certified_rows(panel)]
+    if panel.free_runs:
+        runs = [[model, *map(number, errors), "simulated here"] for model, errors in panel.free_runs]
+        runs += [[run.model, *map(number, run.errors), f"quoted: {run.source}"] for run in of.quoted]
+        parts.append("Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):")
+        parts.append((runs, ["model", *of.tests, "where from"]))
+    return parts
 
 
-def summary(track: Track) -> str:
-    """The totals in sentences."""
-    found = []
-    for who, methods in ((f"{primary_method()} alone", [primary_method()]), ("All methods", None)):
+def summary(panels: Sequence[TrackPanel]) -> str:
+    """Return the totals in sentences."""
+    agreements, rows = pd.concat([p.agreements for p in panels]), pd.concat([p.rows for p in panels])
+    primary, lines = agreements["method"] == primary_method(), []
+    for who, some in ((f"{primary_method()} alone", agreements[primary]), ("All methods", agreements)):
         for name in MAIN:
-            totals = {kind: track.total(name, kind, methods) for kind in KINDS}
-            if totals["repeat"].counted:
-                said = "; ".join(f"{kind} {_total(one)}" for kind, one in totals.items())
-                found.append(f"- {who}, {readable(name)}: {said}.")
-    fits = [fit for panel in track.panels for fit in panel.fits]
-    counts, silent = _verdicts(fits), sum(fit.status != "ok" for fit in fits)
-    verdicts = ", ".join(f"{counts[word]} {word}" for word in VERDICTS)
-    found.append(f"- {len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn).")
-    found += [f"- {track.missing} fits are not made yet: the same command makes them."] if track.missing else []
-    found += [f"- {panel.name}: {panel.absent}" for panel in track.panels if panel.absent]
-    return "\n".join(found)
+            named = some[some["quantity"] == name]
+            totals = [f"{kind} {_total(total(named, kind))}" for kind in KINDS if named["counted"].any()]
+            lines += [f"- {who}, {readable(name)}: {'; '.join(totals)}."] if totals else []
+    fits = pd.concat([panel.fits for panel in panels])
+    silent, missing = (fits["status"] != "ok").sum(), (rows["status"] == MISSING).sum()
+    verdicts = ", ".join(f"{n} {verdict}" for verdict, n in _verdicts(fits).items())
+    lines.append(f"- {len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn).")
+    lines += [f"- {missing} fits are not made yet: the same command makes them."] if missing else []
+    return "\n".join([*lines, *(f"- {panel.name}: {panel.absent}" for panel in panels if panel.absent)])
 
 
-def _verdicts(fits: Sequence[TrackFit]) -> Counter[str]:
-    """How many answers have each verdict."""
-    return Counter(fit.trust for fit in fits if fit.status == "ok")
+def _verdicts(fits: pd.DataFrame) -> dict[str, int]:
+    """Count the answers of each verdict."""
+    answered = fits["status"] == "ok"
+    return {verdict.value: int((answered & (fits["trust"] == verdict.value)).sum()) for verdict in Trust}
 
 
-def _total(one: TotalScore) -> str:
+def _total(scores: Mapping[str, float]) -> str:
+    covered, counted = scores["covered"], scores["counted"]
     return (
-        f"score {number(one.score)} in the median and {number(one.worst)} at worst, {_share(one.covered, one.counted)} "
-        f"covered, R {number(one.ratio)}, x/÷ {one.width:.3f}"
+        f"score {number(scores['score'])} in the median and {number(scores['worst'])} at worst, {covered}/{counted} "
+        f"({covered / counted:.0%}) covered, R {number(scores['ratio'])}, x/÷ {scores['width']:.3f}"
     )
 
 
-def _share(part: int, whole: int) -> str:
-    return f"{part}/{whole} ({part / whole:.0%})" if whole else "-"
+# ------------------------------------------------------------------------------------------------ tables
 
 
-def overview(track: Track) -> tuple[list[list[str]], list[str]]:
-    """One row a set and system: shooting's, and all methods' together."""
-    headers = ["set", "system", "siblings"]
-    headers += [f"{readable(name)} {what}" for name in MAIN for what in (*CELLS, "score, all methods")]
-    headers += ["held-out %"]
-    rows = []
-    for panel in track.panels:
-        row = [panel.name, panel.system]
-        if panel.absent:
-            rows.append([*row, panel.absent, *[""] * (len(headers) - 3)])
-            continue
-        row.append(str(len({fit.sibling for fit in panel.fits})))
-        for name in MAIN:
-            pooled = [
-                total((panel.agreement(m, name) for m in panel.methods), kind).score for kind in ("repeat", "white")
-            ]
-            row += [*_cells(panel.agreement(primary_method(), name)), _beside(*pooled)]
-        rows.append([*row, _median([fit.held_out for fit in panel.own(primary_method())])])
-    return rows, headers
+def overview(panels: Iterable[TrackPanel]) -> Rows:
+    """Return a row for each panel: the primary method's scores, and all methods' together."""
+    columns: dict[str, Callable[[TrackPanel], str]] = {
+        "set": lambda panel: panel.name,
+        "system": lambda panel: panel.system,
+        "siblings": lambda panel: panel.absent or str(panel.fits["sibling"].nunique()),
+    }
+    for name in MAIN:
+        columns |= {
+            heading: lambda panel, show=show: show(MethodFits(panel, primary_method()))  # type: ignore[misc]
+            for heading, show in _agreement(name).items()
+        }
+        columns[f"{readable(name)} score, all methods"] = partial(_pooled, name)
+    columns["held-out %"] = lambda panel: _median(MethodFits(panel, primary_method()), "held_out")
+    return listing(panels, columns)
 
 
-CELLS = ("score", "R", "cov.", "x/÷")
+def _pooled(quantity: str, panel: TrackPanel) -> str:
+    of_all = panel.agreements[panel.agreements["quantity"] == quantity]
+    return _beside("score", number, {f"score_{kind}": total(of_all, kind)["score"] for kind in KINDS})
 
 
-def _cells(one: SiblingAgreement) -> list[str]:
-    """The cells :data:`CELLS` of an agreement: of a repeat, and assuming white noise."""
-    if not one.counted:
-        return [f"{one.limits} limits" if one.limits else "-", *["-"] * (len(CELLS) - 1)]
-    repeat, white = one.kinds["repeat"], one.kinds["white"]
-    covered = f"{repeat.covered}/{one.counted} ({white.covered}/{one.counted})"
-    covered += f", {one.limits} limits" if one.limits else ""
-    width = f"{repeat.width:.3f} ({white.width:.3f})"
-    return [_beside(repeat.score, white.score), _beside(repeat.ratio, white.ratio), covered, width]
+def method_rows(panel: TrackPanel) -> Rows:
+    """Return a row for each method: how the siblings agree on each quantity, then time and verdicts."""
+    columns: dict[str, Callable[[MethodFits], str]] = {"method": lambda fits: fits.method}
+    for name in panel.quantities:
+        columns[readable(name)] = partial(_answer, name, "value", "{:.5g}")
+        if name in panel.of.known:
+            columns[f"{readable(name)} error"] = partial(_answer, name, "error_pct", "{:.3g} %")
+        columns |= _agreement(name)
+    columns |= {
+        "held-out %": lambda fits: _median(fits, "held_out"),
+        "s": lambda fits: _median(fits, "wall_s"),
+        "verdicts": lambda fits: " / ".join(map(str, _verdicts(fits.made).values())),
+        "without an answer": _failures,
+    }
+    return listing(panel.by_method(), columns)
 
 
-def _beside(repeat: float, white: float) -> str:
-    return f"{number(repeat)} ({number(white)})" if math.isfinite(repeat) else "-"
+def _answer(quantity: str, what: str, text: str, fits: MethodFits) -> str:
+    agreed = fits.agreement(quantity)
+    return text.format(agreed[what]) if agreed["n"] else "-"
 
 
-def _median(values: Sequence[float]) -> str:
-    finite = [value for value in values if math.isfinite(value)]
-    return number(float(np.median(finite))) if finite else "-"
+def _agreement(quantity: str) -> Columns[MethodFits]:
+    """Return columns of how siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
+    cells: Columns[Mapping[str, Any]] = {
+        "score": partial(_beside, "score", number),
+        "R": partial(_beside, "ratio", number),
+        "cov.": _covered,
+        "x/÷": partial(_beside, "width", "{:.3f}".format),
+    }
+    return {f"{readable(quantity)} {what}": partial(_cell, quantity, show) for what, show in cells.items()}
 
 
-# ------------------------------------------------------------------------------------------------ a set
+def _cell(quantity: str, show: Callable[[Mapping[str, Any]], str], fits: MethodFits) -> str:
+    return show(fits.agreement(quantity))
 
 
-def origin(panel: TrackPanel) -> str:
-    """What a set is, where it is from, and what was done to it."""
-    of = panel.of
-    note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
-    return f"{of.title}. {of.source}; licence: {of.licence}.{note}"
+def _beside(name: str, text: Callable[[float], str], agreed: Mapping[str, Any]) -> str:
+    repeat, white = agreed[f"{name}_repeat"], agreed[f"{name}_white"]
+    return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else "-"
 
 
-def known_values(panel: TrackPanel) -> str:
-    """What others state, in a sentence."""
-    known = [f"{readable(name)} {one.value:.6g} ({one.source})" for name, one in panel.of.known.items()]
-    return f"Known: {'; '.join(known)}."
+def _covered(agreed: Mapping[str, Any]) -> str:
+    counted, limits = agreed["counted"], agreed["limits"]
+    parts = [f"{agreed['covered_repeat']}/{counted} ({agreed['covered_white']}/{counted})"] if counted else []
+    return ", ".join([*parts, f"{limits} limits"] if limits else parts) or "-"
 
 
-def _panel(panel: TrackPanel, runs: Sequence[FreeRun]) -> list[str]:
-    of = panel.of
-    said = origin(panel)
-    heading = f"## {panel.name}, {panel.system}"
-    if panel.absent:
-        return [heading, said, f"{panel.absent}."]
-    parts = [heading, said, markdown_table(*method_rows(panel))]
-    if of.known:
-        parts.append(known_values(panel))
-    if panel.name == CERTIFIED:
-        parts += ["Against the certified values:", markdown_table(*certified_rows(panel))]
-    free = free_runs(panel, runs)
-    return [*parts, FREE_RUN, markdown_table(*free)] if free else parts
+def _median(fits: MethodFits, name: str) -> str:
+    return number(fits.made[name].median())
 
 
-def free_runs(panel: TrackPanel, runs: Sequence[FreeRun]) -> tuple[list[list[str]], list[str]] | None:
-    """The models of a panel simulated over its test parts, and what others have published; None where nothing is."""
-    own = [run for run in runs if run.set == f"{panel.name} {panel.system}"]
-    if not own:
-        return None
-    quoted = [FreeRun("", one.model, tuple(one.errors), f"quoted: {one.source}") for one in panel.of.quoted]
-    rows = [[one.model, *(number(error) for error in one.errors), one.source] for one in [*own, *quoted]]
-    return rows, ["model", *panel.of.tests, "where from"]
+def _failures(fits: MethodFits) -> str:
+    status = fits.made["status"]
+    return ", ".join(f"{n} {name}" for name, n in status[status != "ok"].value_counts(sort=False).items())
 
 
-def method_rows(panel: TrackPanel) -> tuple[list[list[str]], list[str]]:
-    """One row a method: of each quantity the median over siblings and how they agree, then time and verdicts."""
-    quantities, rows = panel.quantities, []
-    for method in panel.methods:
-        own, row = panel.own(method), [method]
-        for name in quantities:
-            one = panel.agreement(method, name)
-            row.append(f"{one.median:.5g}" if one.n else "-")
-            if name in panel.of.known:
-                row.append(f"{number(one.error)} %" if one.n else "-")
-            row += _cells(one)
-        counts = _verdicts(own)
-        verdicts = " / ".join(str(counts[word]) for word in VERDICTS)
-        rows.append([*row, _median([f.held_out for f in own]), _median([f.wall_s for f in own]), verdicts, _why(own)])
-    headers = ["method"]
-    for name in quantities:
-        error = ["error"] if name in panel.of.known else []
-        headers += [f"{readable(name)} {what}".rstrip() for what in ("", *error, *CELLS)]
-    return rows, [*headers, "held-out %", "s", "verdicts", "without an answer"]
-
-
-def _why(own: Sequence[TrackFit]) -> str:
-    counts = Counter(fit.status for fit in own if fit.status != "ok")
-    return ", ".join(f"{n} {status}" for status, n in counts.items())
-
-
-def certified_rows(panel: TrackPanel) -> tuple[list[list[str]], list[str]]:
-    """Digits of the value, and the white interval over Student's t times the certified standard deviation."""
-    rows = []
-    for fit in panel.fits:
-        row = [fit.method]
-        for name in MAIN:
-            known, one = panel.of.known[name], {**fit.withdrawn, **fit.estimates}.get(name)
-            row += ["-", "-"] if one is None else [number(digits(one, known)), _width(one, known)]
+def certified_rows(panel: TrackPanel) -> Rows:
+    """Return for each fit digits of the certified values, and its white interval over the certified one."""
+    certified, rows = {name: known for name, known in panel.of.known.items() if known.sd}, []
+    for fit in panel.fits.itertuples():
+        answers = panel.rows[(panel.rows["method"] == fit.method) & (panel.rows["sibling"] == fit.sibling)]
+        stated = answers.set_index("quantity")[list(ENDS)].to_dict("index")
+        row = [str(fit.method)]
+        for name, known in certified.items():
+            row += [number(digits(stated[name], known)), _width(stated[name], known)] if name in stated else ["-", "-"]
         rows.append(row)
-    headers = [f"{readable(name)} {what}" for name in MAIN for what in ("digits", "white interval, over certified")]
-    return rows, ["method", *headers]
+    headers = ("digits", "white interval, over certified")
+    return rows, ["method", *(f"{readable(name)} {header}" for name in certified for header in headers)]
 
 
-def digits(one: StatedInterval, known: Known) -> float:
-    """Digits of a value that match: minus the decimal logarithm of its relative error."""
-    return -math.log10(max(abs(one.value / known.value - 1.0), 1e-15))
+def digits(stated: Mapping[str, Any], known: Known) -> float:
+    """Compute how many digits of a value match: minus the decimal logarithm of its relative error."""
+    return -math.log10(max(abs(stated["value"] / known.value - 1.0), 1e-15))
 
 
-def certified_ratio(one: StatedInterval, known: Known) -> float:
-    """Half of the white interval over Student's t, 28 degrees of freedom, times the certified standard deviation."""
+def certified_ratio(stated: Mapping[str, Any], known: Known) -> float:
+    """Compute half of the white interval over Student's t times the certified standard deviation."""
     assert known.sd is not None
-    return (one.white_high - one.white_low) / 2.0 / (float(standard_quantile(0.975, CERTIFIED_DOF)) * known.sd)
+    quantile = float(standard_quantile(0.975, known.dof))
+    return float((stated["white_high"] - stated["white_low"]) / 2.0 / (quantile * known.sd))
 
 
-def _width(one: StatedInterval, known: Known) -> str:
-    ratio = certified_ratio(one, known)
+def _width(stated: Mapping[str, Any], known: Known) -> str:
+    ratio = certified_ratio(stated, known)
     return f"{ratio:.4f}, {'the same' if abs(ratio - 1.0) < SAME else 'other'} to three digits"
-
-
-# ------------------------------------------------------------------------------------------------ the tidy table
-
-
-def lines(track: Track) -> list[dict[str, Any]]:
-    """One line a sibling and quantity, one a set and quantity (sibling ``all``), and one for a set that is absent."""
-    return [line for panel in track.panels for line in _lines(panel)]
-
-
-def _lines(panel: TrackPanel) -> list[dict[str, Any]]:
-    head = {"set": panel.name, "system": panel.system}
-    if panel.absent:
-        return [{**head, "status": panel.absent}]
-    found: list[dict[str, Any]] = []
-    for method in panel.methods:
-        for fit in panel.own(method):
-            what = {"sibling": fit.sibling, "status": fit.status, "trust": fit.trust}
-            both = {**fit.withdrawn, **fit.estimates}
-            more = {"withdrawn": int(bool(fit.withdrawn)), "held_out": fit.held_out, "wall_s": fit.wall_s}
-            found += [
-                {**head, "method": method, "quantity": name, **what, **_stated(one), **more}
-                for name, one in both.items()
-            ] or [{**head, "method": method, **what, **more}]
-        withdrawn = sum(bool(fit.withdrawn) for fit in panel.own(method))
-        for name in panel.quantities:
-            one, known = panel.agreement(method, name), panel.of.known.get(name)
-            scores = {f"{what}_{kind}": getattr(own, what) for kind, own in one.kinds.items() for what in SCORES}
-            line = {
-                **head, "method": method, "quantity": name, "sibling": "all", "value": one.median,
-                "known": known.value if known else None, "error_pct": one.error, **scores,
-                "counted": one.counted, "limits": one.limits, "withdrawn": withdrawn,
-            }  # fmt: skip
-            found.append(line)
-    return found
-
-
-def _stated(own: StatedInterval) -> dict[str, Any]:
-    return {name: getattr(own, name) for name in (*ENDS, "limit")}

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
-import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bench import InputError
 from bench.commands.declaration import read_arguments
 from bench.commands.measured_track import measured
 from bench.engine import pool
-from bench.records.free_run import free_run_error, part_problem
+from bench.records.free_run import free_run_error, free_runs, part_problem
 from bench.records.intervals import StatedInterval
 from bench.records.reading import Recording, Signal
-from bench.records.sets import MeasuredSet, measured_set, set_names
-from bench.records.siblings import agreement, pieces, total
-from bench.records.track import TrackFit, tasks
-from bench.reporting.tables.track_table import Track, TrackPanel, certified_ratio, digits, lines, markdown
-from bench.reporting.track.page import page
+from bench.records.sets import Known, MeasuredSet, measured_set, set_names
+from bench.records.siblings import compare_siblings, total
+from bench.records.track import pieces, tasks
+from bench.reporting.tables.track_table import MethodFits, TrackPanel, certified_ratio, digits, track_table
 from bench.store.results import write_result
 
 HALF = 1.959964
@@ -37,10 +38,15 @@ def stated(value: float, error: float, white: float) -> StatedInterval:
     return StatedInterval(value, *ends, "")
 
 
-def fit(sibling: str, one: StatedInterval, trust: str = "trust") -> TrackFit:
-    where = "withdrawn" if trust == "do not trust" else "estimates"
-    found = {where: {"k_over_m": one}}
-    return TrackFit(sibling, "s", "sdof", sibling, "ls", "ok", "", trust, (), 1.0, 60.0, 10, **found, held_out=90.0)
+def frame(*intervals: StatedInterval) -> pd.DataFrame:
+    """The answers of siblings."""
+    return pd.DataFrame([asdict(interval) for interval in intervals])
+
+
+def row(sibling: str, interval: StatedInterval, trust: str = "trust") -> dict[str, Any]:
+    """The row of a fit that states k/m."""
+    head = {"sibling": sibling, "method": "ls", "status": "ok", "trust": trust, "quantity": "k_over_m"}
+    return {**head, "withdrawn": int(trust == "do not trust"), "held_out": 90.0, "wall_s": 1.0, **asdict(interval)}
 
 
 def test_siblings_that_scatter_as_stated() -> None:
@@ -49,50 +55,59 @@ def test_siblings_that_scatter_as_stated() -> None:
     An interval of half-width h about the value scores ``2 h + 40 max(d - h, 0)`` at a distance d from the mean, 1.5, 0
     and 1.5 here: 2 h of the ideal one with h = 1.96, and ``0.98 + (2/3) 40 (1.5 - 0.49)`` of the white one.
     """
-    found = agreement([stated(math.exp(v), 1.0, 0.25) for v in (0.0, 1.0, 2.0)], known=2 * math.e)
-    repeat, white = found.kinds["repeat"], found.kinds["white"]
-    assert (repeat.ratio, white.ratio) == (pytest.approx(1.0, rel=1e-5), pytest.approx(4.0, rel=1e-5))
-    assert (repeat.covered, white.covered, found.counted) == (3, 1, 3)
-    assert repeat.score == pytest.approx(1.0, rel=1e-6)
-    assert white.score == pytest.approx((0.98 + 2 / 3 * 40 * (1.5 - 0.49)) / 3.92, rel=1e-3)
-    assert white.width == pytest.approx(math.exp(0.49), rel=1e-3)
-    assert (found.median, found.error) == (pytest.approx(math.e), pytest.approx(50.0))
+    found = compare_siblings(frame(*(stated(math.exp(v), 1.0, 0.25) for v in (0.0, 1.0, 2.0))), known=2 * math.e)
+    assert (found["ratio_repeat"], found["ratio_white"]) == pytest.approx((1.0, 4.0), rel=1e-5)
+    assert (found["covered_repeat"], found["covered_white"], found["counted"]) == (3, 1, 3)
+    assert found["score_repeat"] == pytest.approx(1.0, rel=1e-6)
+    assert found["score_white"] == pytest.approx((0.98 + 2 / 3 * 40 * (1.5 - 0.49)) / 3.92, rel=1e-3)
+    assert found["width_white"] == pytest.approx(math.exp(0.49), rel=1e-3)
+    assert (found["value"], found["error_pct"]) == pytest.approx((math.e, 50.0))
 
 
 def test_one_sibling_alone_is_not_compared() -> None:
-    found = agreement([stated(9.0, 1.0, 1.0)])
-    assert found.counted == 0
-    assert math.isnan(found.kinds["repeat"].ratio)
-    assert math.isnan(found.error)
+    found = compare_siblings(frame(stated(9.0, 1.0, 1.0)))
+    assert found["counted"] == 0
+    assert math.isnan(found["ratio_repeat"])
+    assert math.isnan(found["error_pct"])
 
 
 def test_an_answer_without_an_interval_states_nothing_and_a_limit_is_counted() -> None:
     nothing = StatedInterval(100.0, *[math.nan] * 6, "")
     limit = StatedInterval(1.0, 0.0, 4.0, 0.0, 4.0, 0.1, 10.0, "", "at most")
-    found = agreement([stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing, limit])
-    assert (found.n, found.counted, found.limits, found.kinds["repeat"].covered) == (4, 2, 1, 2)
+    found = compare_siblings(frame(stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing, limit))
+    assert [found[name] for name in ("n", "counted", "limits", "covered_repeat")] == [4, 2, 1, 2]
 
 
 def test_totals_add_counts_and_take_medians() -> None:
-    good = agreement([stated(math.exp(v), 1.0, 1.0) for v in (0.0, 1.0, 2.0)])
-    bad = agreement([stated(math.exp(v), 0.1, 0.1) for v in (0.0, 2.0)])
-    found = total([good, bad, agreement([])])
-    assert (found.covered, found.counted) == (3, 5)
-    assert found.ratio == pytest.approx((1.0 + 2 / np.sqrt(2) / 0.1) / 2.0, rel=1e-5)
-    assert found.worst == bad.kinds["repeat"].score
-    assert found.score == pytest.approx((1.0 + found.worst) / 2.0)
+    good = compare_siblings(frame(*(stated(math.exp(v), 1.0, 1.0) for v in (0.0, 1.0, 2.0))))
+    bad = compare_siblings(frame(*(stated(math.exp(v), 0.1, 0.1) for v in (0.0, 2.0))))
+    found = total(pd.DataFrame([good, bad, compare_siblings(frame(stated(1.0, 1.0, 1.0)))]), "repeat")
+    assert (found["covered"], found["counted"]) == (3, 5)
+    assert found["ratio"] == pytest.approx((1.0 + 2 / np.sqrt(2) / 0.1) / 2.0, rel=1e-5)
+    assert found["worst"] == bad["score_repeat"]
+    assert found["score"] == pytest.approx((1.0 + found["worst"]) / 2.0)
+
+
+def lines(files: Any) -> list[dict[str, str]]:
+    """The lines of the table's CSV."""
+    return list(csv.DictReader(io.StringIO(files["table11.csv"])))
 
 
 def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
-    of = MeasuredSet(**TINY)
-    fits = [fit(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
-    panel = TrackPanel("s", of, "sdof", fits)
-    assert panel.agreement("ls", "k_over_m").counted == 2
-    text = markdown(Track([panel]), "again")
-    assert "2 / 0 / 1" in text
-    assert "score" in text
-    assert "2 trust, 0 use with caution, 1 do not trust (withdrawn)" in text
-    assert [line["withdrawn"] for line in lines(Track([panel])) if line["sibling"] == "all"] == [1]
+    rows = [row(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
+    panel = TrackPanel.of_rows("s", MeasuredSet(**TINY), "sdof", rows)
+    assert MethodFits(panel, "ls").agreement("k_over_m")["counted"] == 2
+    files = track_table([panel], "again")
+    assert "2 / 0 / 1" in files["table11.md"]
+    assert "2 trust, 0 use with caution, 1 do not trust (withdrawn)" in files["table11.md"]
+    assert [line["withdrawn"] for line in lines(files) if line["sibling"] == "all"] == ["1"]
+
+
+def test_a_panel_without_answers_has_its_rows() -> None:
+    silent = {"sibling": "1", "method": "ls", "status": "diverged", "trust": "do not trust", "withdrawn": 0}
+    files = track_table([TrackPanel.of_rows("s", MeasuredSet(**TINY), "sdof", [silent])], "again")
+    assert "1 fits, 1 of them without an answer" in files["table11.md"]
+    assert [(line["method"], line["status"]) for line in lines(files)] == [("ls", "diverged")]
 
 
 def test_digits_and_widths_against_certified_values() -> None:
@@ -100,9 +115,9 @@ def test_digits_and_widths_against_certified_values() -> None:
     assert known.sd is not None
     half = 2.0484071 * known.sd  # Student's t, 28 degrees of freedom
     value = known.value * (1 + 1e-5)
-    one = StatedInterval(value, *(0.0, 1.0) * 2, value - half, value + half, "")
-    assert digits(one, known) == pytest.approx(5.0, abs=1e-4)
-    assert certified_ratio(one, known) == pytest.approx(1.0, abs=1e-6)
+    fit = asdict(StatedInterval(value, *(0.0, 1.0) * 2, value - half, value + half, ""))
+    assert digits(fit, known) == pytest.approx(5.0, abs=1e-4)
+    assert certified_ratio(fit, known) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_recording_is_cut_scaled_and_thinned() -> None:
@@ -117,14 +132,6 @@ def test_a_recording_is_cut_scaled_and_thinned() -> None:
     assert second.signals[0].times == pytest.approx([0.0, 0.3])
     assert second.signals[1].values.tolist() == [6.0, 6.5, 8.5, 10.5, 11.0]
     assert second.signals[1].times == pytest.approx([0.0, 0.05, 0.25, 0.45, 0.5])
-
-
-def test_a_fit_comes_back_as_it_was() -> None:
-    one = fit("1", StatedInterval(1.0, math.nan, 2.0, 0.5, 1.5, 0.5, 1.5, "", "at most"))
-    again = TrackFit.of_json(one.as_json())
-    assert again.estimates["k_over_m"].value == 1.0
-    assert math.isnan(again.estimates["k_over_m"].low)
-    assert again.as_json() == one.as_json()
 
 
 @pytest.mark.parametrize("name", set_names())
@@ -161,9 +168,7 @@ def tracked(arguments: Sequence[str]) -> int:
 
 def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = [f"store={tmp_path / 'kept'}", f"out={tmp_path}", "set=mgh17,silverbox", "method=output_error"]
-    asked.append(f"page={tmp_path / 'page.html'}")
     assert tracked(asked) == 0
-    assert "Table 11" in (tmp_path / "page.html").read_text(encoding="utf-8")
     text = (tmp_path / "table11.md").read_text(encoding="utf-8")
     assert "not found under data_root=: silverbox/SNLS80mV.csv.gz" in text
     assert "the same to three digits" in text
@@ -182,28 +187,6 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
 
 
-def test_the_page_holds_every_set_and_needs_nothing_else() -> None:
-    of = MeasuredSet(**{**TINY, "title": "a < b", "known": {"k_over_m": {"value": 9.5, "source": "scales & ruler"}}})
-    found = [fit(str(i), stated(v, 1.0, 0.25)) for i, v in enumerate((9.0, 10.0, 11.0))]
-    text = page(
-        Track([TrackPanel("s", of, "sdof", found), TrackPanel("gone", of, "sdof", absent="not found: x.csv")]),
-        "make it",
-    )
-    for part in ("a &lt; b", "scales &amp; ruler", 'id="s-sdof"', 'href="#gone-sdof"', "not found: x.csv", "make it"):
-        assert part in text
-    assert text.count("<svg") == 2  # coverage, and the siblings of the set that is there
-    assert not re.search(r'(?:src|href)="(?!#|data:)', text)
-
-
-def test_the_page_draws_no_more_than_there_is() -> None:
-    """No answer at all, one sibling, an interval without ends."""
-    of = MeasuredSet(**TINY)
-    silent = TrackFit("1", "s", "sdof", "1", "ls", "diverged", "", "do not trust", (), 1.0, 60.0, 10)
-    assert page(Track([TrackPanel("s", of, "sdof", [silent])]), "").count("<svg") == 0
-    alone = fit("1", StatedInterval(10.0, 9.0, math.inf, 9.0, 11.0, 9.5, 10.5, "", "at least"))
-    assert page(Track([TrackPanel("s", of, "sdof", [alone])]), "").count("<svg") == 1
-
-
 def test_what_makes_a_fit_new(tmp_path: Path) -> None:
     """Another definition, or a method's other settings; not the title, and not a longer limit unless it ran out."""
     of = measured_set("mgh17")
@@ -213,9 +196,12 @@ def test_what_makes_a_fit_new(tmp_path: Path) -> None:
     (weak,) = tasks("mgh17", of, ["ls_weak"], None, 60.0)
     assert one.key == titled.key
     assert len({one.key, thinned.key, weak.key}) == 3
-    late = TrackFit(one.key, "s", "sdof", "1", "ls", "timeout", "", "do not trust", (), 60.0, 60.0, 0)
-    write_result(tmp_path, one.key, late.as_json().encode())
+    late = [{**one.head, "status": "timeout", "timeout_s": 60.0, "held_out": math.nan}]
+    write_result(tmp_path, one.key, json.dumps(late).encode())
     assert one.stored(tmp_path)
+    stored = one.read(tmp_path)
+    assert stored is not None
+    assert math.isnan(stored[0].pop("held_out"))
     assert not replace(one, timeout_s=120.0).stored(tmp_path)
     assert not weak.stored(tmp_path)
 
@@ -225,9 +211,19 @@ def test_a_free_run_of_the_right_model_has_no_error(tmp_path: Path) -> None:
     times = np.arange(200) * 0.01
     rows = "".join(f"{t:.17g},{0.5 * t * t:.17g},2.0\n" for t in times)
     (tmp_path / "x.csv").write_text("t (s),x (m),f (N)\n" + rows, encoding="utf-8")
-    of = MeasuredSet(**{**TINY, "systems": ["viscous"], "columns": "t:0,x:1,f:2", "tests": {"all": {"file": "x.csv"}}})
+    part = {"all": {"file": "x.csv"}}
+    known = {"m": Known(value=1.0, source=""), "c": Known(value=1e-9, source="")}
+    stated = {"systems": ["viscous"], "columns": "t:0,x:1,f:2", "tests": part, "known": known, "folder": "."}
+    of = MeasuredSet(**{**TINY, **stated})
     system, record = part_problem(of, "viscous", of.tests["all"], tmp_path)
     assert free_run_error(system, {"m": 2.0, "c": 1e-9}, record) < 1e-8
-    assert free_run_error(system, {"m": 1.0, "c": 1e-9}, record) == pytest.approx(
-        float(np.sqrt(np.mean((0.5 * times**2) ** 2))), rel=1e-6
-    )
+    fits = [
+        {"sibling": sibling, "method": "shooting", "quantity": name, "value": value, "offset": 0.0}
+        for sibling, m in (("1", 2.0), ("2", 2.0), ("3", 5.0))
+        for name, value in (("m", m), ("c", 1e-9))
+    ]
+    runs = dict(free_runs(of, "viscous", pd.DataFrame(fits[:-1]), tmp_path))  # the third sibling lacks c
+    assert runs["shooting, median of 2 siblings"] == [pytest.approx(0.0, abs=1e-5)]
+    wrong = 1e3 * float(np.sqrt(np.mean((0.5 * times**2) ** 2)))
+    assert runs["published parameters"] == [pytest.approx(wrong, rel=1e-6)]
+    assert list(free_runs(of, "viscous", pd.DataFrame(fits), None)) == []

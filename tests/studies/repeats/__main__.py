@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import pandas as pd
 
 from bench.commands.declaration import Within
 from bench.contract.estimate import Cost
@@ -20,7 +21,7 @@ from bench.likelihood.output_error import OutputError, estimate_at
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised import Linearised, at_theta, linearised
 from bench.records.parts import parts_of
-from bench.records.siblings import KINDS, interval_score_of
+from bench.records.siblings import KINDS, interval_score
 from bench.records.strongest import strongest_frequency
 from bench.systems.sums import sum_from
 from tests.studies.common import study, tracked
@@ -60,8 +61,8 @@ def scores(group: Group) -> Iterator[tuple[str, str, float, float, float]]:
     for name in MAIN:
         compared = [interval[name] for interval in intervals if not interval[name].limit]
         for kind in KINDS if len(compared) > 1 else ():
-            own = interval_score_of(compared, kind)
-            yield name, kind, own.score, own.covered / len(compared), own.width
+            score = interval_score(pd.DataFrame(map(vars, compared)), kind)
+            yield name, kind, score.score, score.covered / len(compared), score.width
 
 
 def repeats(

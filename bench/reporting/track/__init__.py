@@ -1,1 +1,0 @@
-"""The page of the measured track: its pictures and its template."""
