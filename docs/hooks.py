@@ -1,4 +1,4 @@
-"""What the site has beyond the pages of docs/: the results, the documents of the root, the help of every command."""
+"""What the site has beyond the pages of docs/: numbers in prose, results, documents of the root, help of commands."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import posixpath
 import re
 from collections.abc import Iterator
 from contextlib import redirect_stdout
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -49,8 +50,11 @@ def on_nav(nav: Navigation, **_: Any) -> Navigation:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Let links lead to where files stand in the site, and fill in the help of the commands."""
+    """Let links lead to where files stand in the site, and fill in numbers and the help of the commands."""
     source = page.file.src_uri
+    documents = import_module("bench.reporting.documents")
+    if any(documents.used(markdown)):
+        markdown = documents.filled(markdown, _facts())
     if PLACE in markdown:
         markdown = markdown.replace(PLACE, "\n\n".join(_helps()))
     return LINK.sub(lambda found: f"{found['open']}{_moved(source, found['target'])}{found['rest']}", markdown)
@@ -98,6 +102,12 @@ def helps() -> dict[str, str]:
             main([*([verb] if verb else []), "--help"])
         pages[verb] = page.getvalue().strip()
     return pages
+
+
+@cache
+def _facts() -> Any:
+    """What the documents say about results; a name that is unknown, or a conclusion that is false, ends the build."""
+    return import_module("bench.reporting.sentences").facts(ROOT / "results")
 
 
 def _helps() -> Iterator[str]:

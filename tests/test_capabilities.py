@@ -628,7 +628,7 @@ def test_figures_and_site(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_every_number_in_prose_is_checked(tmp_path: Path) -> None:
     """every number in prose true by a check"""
-    text = run(verb("tables", "what=claims", f"archive={ARCHIVE}"), REPOSITORY).stdout
+    text = run(verb("tables", "what=claims"), REPOSITORY).stdout
     assert text.count("\n") > 10
 
 

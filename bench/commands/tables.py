@@ -12,7 +12,6 @@ from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
 from bench.errors import InputError
 
 if TYPE_CHECKING:
-    from bench.reporting.claims.document import Checked
     from bench.reporting.frame import Frame
 
 RESULTS, TEX, FIGURES = Path("results"), Path("build/tables"), Path("results/figures")
@@ -91,41 +90,34 @@ def figures(
 
 
 def claims(
-    store: StoreFolder = OWN,
-    archive: ArchiveFolder = None,
-    results: Annotated[Path, "folder of tables"] = RESULTS,
-    root: Annotated[Path, "folder of README.md, paper, docs and results/README.md"] = Path("."),
-    write: Annotated[bool, "fill in the numbers of the documents, and the panels of tables"] = False,
+    results: Annotated[Path, "folder of tables and of the archive"] = RESULTS,
+    root: Annotated[Path, "folder of README.md, paper and docs"] = Path("."),
+    write: Annotated[bool, "fill in the numbers that README.md and the paper show"] = False,
 ) -> int:
-    """Check every claim of the documents against the results it rests on.
+    """Print every number and every conclusion of the documents, computed from the results.
 
-    Prints for each claim whether it holds, its numbers and its conditions. Exit status: 0, 1 where a claim does not
-    hold, a document differs, or a number is typed by hand, 2 for bad input.
+    Exit status: 0, 1 where a conclusion does not hold, a name is unknown or a number of README.md or the paper differs,
+    2 for bad input.
     """
-    from bench.reporting.claims.document import check, documents, typed_in_claims
-    from bench.reporting.claims.evidence import Evidence
+    from bench.reporting.documents import documents, problems, rewritten
+    from bench.reporting.sentences import facts
     from bench.reporting.whole_file import write as write_file
 
-    evidence = Evidence(folder("results", results), named_store(store, archive))
-    pages = documents(folder("root", root))
-    checked = list(check(pages, evidence))
-    filled = [page.written(checked, results) for page in pages]
-    if write and filled != pages:
-        for page in (page for page in filled if page not in pages):
-            write_file(root / page.path, page.text, field="root")
-            print(f"{page.path}: written", file=sys.stderr)
-        pages, checked = filled, list(check(filled, evidence))
-    for claim in checked:
-        print(_lines(claim))
-    typed = [f"{page.path}: {place}" for page in pages for place in page.typed()]
-    typed += [f"claim {name}: {place}" for name, places in typed_in_claims().items() for place in places]
-    for place in typed:
-        print(f"typed by hand: {place}")
-    passed = sum(claim.passes for claim in checked)
-    print(f"{passed} of {len(checked)} claims pass; {len(typed)} numbers are typed by hand")
-    for page in (page for page, new in zip(pages, filled, strict=True) if page != new):
-        print(f"{page.path}: its passages or the panel of a table differ: write=true fills them in")
-    return 0 if passed == len(checked) and not typed and pages == filled else 1
+    known, pages = facts(folder("results", results)), documents(folder("root", root))
+    for name, text in known.numbers.items():
+        print(f"{name} = {text.strip()}")
+    for name, holds in known.conclusions.items():
+        print(f"{name}: {'holds' if holds else 'DOES NOT HOLD'}")
+    wrong = [f"{path}: {problem}" for path, text in pages.items() for problem in problems(text, known)]
+    for path, text in pages.items():
+        new = rewritten(text, known)
+        if new != text and write:
+            write_file(path, new, field="root")
+            print(f"{path}: written", file=sys.stderr)
+        elif new != text:
+            wrong.append(f"{path}: a number differs: write=true fills it in")
+    print(*wrong, f"{sum(known.conclusions.values())} of {len(known.conclusions)} conclusions hold", sep="\n")
+    return 1 if wrong else 0
 
 
 def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: Out = RESULTS) -> int:
@@ -158,7 +150,7 @@ def everything(store: StoreFolder = OWN, archive: ArchiveFolder = None) -> int:
     tables(store, archive)
     figures(store, archive)
     reproduction(store, archive)
-    return claims(store, archive, write=True)
+    return claims(write=True)
 
 
 VARIANTS = {
@@ -188,14 +180,3 @@ def _warn_if_stale(frame: Frame) -> None:
         cells = f"{len(stale)} of {len(unique)} cells are stale ({now.changed_since(then)[:100]})"
         remedy = f"python -m bench -m experiment={frame.experiment} computes them again"
         print(f"{frame.experiment}: {cells}; {remedy}", file=sys.stderr)
-
-
-def _lines(claim: Checked) -> str:
-    """Return a claim: whether it holds, its numbers and its conditions."""
-    if claim.said is None:
-        return f"{claim.claim.name}: UNKNOWN: {claim.problem}"
-    wrong = [f"FALSE: {condition}" for condition in claim.said.broken]
-    wrong += [] if claim.agrees else ["THE TEXT DIFFERS OR IS IN NO DOCUMENT: write=true fills it in"]
-    numbers = ", ".join(f"{name} {value}" for name, value in claim.said.numbers.items())
-    conditions = "; ".join(claim.said.conditions)
-    return f"{claim.claim.name}: {'; '.join(wrong) or 'holds'}\n    {numbers}\n    while {conditions}"

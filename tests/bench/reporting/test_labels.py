@@ -16,8 +16,8 @@ from bench.reporting import labels
 from bench.reporting.labels import beside_paper, cards, in_order, title, told
 from bench.reporting.paper import paper_value, printed
 
-BENCH = sorted(path for path in (REPOSITORY / "bench").rglob("*.py") if path.parent.name != "claims")
-"""But for the claims, which are sentences about methods by name."""
+BENCH = sorted(path for path in (REPOSITORY / "bench").rglob("*.py") if path.name != "sentences.py")
+"""But for the conclusions of the documents, which are about methods by name."""
 
 
 def texts(tree: ast.AST) -> set[str]:

@@ -1,0 +1,58 @@
+"""Numbers in documents: ``{{ name }}`` stands for a number, ``<!-- holds: name -->`` behind what a conclusion carries.
+
+The pages of docs/ are filled in when the site is built. README.md and the paper are read as they are, and keep their
+numbers between comments, ``<!-- {{ name }} -->25<!-- / -->``, which ``python -m bench tables what=claims`` checks.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from bench.errors import InputError
+from bench.reporting.sentences import Facts
+
+KEPT = re.compile(r"<!-- \{\{ (\w+) \}\} -->(.*?)<!-- / -->", re.DOTALL)
+PLACE = re.compile(r"\{\{ (\w+) \}\}")
+HOLDS = re.compile(r" *<!-- holds: (\w+) -->")
+PAGES = ("README.md", "paper/*.md", "docs/**/*.md")
+"""Where prose with numbers stands, below the folder that holds ``results``."""
+
+
+def documents(root: Path) -> dict[Path, str]:
+    """Read the pages in a folder; raises InputError without a README.md, and for one that cannot be read."""
+    if not (root / "README.md").is_file():
+        raise InputError("root", root, "a folder with a README.md; run the command in a clone")
+    try:
+        return {path: path.read_text("utf-8") for path in sorted({p for page in PAGES for p in root.glob(page)})}
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("root", root, f"a page cannot be read: {error}") from None
+
+
+def used(text: str) -> tuple[set[str], set[str]]:
+    """The names of numbers and of conclusions in a text."""
+    return set(PLACE.findall(text)), set(HOLDS.findall(text))
+
+
+def rewritten(text: str, facts: Facts) -> str:
+    """The text with every number between comments as the results have it now."""
+    return KEPT.sub(lambda found: f"<!-- {{{{ {found[1]} }}}} -->{facts.numbers.get(found[1], '?')}<!-- / -->", text)
+
+
+def filled(text: str, facts: Facts) -> str:
+    """The text as the site shows it, with numbers and without marks; raises InputError where :func:`problems` does."""
+    wrong = problems(text, facts)
+    if wrong:
+        raise InputError("documents", wrong[0], "see python -m bench tables what=claims")
+    text = KEPT.sub(lambda found: facts.numbers[found[1]], text)
+    return HOLDS.sub("", PLACE.sub(lambda found: facts.numbers[found[1]], text))
+
+
+def problems(text: str, facts: Facts) -> list[str]:
+    """What is wrong with a text: a name that is unknown, or a conclusion that no longer holds."""
+    numbers, conclusions = used(text)
+    return [
+        *(f"no number is called {name}" for name in sorted(numbers - facts.numbers.keys())),
+        *(f"no conclusion is called {name}" for name in sorted(conclusions - facts.conclusions.keys())),
+        *(f"{name} does not hold" for name in sorted(conclusions) if not facts.conclusions.get(name, True)),
+    ]
