@@ -38,6 +38,11 @@ def listing(items: Iterable[Item], columns: Columns[Item]) -> Rows:
     return [[text(item) for text in columns.values()] for item in items], list(columns)
 
 
+def texts(rows: Iterable[Mapping[str, str]], headers: Sequence[str]) -> Rows:
+    """Rows of texts by heading; nothing where a row has none."""
+    return [[row.get(name, "") for name in headers] for row in rows], list(headers)
+
+
 def panel(
     items: Sequence[Item],
     row: Callable[[Item], Hashable],
@@ -45,18 +50,20 @@ def panel(
     across: Callable[[Item], Hashable],
     each: Callable[[Item], Columns[Item]],
     last: Columns[Sequence[Item]] | None = None,
+    rest: str = MISSING,
 ) -> Rows:
     """A row for all items of which ``row`` is the same; ``each`` makes the columns of those that share ``across``.
 
     ``first`` and ``last`` are columns before and behind them, of all items of the row. ``each`` is given any item that
-    stands there; where a row has none, a dash stands in its first column.
+    stands there; where a row has none, a dash stands in the first of its columns, and ``rest`` in the others.
     """
     places, last = {key: each(own[0]) for key, own in group(items, across).items()}, last or {}
     rows = []
     for own in group(items, row).values():
         at, cells = {across(item): item for item in reversed(own)}, [text(own) for text in first.values()]
         for key, columns in places.items():
-            cells += [text(at[key]) if key in at else MISSING for text in columns.values()]
+            here = [text(at[key]) for text in columns.values()] if key in at else []
+            cells += here or [MISSING, *[rest] * (len(columns) - 1)]
         rows.append([*cells, *(text(own) for text in last.values())])
     return rows, [*first, *(heading for columns in places.values() for heading in columns), *last]
 

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ from bench import Status
 from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.information.fisher import Bound
-from bench.reporting.frame import Result
+from bench.reporting.frame import Frame, Result
 from bench.reporting.paper import paper_value, printed
-from bench.reporting.tables.paper_tables import COLUMNS, HEADINGS, PaperTable
+from bench.reporting.tables.paper_tables import COLUMNS, HEADINGS, paper_table
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
@@ -89,7 +90,12 @@ def result(reference: Scenario, label: str, scale: float = 1.0, failures: int = 
 
 def tidy(results: list[Result]) -> pd.DataFrame:
     """The lines of Table 3, as its CSV has them."""
-    return pd.read_csv(io.StringIO(PaperTable(3, "Title", results).csv()))
+    return pd.read_csv(io.StringIO(written(results)["table3.csv"]))
+
+
+def written(results: list[Result]) -> Mapping[str, str]:
+    """The files of Table 3."""
+    return paper_table(Frame("table3", "Title", {"number": 3}, tuple(results)))
 
 
 def three(reference: Scenario) -> list[Result]:
@@ -171,7 +177,7 @@ def test_a_cell_that_was_not_run_is_a_row_that_says_so(reference: Scenario) -> N
     lines = data[data.method == "rls"]
     assert set(lines.metric) == set(HEADINGS)
     assert set(lines.verdict) == {"not run"}
-    text = PaperTable(3, "Title", found).markdown()
+    text = written(found)["table3.md"]
     (row,) = [line for line in text.splitlines() if line.startswith("| RLS")]
     assert "not run" in row
     assert "1 cells were not run" in text
@@ -180,7 +186,7 @@ def test_a_cell_that_was_not_run_is_a_row_that_says_so(reference: Scenario) -> N
 def test_failures_stand_in_the_table_with_their_reason(reference: Scenario) -> None:
     found = [result(reference, "oracle"), result(reference, "ls", 3.0, failures=25)]
     data = tidy(found)
-    text = PaperTable(3, "Title", found).markdown()
+    text = written(found)["table3.md"]
     (row,) = [line for line in text.splitlines() if line.startswith("| LS, finite differences") and "/40" in line]
     assert "15/40" in row
     assert "failed ×" in row  # more than half failed: the median is a failure, the excess that of the others
@@ -220,15 +226,15 @@ def small_store(tmp_path: Path, _short_experiments: None) -> Store:
 def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_store: Store, tmp_path: Path) -> None:
     out, tex = tmp_path / "out", tmp_path / "tex"
 
-    def written() -> dict[str, bytes]:
+    def made() -> dict[str, bytes]:
         assert main(["tables", f"store={small_store.folder}", f"out={out}", f"tex={tex}"]) == 0
         assert {path.suffix for path in tex.iterdir()} == {".tex"}
         return {path.name: path.read_bytes() for path in (*out.iterdir(), *tex.iterdir())}
 
-    first = written()
+    first = made()
     assert {path.suffix for path in out.iterdir()} == {".md", ".csv"}
     assert set(first) == {f"table{i}.{ending}" for i in (2, 3, 4, 5) for ending in ("md", "csv", "tex")}
-    assert written() == first
+    assert made() == first
     for i in (2, 3, 4, 5):
         lines = list(csv.reader(io.StringIO(first[f"table{i}.csv"].decode())))
         assert tuple(lines[0]) == COLUMNS
