@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pandas as pd
 
@@ -51,15 +51,17 @@ def panel(
     each: Callable[[Item], Columns[Item]],
     last: Columns[Sequence[Item]] | None = None,
     rest: str = MISSING,
+    order: Callable[[Iterable[Any]], Iterable[Any]] = list,
 ) -> Rows:
     """A row for all items of which ``row`` is the same; ``each`` makes the columns of those that share ``across``.
 
     ``first`` and ``last`` are columns before and behind them, of all items of the row. ``each`` is given any item that
-    stands there; where a row has none, a dash stands in the first of its columns, and ``rest`` in the others.
+    stands there; where a row has none, a dash stands in the first of its columns, and ``rest`` in the others. ``order``
+    puts the rows in order.
     """
     places, last = {key: each(own[0]) for key, own in group(items, across).items()}, last or {}
-    rows = []
-    for own in group(items, row).values():
+    rows, by_row = [], group(items, row)
+    for own in (by_row[key] for key in order(by_row)):
         at, cells = {across(item): item for item in reversed(own)}, [text(own) for text in first.values()]
         for key, columns in places.items():
             here = [text(at[key]) for text in columns.values()] if key in at else []

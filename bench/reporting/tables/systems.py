@@ -8,16 +8,15 @@ error over bound, on those quantities that the data tell.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from bench.dynamics.modal import modes
-from bench.reporting.frame import ERROR, Frame, Result, group
+from bench.reporting.frame import ERROR, Frame, Line, Result, group, line
 from bench.reporting.labels import in_order, states_terms, title, told
-from bench.reporting.rounding import excess_text, number, readable
+from bench.reporting.rounding import answered, excess_text, number, percent, readable, with_excess
 from bench.reporting.tables.pooling import (
     MODAL,
     lower_median,
@@ -28,7 +27,7 @@ from bench.reporting.tables.pooling import (
     pooled_excess,
     pooled_quantities,
 )
-from bench.reporting.tables.render import Rows, bold, csv, failure_notes, latex_tables, markdown_table
+from bench.reporting.tables.render import MISSING, Columns, Rows, bold, failure_notes, files, listing, panel, ranked
 from bench.reporting.terms import terms_found
 from bench.scenario.scenario import Scenario
 from bench.scoring.comparison import ScenarioRanking, standing
@@ -39,6 +38,8 @@ COLUMNS = (
 )  # fmt: skip
 MANY = 8
 """Parameters beyond which a panel of single parameters would not be read."""
+SHOWN_AT = 20.0
+"""The noise level (dB) at which single parameters are shown; the middle one where an experiment has not this."""
 UNTOLD = 1.0
 """A relative standard deviation at the bound beyond which a quantity is practically not identifiable."""
 LEGEND = """Each panel is one system. Of each noise level: **error**, the pooled excess of the quantities that the
@@ -56,270 +57,218 @@ median fit. A dash for an error: the experiment does not ask for it. What a meth
 its panel."""
 
 
-class SystemPanel:
-    """The results of one system with one reading of the start, by noise level and method."""
-
-    def __init__(self, results: Sequence[Result]) -> None:
-        self.results, self.scenario = results, results[0].scenario
-        self.model, self.heading = self.scenario.make_system(), heading(results[0])
-        self.levels = list(dict.fromkeys(result.snr_db for result in results))
-        """Noise levels (dB), as the experiment orders them."""
-        self.methods = in_order(result.label for result in results)
-        self._at = {(result.label, result.snr_db): result for result in reversed(results)}
-
-    def at(self, method: str, level: float) -> Result | None:
-        """The result of a method at a noise level."""
-        return self._at.get((method, level))
-
-    def succeeded(self, method: str, level: float) -> Result | None:
-        """The same, where any replicate succeeded."""
-        result = self.at(method, level)
-        return result if result and result.n_ok else None
-
-    def any_stored(self, level: float) -> Result | None:
-        """Some stored result of a noise level, for what all share: bounds and identifiability."""
-        return next((result for result in self.results if result.stored and result.snr_db == level), None)
-
-    def told_quantities(self, result: Result) -> tuple[str, ...]:
-        """The quantities that the data tell, by what a result says of them."""
-        return pooled_quantities(self.scenario, result.identifiable)
-
-    @cached_property
-    def middle(self) -> float:
-        """20 dB where the experiment has it, else its middle level."""
-        return 20.0 if 20.0 in self.levels else self.levels[len(self.levels) // 2]
-
-    @cached_property
-    def excesses(self) -> dict[tuple[str, float], tuple[float, float]]:
-        """By method and noise level, the excess of the pooled quantities and that of the displacement."""
-        found = {}
-        for level, own in group(self.results, lambda result: result.snr_db).items():
-            good = [result for result in own if result.n_ok]
-            for result in good:
-                pooled = pooled_excess(result, self.told_quantities(good[0]))
-                found[result.label, level] = pooled, result.summary["rmse"]["excess"]
-        return found
-
-    @cached_property
-    def standings(self) -> dict[tuple[float, int], ScenarioRanking | None]:
-        """By noise level, where methods stand by the pooled errors (0) and the displacement's (1).
-
-        Reference rows, and methods without any successful replicate, are left out.
-        """
-        found: dict[tuple[float, int], ScenarioRanking | None] = {}
-        for level, own in group(self.results, lambda result: result.snr_db).items():
-            good = [result for result in own if result.n_ok]
-            ranked = [result for result in good if not result.is_reference]
-            if not ranked:
-                continue
-            names = self.told_quantities(good[0])
-            errors = {result.label: (pooled_errors(result, names), result.errors("rmse")) for result in ranked}
-            for i in (0, 1):
-                values = {label: both[i] for label, both in errors.items()}
-                bound = ranked[0].bound("rmse") if i else 1.0  # pooled errors are over their bounds
-                excess = {label: self.excesses[label, level][i] for label in errors}
-                found[level, i] = standing(values, excess, bound)
-        return found
-
-    # ---- the main table of a panel
-
-    @cached_property
-    def table(self) -> Rows:
-        """Rows and headers, which Markdown and LaTeX share."""
-        rows = [self._bound_row(), *(self._row(method) for method in self.methods)]
-        headers = [f"{level:g} dB {what}" for level in self.levels for what in ("error", "RMSE (m)", "95 %")]
-        return rows, ["method", *headers, "time (s)", "uses", "ok"]
-
-    def _bound_row(self) -> list[str]:
-        cells = []
-        for level in self.levels:
-            result = self.any_stored(level)
-            if result is None:
-                cells += ["-", "-", ""]
-                continue
-            pooled = pooled_bound(result, self.told_quantities(result))
-            cells += [f"{number(pooled)} %", number(result.bound("rmse")), ""]
-        return ["bound", *cells, "", "", ""]
-
-    def _row(self, method: str) -> list[str]:
-        cells, oks, times, reference, of = [], [], [], False, ""
-        for level in self.levels:
-            result = self.at(method, level)
-            if result is None or result.stored is None or not result.n_ok:
-                why = "-" if result is None else result.stored.status.value if result.stored else "not run"
-                cells += [why, "", ""]
-                oks.append(f"0/{result.n}" if result and result.stored else "-")
-                continue
-            cells += self._entry(result)
-            oks.append(f"{result.n_ok}/{result.n}")
-            times.append(lower_median(result.cpu_s[result.ok]))
-            reference, of = result.is_reference, result.method
-        time = f"{np.median(times):.2g}" if times and not reference else ""
-        uses = _uses(told(of), self.scenario) if times else ""
-        return [title(method), *cells, time, uses, oks[0] if len(set(oks)) == 1 else ", ".join(oks)]
-
-    def _entry(self, result: Result) -> list[str]:
-        pooled, rmse = self.excesses[result.label, result.snr_db]
-        covered, _, _ = pooled_coverage(result, self.model.names)
-        texts = (
-            f"×{excess_text(pooled)}" if math.isfinite(pooled) else "-",
-            f"{number(result.summary['rmse']['median'])} ×{excess_text(rmse)}",
-        )
-        ranked = [self.standings.get((result.snr_db, i)) for i in (0, 1)]
-        cells = [
-            bold(text, one is not None and result.label in one.level) for text, one in zip(texts, ranked, strict=True)
-        ]  # fmt: skip
-        return [*cells, "-" if math.isnan(covered) else f"{100 * covered:.0f}"]
-
-    # ---- what stands below it
-
-    def notes(self) -> list[str]:
-        """Single parameters, modes, terms, what cannot be told, and failures; what there is of them."""
-        parts = (self._parameters(), self._modes(), self._terms(), self._untold(), failure_notes(self.results))
-        return [part for part in parts if part]
-
-    def _parameters(self) -> str:
-        """The single parameters and groups at one noise level: median error in percent and excess."""
-        stored = self.any_stored(self.middle)
-        if stored is None or len(self.model.names) > MANY:
-            return ""
-        names = list(dict.fromkeys([*self.model.names, *self.told_quantities(stored)]))
-        rows = [["bound", *(number(stored.bound(name + ERROR)) for name in names)]]
-        for method in self.methods:
-            result = self.succeeded(method, self.middle)
-            if result is not None:
-                rows.append([title(method), *(_median_and_excess(result, name + ERROR) for name in names)])
-        table = markdown_table(rows, ["method", *map(readable, names)])
-        return f"Errors at {self.middle:g} dB, in percent (median ×excess):\n\n{table}"
-
-    def _modes(self) -> str:
-        """Natural frequencies, damping ratios and mode shapes: medians over the replicates, at every noise level."""
-        rows = []
-        for method in self.methods:
-            cells = []
-            for level in self.levels:
-                result = self.succeeded(method, level)
-                scores = modal_scores(result) if result else {}
-                cells += [number(lower_median(scores[metric])) if scores else "-" for metric in MODAL]
-            if any(cell != "-" for cell in cells):
-                rows.append([title(method), *cells])
-        if not rows:
-            return ""
-        headers = [
-            f"{level:g} dB {what}" for level in self.levels for what in ("frequencies %", "damping ratios %", "MAC")
-        ]
-        what = (
-            "As modes (median over the replicates of the root mean square error over the modes, and of the lowest "
-            "modal assurance criterion):"
-        )
-        return f"{what}\n\n{markdown_table(rows, ['method', *headers])}"
-
-    def _terms(self) -> str:
-        """What sparse models are made of: how often a method found exactly the terms of the equation of motion."""
-        parts = []
-        for method in self.methods:
-            found = [self.succeeded(method, level) for level in self.levels] if states_terms(method) else []
-            sentences = [
-                f"{one.snr_db:g} dB: {terms_found(one.stored, self.scenario)}" for one in found if one and one.stored
-            ]
-            if sentences:
-                parts.append(f"{title(method)} by the terms it finds. " + "; ".join(sentences) + ".")
-        return "\n\n".join(parts)
-
-    def _untold(self) -> str:
-        """What cannot be identified, at each noise level where it is so."""
-        sentences = []
-        for level in self.levels:
-            result = self.any_stored(level)
-            if result is None:
-                continue
-            own = [quantity.name for quantity in self.model.quantities]
-            never = [name for name in own if not result.identifiable.get(name, True)]
-            bounds = {name: result.summary.get(name + ERROR, {}).get("bound", 0.0) for name in own if name not in never}
-            weak = [f"{n} (bound {number(b)} %)" for n, b in bounds.items() if 100 * UNTOLD < b < math.inf]
-            if level == self.levels[0] and never:
-                what = "decided by the prior" if self.scenario.prior else "not identifiable"
-                sentences.append(f"Not told by the data at any noise, {what}: {', '.join(map(readable, never))}.")
-            if weak:
-                sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(readable, weak))}.")
-        return " ".join(sentences)
-
-
 def heading(result: Result) -> str:
     """The scenario's name, with what disturbs it."""
     return result.system + (f", {result.disturbance}" if result.disturbance else "")
 
 
-def panels(results: Iterable[Result]) -> list[SystemPanel]:
-    """One a system, disturbance and reading of the start, in order."""
-    places = group(results, lambda result: (heading(result), result.initial_state, result.kind))
-    return [SystemPanel(own) for own in places.values()]
+def panels(results: Sequence[Result]) -> list[list[Result]]:
+    """The results of each system, disturbance and reading of the start."""
+    return list(group(results, lambda result: (heading(result), result.initial_state, result.kind)).values())
 
 
-def _uses(classes: str, scenario: Scenario) -> str:
-    """What a method was told beyond the data, of what there was to tell here."""
-    there = {"start": scenario.initial_state == "known", "prior": scenario.prior is not None}
-    return ", ".join(word for word in classes.split(", ") if there.get(word.split()[0] if word else "", True))
+def told_quantities(result: Result) -> tuple[str, ...]:
+    """The quantities that the data tell."""
+    return pooled_quantities(result.scenario, result.identifiable)
 
 
-def _median_and_excess(result: Result, metric: str) -> str:
-    if metric not in result.summary:
-        return "-"
-    excess = result.excess(metric)
-    return number(result.statistic(metric, "median")) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
+def any_stored(results: Sequence[Result]) -> dict[float, Result]:
+    """By noise level some stored result, for what all share: bounds and identifiability."""
+    return {result.snr_db: result for result in reversed(results) if result.stored}
 
 
-# ------------------------------------------------------------------------------------------------ the tidy table
+# ---- the tidy table
 
 
-def tidy(table: str, shown: Sequence[SystemPanel]) -> list[dict[str, Any]]:
+def lines(table: str, results: Sequence[Result]) -> list[Line]:
     """One line a cell and metric: every score, the pooled ones, those of the modes, and the bound."""
-    return [line for panel in shown for result in panel.results for line in _lines(table, panel, result)]
+    return [{"table": table, **one} for own in panels(results) for result in own for one in _lines(result)]
 
 
-def _lines(table: str, panel: SystemPanel, result: Result) -> Iterable[dict[str, Any]]:
-    head = {
-        "table": table, "system": panel.heading, "initial_state": result.initial_state, "snr_db": result.snr_db,
-        "method": result.label,
-    }  # fmt: skip
+def _lines(result: Result) -> Iterator[Line]:
+    of_cell = ("initial_state", "snr_db", "method", "n_ok", "n")
+    head = {**line(result, "", of_cell), "system": heading(result)}
     if result.stored is None:
-        yield {**head, "metric": "not run", "n_ok": 0, "n": 0}
+        yield {**head, "metric": "not run"}
         return
-    count = {"n_ok": result.n_ok, "n": result.n}
-    for name, quantities in _pools(panel, result).items():
-        covered = pooled_coverage(result, quantities)[0]
-        yield {**head, "metric": name, "excess": pooled_excess(result, quantities), "coverage_95": covered, **count}
-    for metric, summary in result.summary.items():
-        if not metric.endswith(ERROR) and not metric.startswith("rmse"):
-            continue
-        name = metric.removesuffix(ERROR)
-        statistics = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
-        yield {
-            **head, "metric": metric, **{key: summary[key] for key in statistics},
-            "prior_share": result.prior_share.get(name, math.nan), "coverage_95": result.covered(name), **count,
-        }  # fmt: skip
+    model = result.scenario.make_system()
+    pools = {
+        "told_pooled": told_quantities(result), "parameters_pooled": model.names,
+        "groups_pooled": tuple(group.name for group in model.groups),
+    }  # fmt: skip
+    for name, names in pools.items():
+        covered = pooled_coverage(result, names)[0]
+        yield {**head, "metric": name, "excess": pooled_excess(result, names), "coverage_95": covered}
+    for metric in result.summary:
+        if metric.endswith(ERROR) or metric.startswith("rmse"):
+            yield {**line(result, metric, COLUMNS), "system": heading(result)}
     for metric, values in modal_scores(result).items():
-        yield {**head, "metric": metric, "median": lower_median(values), **count}
+        yield {**head, "metric": metric, "median": lower_median(values)}
 
 
-def _pools(panel: SystemPanel, result: Result) -> Mapping[str, tuple[str, ...]]:
-    return {
-        "told_pooled": panel.told_quantities(result),
-        "parameters_pooled": panel.model.names,
-        "groups_pooled": tuple(group.name for group in panel.model.groups),
-    }
+# ---- the table of a panel
 
 
-# ------------------------------------------------------------------------------------------------ for reading
+def standings(results: Sequence[Result]) -> dict[tuple[float, int], ScenarioRanking | None]:
+    """By noise level, where methods stand by the pooled errors (0) and the displacement's (1).
+
+    Reference rows, and methods without any successful replicate, are left out.
+    """
+    found = {}
+    rivals = [result for result in results if result.n_ok and not result.is_reference]
+    for level, own in group(rivals, lambda result: result.snr_db).items():
+        pooled = {result.label: pooled_errors(result, told_quantities(result)) for result in own}
+        excess = {result.label: pooled_excess(result, told_quantities(result)) for result in own}
+        found[level, 0] = standing(pooled, excess, 1.0)  # pooled errors are over their bounds
+        found[level, 1] = ranked(own, "rmse")
+    return found
 
 
-def markdown(heading_: str, shown: Sequence[SystemPanel], command: str) -> str:
-    """The table for reading."""
-    parts = [f"# {heading_}", LEGEND]
-    for panel in shown:
-        parts += [f"## {panel.heading}", describe(panel.scenario), markdown_table(*panel.table), *panel.notes()]
-    parts.append(f"Every single quantity and all 95 % intervals of medians are in the CSV. Regenerate: `{command}`")
-    return "\n\n".join(parts) + "\n"
+def table(results: Sequence[Result]) -> Rows:
+    """A method a row, noise levels side by side; the bound first."""
+    ranking, levels = standings(results), list(group(results, lambda result: result.snr_db))
+    rows, headers = panel(
+        results,
+        lambda result: result.label,
+        {"method": lambda own: own[0].title},
+        lambda result: result.snr_db,
+        partial(_level, ranking),
+        {"time (s)": _time, "uses": _uses, "ok": partial(_counts, levels)},
+        rest="",
+        order=in_order,
+    )
+    known, bound = any_stored(results), ["bound"]
+    for level in levels:
+        one = known.get(level)
+        texts = (f"{number(pooled_bound(one, told_quantities(one)))} %", number(one.bound("rmse"))) if one else "--"
+        bound += [*texts, ""]
+    return [[*bound, "", "", ""], *rows], headers
+
+
+def _level(ranking: Mapping[tuple[float, int], ScenarioRanking | None], any_result: Result) -> Columns[Result]:
+    level = any_result.snr_db
+
+    def leads(result: Result, i: int) -> bool:
+        found = ranking.get((level, i))
+        return found is not None and result.label in found.level
+
+    def error(result: Result) -> str:
+        if not result.n_ok:
+            return result.status.value if result.stored else "not run"
+        pooled = pooled_excess(result, told_quantities(result))
+        return bold(f"×{excess_text(pooled)}" if math.isfinite(pooled) else MISSING, leads(result, 0))
+
+    def rmse(result: Result) -> str:
+        return bold(_median(result, "rmse"), leads(result, 1)) if result.n_ok else ""
+
+    def covered(result: Result) -> str:
+        names = result.scenario.make_system().names
+        return percent(pooled_coverage(result, names)[0]) if result.n_ok else ""
+
+    return {f"{level:g} dB error": error, f"{level:g} dB RMSE (m)": rmse, f"{level:g} dB 95 %": covered}
+
+
+def _median(result: Result, metric: str) -> str:
+    """The median of a metric and its excess, where the result has it."""
+    if metric not in result.summary:
+        return MISSING
+    return with_excess(result.statistic(metric, "median"), result.excess(metric))
+
+
+def _time(own: Sequence[Result]) -> str:
+    times = [lower_median(result.cpu_s[result.ok]) for result in own if result.n_ok]
+    return f"{np.median(times):.2g}" if times and not own[0].is_reference else ""
+
+
+def _uses(own: Sequence[Result]) -> str:
+    """What a method was told beyond the data, of what there was to tell here."""
+    if not any(result.n_ok for result in own):
+        return ""
+    scenario = own[0].scenario
+    there = {"start": scenario.initial_state == "known", "prior": scenario.prior is not None}
+    return ", ".join(word for word in told(own[0].method).split(", ") if there.get(word.partition(" ")[0], True))
+
+
+def _counts(levels: Sequence[float], own: Sequence[Result]) -> str:
+    """Fits that gave an answer, of all: once where it is the same at every noise level."""
+    known = {result.snr_db: answered(result.n_ok, result.n) for result in own if result.stored}
+    counts = [known.get(level, MISSING) for level in levels]
+    return counts[0] if len(set(counts)) == 1 else ", ".join(counts)
+
+
+# ---- what stands below it
+
+
+def notes(results: Sequence[Result]) -> list[str | Rows]:
+    """Single parameters, modes, terms, what cannot be told, and failures; what there is of them."""
+    good = [result for result in results if result.n_ok]
+    return [*_parameters(results), *_modes(results), *_terms(good), _untold(results), failure_notes(results)]
+
+
+def _parameters(results: Sequence[Result]) -> list[str | Rows]:
+    """The single parameters and groups at one noise level: median error in percent and excess."""
+    levels = list(group(results, lambda result: result.snr_db))
+    level = SHOWN_AT if SHOWN_AT in levels else levels[len(levels) // 2]
+    stored, own = any_stored(results).get(level), results[0].scenario.make_system().names
+    if stored is None or len(own) > MANY:
+        return []
+    names = list(dict.fromkeys([*own, *told_quantities(stored)]))
+    columns = {readable(name): partial(_median, metric=name + ERROR) for name in names}
+    shown = {result.label: result for result in results if result.n_ok and result.snr_db == level}
+    rows, headers = listing(
+        (shown[label] for label in in_order(shown)), {"method": lambda result: result.title, **columns}
+    )
+    bound = ["bound", *(number(stored.bound(name + ERROR)) for name in names)]
+    return [f"Errors at {level:g} dB, in percent (median ×excess):", ([bound, *rows], headers)]
+
+
+def _modes(results: Sequence[Result]) -> list[str | Rows]:
+    """Natural frequencies, damping ratios and mode shapes: medians over the replicates, at every noise level."""
+    labels = {result.label for result in results if result.n_ok and modal_scores(result)}
+    if not labels:
+        return []
+    what = (
+        "As modes (median over the replicates of the root mean square error over the modes, and of the lowest "
+        "modal assurance criterion):"
+    )
+    first: Columns[Sequence[Result]] = {"method": lambda own: own[0].title}
+    shown = [result for result in results if result.label in labels]
+    return [what, panel(shown, lambda one: one.label, first, lambda one: one.snr_db, _modal, order=in_order)]
+
+
+def _modal(any_result: Result) -> Columns[Result]:
+    def median(metric: str) -> Callable[[Result], str]:
+        return lambda result: number(lower_median(modal_scores(result)[metric])) if result.n_ok else MISSING
+
+    names = ("frequencies %", "damping ratios %", "MAC")
+    return {f"{any_result.snr_db:g} dB {name}": median(metric) for name, metric in zip(names, MODAL, strict=True)}
+
+
+def _terms(good: Sequence[Result]) -> Iterator[str]:
+    """What sparse models are made of: how often a method found exactly the terms of the equation of motion."""
+    by_label = group((one for one in good if states_terms(one.label)), lambda result: result.label)
+    for label in in_order(by_label):
+        found = [f"{one.snr_db:g} dB: {terms_found(one.stored, one.scenario)}" for one in by_label[label] if one.stored]
+        yield f"{title(label)} by the terms it finds. {'; '.join(found)}."
+
+
+def _untold(results: Sequence[Result]) -> str:
+    """What cannot be identified, at each noise level where it is so."""
+    sentences, known = [], any_stored(results)
+    scenario, first = results[0].scenario, results[0].snr_db
+    names = [quantity.name for quantity in scenario.make_system().quantities]
+    for level in group(results, lambda result: result.snr_db):
+        if level not in known:
+            continue
+        never = [name for name in names if not known[level].identifiable.get(name, True)]
+        bounds = {name: known[level].bound(name + ERROR) for name in names if name not in never}
+        weak = [f"{n} (bound {number(b)} %)" for n, b in bounds.items() if 100 * UNTOLD < b < math.inf]
+        if level == first and never:
+            what = "decided by the prior" if scenario.prior else "not identifiable"
+            sentences.append(f"Not told by the data at any noise, {what}: {', '.join(map(readable, never))}.")
+        if weak:
+            sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(readable, weak))}.")
+    return " ".join(sentences)
 
 
 def describe(scenario: Scenario) -> str:
@@ -354,12 +303,14 @@ def system_table(frame: Frame) -> Mapping[str, str]:
     """The files of the table by name; none where the store holds no cell of it."""
     if not frame.any_stored:
         return {}
-    name = f"table{frame.number}" if frame.number else frame.experiment
-    title_ = f"Table {frame.number}. {frame.title}" if frame.number else frame.title
-    shown = panels(frame)
-    captions = [f"{frame.title}: {panel.heading}. {describe(panel.scenario)}" for panel in shown]
-    return {
-        f"{name}.md": markdown(title_, shown, frame.command),
-        f"{name}.csv": csv(tidy(str(frame.number or frame.experiment), shown), columns=COLUMNS),
-        f"{name}.tex": latex_tables(zip(captions, (panel.table for panel in shown), strict=True)),
-    }
+    parts: list[str | Rows] = [f"# {frame.heading}", LEGEND]
+    captioned = []
+    for own in panels(frame.results):
+        said, shown = describe(own[0].scenario), table(own)
+        parts += [f"## {heading(own[0])}", said, shown, *notes(own)]
+        captioned.append((f"{frame.title}: {heading(own[0])}. {said}", shown))
+    parts.append(
+        f"Every single quantity and all 95 % intervals of medians are in the CSV. Regenerate: `{frame.command}`"
+    )
+    data = lines(str(frame.number or frame.experiment), frame.results)
+    return files(frame.name, parts, data, COLUMNS, latex=captioned)

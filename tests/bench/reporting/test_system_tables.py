@@ -7,7 +7,7 @@ import pytest
 
 from bench.config.experiment import expand
 from bench.contract.estimate import Status
-from bench.reporting.frame import Result
+from bench.reporting.frame import Frame, Result
 from bench.reporting.tables.pooling import (
     identified,
     modal_scores,
@@ -16,7 +16,7 @@ from bench.reporting.tables.pooling import (
     pooled_excess,
     pooled_quantities,
 )
-from bench.reporting.tables.systems import describe, markdown, panels, tidy
+from bench.reporting.tables.systems import describe, lines, system_table
 from bench.scoring.row import Row
 from bench.store.stored import StoredCell
 
@@ -128,14 +128,14 @@ def test_a_table_of_missing_failed_and_good_cells():
         Result.of_cell(_cell("system=sdof_forced", method="ls"), None),
         Result.of_cell(_cell("system=sdof_forced", "snr=10", method="rls"), None),
     ]
-    text = markdown("T", panels(found), "command")
+    text = system_table(Frame("forced", "T", {"number": 6}, tuple(found)))["table6.md"]
     assert "3/5" in text
     assert "2 × PINN: diverged, lost" in text
     assert "2 cells were not run" in text
     panel = text.partition("Errors at")[0]
-    lines = {line.split("|")[1].strip(): line for line in panel.splitlines() if line.startswith("| ")}
-    assert "**×1.55**" in lines["Multiple shooting"]  # sqrt((1 + 4 + 2.25) / 3)
-    assert [cell.strip() for cell in lines["LS, finite differences"].split("|")[2:6]] == ["not run", "", "", "-"]
-    assert [cell.strip() for cell in lines["RLS"].split("|")[2:6]] == ["-", "", "", "not run"]
-    lines = {(line["method"], line["metric"]): line for line in tidy("6", panels(found))}
-    assert lines["pinn", "told_pooled"]["excess"] == pytest.approx(9.0)
+    rows = {line.split("|")[1].strip(): line for line in panel.splitlines() if line.startswith("| ")}
+    assert "**×1.55**" in rows["Multiple shooting"]  # sqrt((1 + 4 + 2.25) / 3)
+    assert [cell.strip() for cell in rows["LS, finite differences"].split("|")[2:6]] == ["not run", "", "", "-"]
+    assert [cell.strip() for cell in rows["RLS"].split("|")[2:6]] == ["-", "", "", "not run"]
+    tidy = {(line["method"], line["metric"]): line for line in lines("6", found)}
+    assert tidy["pinn", "told_pooled"]["excess"] == pytest.approx(9.0)
