@@ -12,15 +12,9 @@ def primary_method() -> str:
     return str(_said("primary"))
 
 
-def robust_method() -> tuple[str, dict[str, Any]]:
-    """A method that expects outliers, and its settings."""
-    settings = dict(_said("robust"))
-    return str(settings.pop("name")), settings
-
-
-def coloured_settings(method: str) -> dict[str, Any]:
-    """The settings by which a method takes its noise for coloured; none where it has no such settings."""
-    return dict(_said("coloured").get(method, {}))
+def robust_settings(method: str) -> dict[str, Any]:
+    """The settings by which a method expects outliers; none where it has no such settings."""
+    return dict(_said("robust").get(method, {}))
 
 
 def certificate_methods() -> list[str]:

@@ -237,15 +237,15 @@ def _paths(
 
 def identified(finding: Finding) -> Identification:
     """A finding as users get it."""
-    problem, outcome = finding.problem, finding.outcome
+    problem = finding.problem
     alone = [run.finding for run in finding.runs] or [finding]
     return Identification(
         method=finding.method,
         data=", ".join(recording.source for run in alone for recording in run.measured.recordings),
         samples=sum(run.problem.n for run in alone),
-        status=outcome.status.value,
-        message=outcome.message,
-        wall_s=outcome.wall_s,
+        status=finding.estimate.status.value,
+        message=finding.estimate.message,
+        wall_s=finding.wall_s,
         trust=finding.trust.value,
         reasons=tuple(reason.text for reason in finding.reasons),
         notes=finding.measured.notes,

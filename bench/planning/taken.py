@@ -26,7 +26,7 @@ def taken(overrides: Overrides) -> Taken:
         raise InputError("given", request.files[0], "one record of one displacement, without a force")
     finding = find(request.job, measured)
     if finding.trust is Trust.NO or not set(QUANTITIES) <= set(finding.intervals):
-        why = "; ".join(reason.text for reason in finding.reasons) or finding.outcome.message
+        why = "; ".join(reason.text for reason in finding.reasons) or finding.estimate.message
         raise InputError("given", request.files[0], f"a record whose answer can be trusted ({why})")
     return _taken(finding)
 

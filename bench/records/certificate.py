@@ -12,15 +12,14 @@ from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
 
 from bench.config.schema import Job
-from bench.contract.estimate import Status
+from bench.contract.estimate import Estimate, Status
 from bench.engine.progress import OnLook, RunState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.records.classes import NAME, best_class, class_fit, compare_classes
-from bench.records.find import find
-from bench.records.finding import Finding, judged
-from bench.records.fit import Outcome
+from bench.records.find import find, judged
+from bench.records.finding import Finding
 from bench.records.held_out import EarlyFit, early_fit
 from bench.records.intervals import StatedInterval
 from bench.records.models import ClassComparison, ModelClass
@@ -87,7 +86,7 @@ def certify(
         auto = request.system == AUTO
         measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
         answer, findings = _answers(request, measured, workers, on_look)
-        if answer[0].outcome.status is not Status.OK and comparison is not None and auto:
+        if answer[0].estimate.status is not Status.OK and comparison is not None and auto:
             by_class = workers.submit(CLASSES_SECONDS, _of_class, answer[0], comparison.chosen, measured).result()
             answer, findings = (by_class, [answer[0], *findings]) if by_class else (answer, findings)
         primary = with_reasons(answer[0], findings, missing)
@@ -134,8 +133,8 @@ def _answers(request: Request, measured: Measured, workers: Workers, on_look: On
         try:
             answers[number] = future.result()
         except Died as died:
-            outcome = Outcome(None, Status(died.reason), died.message, limits[number])
-            answers[number] = judged(jobs[number].label, measured, outcome), None, ()
+            estimate = Estimate.failed(measured.problem.system, Status(died.reason), died.message)
+            answers[number] = judged(jobs[number].label, measured, estimate, limits[number]), None, ()
         except InputError:
             if number == 0:
                 raise
@@ -161,11 +160,11 @@ def other_answer(job: Job, measured: Measured) -> Answer:
 
 def _of_class(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer | None:
     """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
-    outcome = class_fit(chosen, measured.problem) if len(measured.problem.records) == 1 else None
-    if outcome is None:
+    estimate = class_fit(chosen, measured.problem) if len(measured.problem.records) == 1 else None
+    if estimate is None:
         return None
-    finding = judged(NAME, measured, outcome)
-    said = f"{failed.method} found no answer: {failed.outcome.message}; this is the class's own fit"
+    finding = judged(NAME, measured, estimate)
+    said = f"{failed.method} found no answer: {failed.estimate.message}; this is the class's own fit"
     return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
 
 

@@ -7,18 +7,16 @@ chosen against a simpler one on strong evidence alone, and evidence counts no mo
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from bench.contract.estimate import Cost, Status
+from bench.contract.estimate import Cost, Estimate
 from bench.contract.problem import Problem
 from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.colour import criterion_error
-from bench.records.fit import Outcome
 from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerpt
 from bench.records.intervals import HALF
 from bench.records.linearised import at_theta
@@ -83,9 +81,8 @@ def best_class(measured: Measured, comparison: ClassComparison | None) -> Measur
     return replace(measured, notes=(*measured.notes, said, *zeros), comparison=comparison)
 
 
-def class_fit(model_class: ModelClass, problem: Problem) -> Outcome | None:
+def class_fit(model_class: ModelClass, problem: Problem) -> Estimate | None:
     """Fit the class itself to all samples of a record, from its parameters on; None where that fit is not finite."""
-    started = time.perf_counter()
     problem = of_system(problem, model_class.system)
     units = problem.natural_units()
     model = compiled_output_error(problem.expressed_in(units))
@@ -106,7 +103,7 @@ def class_fit(model_class: ModelClass, problem: Problem) -> Outcome | None:
     if fit is None or fit.white is None:
         return None
     estimate = estimate_at(model, theta, fit.white, fit.used, Cost())
-    return Outcome(estimate.expressed_in(units.inverse), Status.OK, "", time.perf_counter() - started)
+    return estimate.expressed_in(units.inverse)
 
 
 def _candidates(forced: bool, angle: bool) -> dict[str, np.ndarray]:

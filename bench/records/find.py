@@ -1,28 +1,35 @@
-"""Identify measured records: by the method asked for, again without needless terms, and by one robust to outliers."""
+"""Identify measured records with one method, step by step: fit, residuals, intervals, diagnostics, verdict.
+
+Repeats of a test are answered one by one and combined. Two refits may follow a fit: with errors that expect outliers,
+and without the terms of the system that the record does not need.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
-from bench.config.records import coloured_settings, robust_method
+import numpy as np
+
+from bench.config.records import robust_settings
 from bench.config.schema import Job
-from bench.contract.estimate import Status
-from bench.entrants.registry import missing_package
-from bench.errors import InputError
-from bench.isolation.processes import Died
+from bench.contract.estimate import Estimate, Status
 from bench.records.classes import best_class, compare_classes, needless_terms
-from bench.records.diagnostics import OUTLIERS, steady_sine
-from bench.records.finding import Finding, judged
-from bench.records.fit import Outcome, fit, within_time
-from bench.records.intervals import StatedInterval
+from bench.records.diagnostics import OUTLIERS, diagnose, natural_frequency, steady_sine
+from bench.records.finding import Finding
+from bench.records.fit import fit
+from bench.records.intervals import ENDS, StatedInterval, stated_intervals
+from bench.records.linearised import Linearised, linearised
+from bench.records.model_error import missing_forces
 from bench.records.models import unit_over_mass, without
-from bench.records.problem import Measured, spare_factor, with_fewer_samples, with_system
+from bench.records.parts import parts_of
+from bench.records.problem import Measured, spare_factor, with_system
 from bench.records.repeats import combined, runs_of
 from bench.records.request import AUTO, Request
+from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust
+from bench.scoring.combination import combine_with_prior
 from bench.systems.sums import Sum
 
 
@@ -45,114 +52,92 @@ def find(job: Job, measured: Measured) -> Finding:
     Raises:
         InputError: The method cannot take a measured record.
     """
-    repeats = combined([_found(job, run) for run in runs_of(measured)])
+    repeats = combined([_without_needless_terms(job, run) for run in runs_of(measured)])
     if repeats is not None and repeats.intervals:
         return repeats
-    together = _found(job, measured)
+    together = _without_needless_terms(job, measured)
     return together if together.intervals or repeats is None else repeats
 
 
-def _found(job: Job, measured: Measured) -> Finding:
-    """Identify records with one set of parameters.
-
-    Where a search fails on many samples a cycle it is tried again on fewer, filtered; where a parameter is left open,
-    without the terms of a sum that the record does not need.
-    """
-    found = _with_fewer_samples(_answer(job, measured), job)
-    if not _leaves_open(found):
-        return found
-    system = measured.problem.system
-    if not isinstance(system, Sum):
-        return found
-    most = _needless(measured, job.config.timeout_s)
-    if not most:
-        return found
-    return _with_zeros(_answer(job, with_system(found.measured, without(system, most))), system, most)
-
-
-def _answer(job: Job, measured: Measured) -> Finding:
-    """Judge the method's answer, with the colour of the noise where it can be given and outliers looked into."""
-    if sine := steady_sine(measured.problem):
-        return Finding(job.label, measured, Outcome(None, Status.UNSUPPORTED, sine), reasons=(Reason(Trust.NO, sine),))
-    return _with_robust(_coloured(judged(job.label, measured, fit(job, measured.problem)), job), job)
-
-
-def _coloured(finding: Finding, job: Job) -> Finding:
-    """Where the residuals are coloured, what the method finds when it is told so, if it can be."""
-    more = coloured_settings(job.config.method["name"])
-    noises = () if finding.fit is None else finding.fit.noises
-    coloured = any(noise is not None and noise.order for noise in noises)
-    if not (more and coloured) or "method.likelihood" in job.explicit:
+def _without_needless_terms(job: Job, measured: Measured) -> Finding:
+    """Identify records with one set of parameters; of a sum that the fit leaves open, without its needless terms."""
+    finding, system = _answered(job, measured), measured.problem.system
+    if not isinstance(system, Sum) or not _leaves_open(finding):
         return finding
-    outcome = fit(job, finding.problem, settings={**job.settings(), **more})
-    return finding if outcome.status is not Status.OK else judged(job.label, finding.measured, outcome, finding)
-
-
-def _with_fewer_samples(finding: Finding, job: Job) -> Finding:
-    """Where the method found no answer: what it finds in the decimated record, where that describes the motion too.
-
-    Misfits of the phase have the more minima the longer the record and the denser its samples; and the fit is quicker.
-    """
-    factor = spare_factor(finding.problem)
-    if finding.outcome.status is not Status.DIVERGED or factor == 1:
+    if not (most := needless_terms(measured)):
         return finding
-    try:
-        measured = with_fewer_samples(finding.measured, factor, job)
-    except InputError:
-        return finding
-    said = f"{finding.method} found no answer in all samples: {finding.outcome.message}"
-    return _answer(job, replace(measured, notes=(*measured.notes, said)))
-
-
-def _leaves_open(found: Finding) -> bool:
-    """Whether the method ended without an answer, or with a quantity that has no finite interval above zero."""
-    if found.outcome.status is Status.DIVERGED:
-        return True
-    stated = {**found.withdrawn, **found.intervals}.values()
-    return found.outcome.status is Status.OK and not all(own.low >= 0.0 and math.isfinite(own.high) for own in stated)
-
-
-@lru_cache(maxsize=4)
-def _needless(measured: Measured, limit_s: float) -> Mapping[str, float]:
-    """The parameters of terms that the records do not need, and the most that they allow of each, over the mass."""
-    try:
-        return within_time(needless_terms, measured, limit_s)
-    except Died:
-        return {}
-
-
-def _with_zeros(finding: Finding, system: Sum, most: Mapping[str, float]) -> Finding:
-    """A finding with the parameters of a system at zero that it was made without."""
-    if finding.outcome.status is not Status.OK:
+    finding = _answered(job, with_system(measured, without(system, most)))
+    if finding.estimate.status is not Status.OK:
         return finding
     units = {name: unit_over_mass(system, name) for name in most}
-    said = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
-    reasons = (*finding.reasons, *(Reason(Trust.CAUTION, sentence) for sentence in said))
-    if not finding.intervals:
-        return replace(finding, reasons=reasons)
+    reasons = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
     zeros = {f"{n}_over_m": StatedInterval(0.0, *(0.0, limit) * 3, units[n], "at most") for n, limit in most.items()}
-    return replace(finding, reasons=reasons, intervals={**finding.intervals, **zeros})
+    return replace(
+        finding,
+        stated={**finding.stated, **zeros},
+        reasons=(*finding.reasons, *(Reason(Trust.CAUTION, reason) for reason in reasons)),
+    )
 
 
-def _with_robust(finding: Finding, job: Job) -> Finding:
-    """Where samples are far off, the same and what a fit that expects outliers finds (errors with Student's t)."""
-    far = any(reason.text.endswith(OUTLIERS) for reason in finding.reasons)
-    robust_name, settings = robust_method()
-    already = settings.items() <= job.settings().items()
-    if not far or already or missing_package(robust_name):
+def _leaves_open(finding: Finding) -> bool:
+    """Return whether a fit has no answer, or a quantity that has no finite interval above zero."""
+    if finding.estimate.status is not Status.OK:
+        return finding.estimate.status is Status.DIVERGED
+    return not all(interval.low >= 0.0 and math.isfinite(interval.high) for interval in finding.stated.values())
+
+
+def _answered(job: Job, measured: Measured) -> Finding:
+    """Fit and judge; where samples are far off, with errors that expect outliers if the method has them."""
+    if sine := steady_sine(measured.problem):
+        estimate = Estimate.failed(measured.problem.system, Status.UNSUPPORTED, sine)
+        return Finding(job.label, measured, estimate, reasons=(Reason(Trust.NO, sine),))
+    finding = judged(job.label, measured, *fit(job, measured.problem))
+    settings = robust_settings(job.config.method["name"])
+    outliers = any(reason.text.endswith(OUTLIERS) for reason in finding.reasons)
+    if not (outliers and settings) or "method.likelihood" in job.explicit:
         return finding
-    robust = fit(job, finding.problem, robust_name, settings)
-    own, system = finding.intervals or finding.withdrawn, finding.problem.system
-    name = next(iter(own), "")
-    marginal = None if robust.estimate is None or not name else robust.estimate.marginal(system.quantity(name))
-    if marginal is None:
-        reason = f"a fit that expects outliers gave no answer: {robust.message}"
-        return replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, reason)))
-    inside = own[name].low <= marginal.value <= own[name].high
-    reason = f"a fit that expects outliers (Student's t) gives {name.replace('_over_', '/')} = {marginal.value:.6g}"
-    if not inside:
-        reason += ", outside of this interval: believe that one"
-    reasons = (*finding.reasons, Reason(Trust.CAUTION if inside else Trust.NO, reason))
-    if inside:
-        return replace(finding, reasons=reasons)
-    return replace(finding, reasons=reasons, intervals={}, withdrawn=own)
+    estimate, wall_s = fit(job, measured.problem, {**job.settings(), **settings})
+    if estimate.status is not Status.OK:
+        return finding
+    note = "samples are far off: fitted with errors of Student's t, which expects outliers"
+    return judged(job.label, replace(measured, notes=(*measured.notes, note)), estimate, wall_s)
+
+
+def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = math.nan) -> Finding:
+    """State the intervals that the records support of a method's answer, and the reasons for caution."""
+    problem = measured.problem
+    if estimate.status is not Status.OK:
+        reason = f"no answer ({estimate.status.value}): {estimate.message}{_fewer_samples(measured, estimate.status)}"
+        return Finding(method, measured, estimate, wall_s, reasons=(Reason(Trust.NO, reason),))
+    scaled = combine_with_prior(estimate, problem.prior)
+    with np.errstate(all="ignore"):
+        likelihood = linearised(problem, scaled)
+        parts = [] if likelihood is None else parts_of(likelihood, _frequency(likelihood))
+        missing = () if likelihood is None or measured.comparison is not None else missing_forces(likelihood)
+        rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
+        intervals = stated_intervals(scaled, likelihood, parts, rate_error, measured.comparison)
+    intervals |= _with_mass(intervals, measured)
+    diagnosis = diagnose(likelihood, problem, intervals, missing, estimate.message)
+    return Finding(method, measured, estimate, wall_s, intervals, diagnosis.reasons, likelihood, diagnosis.modes)
+
+
+def _frequency(likelihood: Linearised) -> float:
+    channel = likelihood.model.channels[0][1]
+    return natural_frequency(likelihood) or strongest_frequency(channel.times, channel.values)
+
+
+def _fewer_samples(measured: Measured, status: Status) -> str:
+    """Of a fit that ended at its limits, return which decimation would still describe the motion, if one would."""
+    factor = spare_factor(measured.problem) if status in (Status.TIMEOUT, Status.OOM) else 1
+    return f"; decimate={factor} keeps one sample in {factor}, filtered" if factor > 1 else ""
+
+
+def _with_mass(intervals: Mapping[str, StatedInterval], measured: Measured) -> dict[str, StatedInterval]:
+    """Return intervals of the parameters themselves where their ratios were found and the mass is known."""
+    mass, system, scaled = measured.told_mass, measured.problem.system, {}
+    for parameter in system.parameters if mass is not None else ():
+        ratio = intervals.get(f"{parameter.name}_over_{system.gauge}")
+        if ratio is not None:
+            ends = {end: mass * getattr(ratio, end) for end in ENDS}
+            scaled[parameter.name] = replace(ratio, unit=parameter.unit, **ends)
+    return scaled

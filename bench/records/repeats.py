@@ -52,26 +52,29 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
     kept = [run for run in runs if not run.left_out]
     if not kept:
         return None
-    shown = _middle(kept)
+    middle = _middle(kept)
+    shown, system = middle.finding, middle.finding.problem.system
     effects = {
-        quantity.name: random_effects(list(stated.values()), quantity, shown.finding.problem.system)
-        for quantity in shown.finding.problem.system.quantities
+        quantity.name: random_effects(list(stated.values()), quantity, system)
+        for quantity in system.quantities
         if len(stated := _stated(kept, quantity)) > 1
     }
     spread = {name: effect.interval for name, effect in effects.items()}
-    intervals = {**shown.finding.intervals, **spread}
-    own = [Reason(reason.verdict, f"{shown.name}: {reason.text}") for reason in shown.finding.reasons]
-    reasons = (*_left_out(runs), *reasons_of_intervals(spread), *own)
-    stands = all(reason.verdict is not Trust.NO for reason in reasons)
-    measured = shown.finding.measured
-    said = [f"{readable(name)} by {effect.percent:.2g} %" for name, effect in effects.items()][:2]
-    note = f"{len(kept)} runs, each answered alone, differ in {' and in '.join(said)} (standard deviation)"
+    reasons = [Reason(Trust.CAUTION, f"{run.name} is left out: {run.left_out}") for run in runs if run.left_out]
+    if 2 * len(kept) < len(runs):
+        reasons.insert(0, Reason(Trust.NO, f"only {len(kept)} of {len(runs)} runs agree and can be answered"))
+    reasons += reasons_of_intervals(spread)
+    reasons += [replace(reason, text=f"{middle.name}: {reason.text}") for reason in shown.reasons]
+    notes = list(dict.fromkeys(shown.measured.notes))
+    if effects:
+        scatter = [f"{readable(name)} by {effect.percent:.2g} %" for name, effect in effects.items()][:2]
+        differ = f"differ in {' and in '.join(scatter)} (standard deviation)"
+        notes.append(f"{len(kept)} runs, each answered alone, {differ}")
     return replace(
-        shown.finding,
-        measured=replace(measured, notes=(*dict.fromkeys(measured.notes), *([note] if said else []))),
-        intervals=intervals if stands else {},
-        withdrawn={} if stands else intervals,
-        reasons=reasons,
+        shown,
+        measured=replace(shown.measured, notes=tuple(notes)),
+        stated={**shown.stated, **spread},
+        reasons=tuple(reasons),
         runs=tuple(runs),
     )
 
@@ -94,19 +97,19 @@ class RandomEffects:
 
 def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system: System) -> RandomEffects:
     """Fit the model to intervals of two runs or more."""
-    y = np.log([own.value for own in stated])
-    v = np.array([_variance(own.record_low, own.record_high) for own in stated])
+    y = np.log([interval.value for interval in stated])
+    v = np.array([_variance(interval.record_low, interval.record_high) for interval in stated])
     prior, of_runs = _prior_variance(quantity, system), paule_mandel(y, v)
     more = max(LEAST_DOF - (y.size - 1), 0)
     dof = y.size - 1 + more
     between = ((y.size - 1) * of_runs + more * prior) / dof
     weights = 1.0 / (v + between)
     mean, error = float(np.sum(weights * y) / np.sum(weights)), float(1.0 / np.sum(weights))
-    white = HALF / math.sqrt(sum(1.0 / _variance(own.white_low, own.white_high) for own in stated))
+    white = HALF / math.sqrt(sum(1.0 / _variance(interval.white_low, interval.white_high) for interval in stated))
     quantile, uneven = float(standard_quantile(UPPER, dof)), math.sqrt(of_runs / prior)
-    repeat, own = quantile * math.sqrt(between + error), quantile * math.sqrt(error)
+    repeat, together = quantile * math.sqrt(between + error), quantile * math.sqrt(error)
     low, high, record_low, record_high, white_low, white_high = (
-        math.exp(mean + sign * half) for half in (repeat, own, white) for sign in (-1.0, 1.0)
+        math.exp(mean + sign * half) for half in (repeat, together, white) for sign in (-1.0, 1.0)
     )
     interval = StatedInterval(
         math.exp(mean), low, high, record_low, record_high, white_low, white_high, quantity.unit, "", uneven
@@ -125,7 +128,9 @@ def _stated(runs: Sequence[Run], quantity: Quantity) -> dict[str, StatedInterval
     """Return the intervals of a quantity that have two ends, and a logarithm, by the run's name."""
     stated = {run.name: run.finding.intervals.get(quantity.name) for run in runs}
     return {
-        name: own for name, own in stated.items() if own and not own.limit and min(own.record_low, own.white_low) > 0
+        name: interval
+        for name, interval in stated.items()
+        if interval and not interval.limit and min(interval.record_low, interval.white_low) > 0
     }
 
 
@@ -143,23 +148,15 @@ def _odd_run(kept: Sequence[Run]) -> Run | None:
     groups = [(q, stated) for q in (system.groups if system else ()) if len(stated := _stated(kept, q)) > 2]
     for quantity, stated in groups:
         for run in (run for run in kept if run.name in stated):
-            own, others = stated[run.name], [other for name, other in stated.items() if name != run.name]
+            interval, others = stated[run.name], [other for name, other in stated.items() if name != run.name]
             rest = random_effects(others, quantity, run.finding.problem.system)
-            error = math.sqrt(_variance(own.record_low, own.record_high) + rest.between + rest.error)
-            chance = 2.0 * float(t.sf(abs(math.log(own.value) - rest.mean) / error, rest.dof))
+            error = math.sqrt(_variance(interval.record_low, interval.record_high) + rest.between + rest.error)
+            chance = 2.0 * float(t.sf(abs(math.log(interval.value) - rest.mean) / error, rest.dof))
             chance *= len(stated) * len(groups)
             if chance < least:
-                values = f"{readable(quantity.name)} = {own.value:.4g}, theirs {math.exp(rest.mean):.4g}"
+                values = f"{readable(quantity.name)} = {interval.value:.4g}, theirs {math.exp(rest.mean):.4g}"
                 least, odd = chance, replace(run, left_out=f"not a repeat of the others: {values}")
     return odd
-
-
-def _left_out(runs: Sequence[Run]) -> list[Reason]:
-    """Return a reason for each run that is left out."""
-    reasons = [Reason(Trust.CAUTION, f"{run.name} is left out: {run.left_out}") for run in runs if run.left_out]
-    kept = len(runs) - len(reasons)
-    too_few = Reason(Trust.NO, f"only {kept} of {len(runs)} runs agree and can be answered")
-    return [too_few, *reasons] if 2 * kept < len(runs) else reasons
 
 
 def _middle(kept: Sequence[Run]) -> Run:
@@ -172,8 +169,8 @@ def _middle(kept: Sequence[Run]) -> Run:
 def _failure(finding: Finding) -> str:
     """Return why a run is left out that has no answer alone, or nothing."""
     reasons = [reason.text for reason in finding.reasons if reason.verdict is Trust.NO]
-    said = reasons[0] if reasons else finding.outcome.message
-    return "" if finding.intervals else f"alone it has no answer to trust: {said}"
+    because = reasons[0] if reasons else finding.estimate.message
+    return "" if finding.intervals else f"alone it has no answer to trust: {because}"
 
 
 def _names(alone: Sequence[Finding]) -> list[str]:

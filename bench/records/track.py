@@ -107,20 +107,20 @@ class MeasuredFit:
             finding = find(self.job, self.measured())
         except InputError as error:
             return [{**head, "status": "refused", "message": str(error), "trust": Trust.NO.value, "withdrawn": 0}]
-        fit, outcome, held_out, offset = finding.fit, finding.outcome, math.nan, math.nan
+        fit, estimate, held_out, offset = finding.fit, finding.estimate, math.nan, math.nan
         if fit is not None:
             with np.errstate(all="ignore"):
                 held_out = held_out_fit(fit)
             offset = finding.channel_size * float(fit.model.offsets(fit.theta)[0])
         head |= {
-            "status": outcome.status.value,
+            "status": estimate.status.value,
             "trust": finding.trust.value,
             "withdrawn": int(bool(finding.withdrawn)),
         }
-        head |= {"held_out": held_out, "offset": offset, "wall_s": outcome.wall_s}
+        head |= {"held_out": held_out, "offset": offset, "wall_s": finding.wall_s}
         stated = finding.intervals or finding.withdrawn
         quantities: list[Row] = [{"quantity": name, **asdict(interval)} for name, interval in stated.items()]
-        return [{**head, **quantity} for quantity in quantities or [{"message": outcome.message}]]
+        return [{**head, **quantity} for quantity in quantities or [{"message": estimate.message}]]
 
 
 def described(of: MeasuredSet, request: Request, recording: Recording) -> Measured:

@@ -17,8 +17,8 @@ from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
 from bench.likelihood.autoregression import Autoregression
-from bench.records.finding import Finding, judged
-from bench.records.fit import Outcome
+from bench.records.find import judged
+from bench.records.finding import Finding
 from bench.records.problem import Measured
 from bench.records.replicas import answered, coverage_of, true_values, widened
 from bench.records.request import request_of
@@ -63,12 +63,11 @@ CASES = {
 
 
 def found(problem: Problem, seed: int) -> Finding | None:
-    """Return the finding of a record, its intervals kept where it is not to be trusted; None without an answer."""
+    """Return the finding of a record, without reasons so that no interval is withdrawn; None without an answer."""
     estimate = make_method(METHOD, {}).identify(problem, np.random.default_rng(seed))
     if estimate.status is not Status.OK:
         return None
-    finding = judged(METHOD, Measured((), problem, ()), Outcome(estimate, estimate.status, ""))
-    return replace(finding, intervals=finding.intervals or finding.withdrawn)
+    return replace(judged(METHOD, Measured((), problem, ()), estimate), reasons=())
 
 
 def covers(finding: Finding, replicas: int, job: Job) -> dict[tuple[str, str], bool]:

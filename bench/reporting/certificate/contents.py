@@ -120,7 +120,7 @@ def _prediction(certificate: Certificate) -> dict[str, float] | None:
     fit = prediction.fit_percent(at.model.data, at.channels[0])
     if math.isnan(fit):
         return None
-    return {"split": certificate.primary.units.time * prediction.split, "fit_pct": fit}
+    return {"split": certificate.primary.problem.natural_units().time * prediction.split, "fit_pct": fit}
 
 
 def _class(one: ModelClass) -> dict[str, Any]:
@@ -138,11 +138,11 @@ def _class(one: ModelClass) -> dict[str, Any]:
 def _method(one: Finding, primary: Finding, names: Sequence[str]) -> dict[str, Any]:
     return {
         "method": one.method,
-        "status": one.outcome.status.value,
+        "status": one.estimate.status.value,
         "verdict": one.trust.value,
-        "message": one.outcome.message,
+        "message": one.estimate.message,
         "reasons": [reason.text for reason in one.reasons],
-        "wall_s": one.outcome.wall_s,
+        "wall_s": one.wall_s,
         "values": _intervals(one.intervals),
         "withdrawn": _intervals(one.withdrawn),
         "agreement": agreements(one, primary, names),
@@ -171,7 +171,7 @@ def series(certificate: Certificate) -> dict[str, Any]:
     }  # fmt: skip
     if at is None:
         return series
-    size, second = primary.channel_size, primary.units.time
+    size, second = primary.channel_size, primary.problem.natural_units().time
     residuals = size * at.residuals[at.channels[0]]
     series |= {"fit": channel.values - residuals, "residuals": residuals}
     if even_times(channel.times) and residuals.size >= 12:

@@ -215,11 +215,10 @@ def test_the_fit_of_a_class_is_continued_to_the_whole_record(cycles: float) -> N
 
     x = solve_ivp(law, (0.0, times[-1]), [1.0, 0.0], t_eval=times, rtol=1e-9, atol=1e-11).y[0]
     record = records("auto", noisy(x, 40.0, 3, t=times))
-    outcome = class_fit(compared(record).chosen, record.problem)
-    assert outcome is not None
-    assert outcome.estimate is not None
+    estimate = class_fit(compared(record).chosen, record.problem)
+    assert estimate is not None
     for name, value in {"k_over_m": OMEGA**2, "c_over_m": 2 * ZETA * OMEGA, "k3_over_m": 0.5 * OMEGA**2}.items():
-        marginal = outcome.estimate.marginal(outcome.estimate.system.quantity(name))
+        marginal = estimate.marginal(estimate.system.quantity(name))
         assert marginal is not None
         low, high = marginal.interval(0.999)
         assert low < value < high

@@ -11,10 +11,9 @@ import pytest
 from scipy import stats
 
 import bench
-from bench.contract.estimate import Status
+from bench.contract.estimate import Estimate
 from bench.contract.problem import Channel, Problem, Record
 from bench.records.finding import Finding
-from bench.records.fit import Outcome
 from bench.records.intervals import PRIOR_SPREAD, StatedInterval
 from bench.records.problem import Measured
 from bench.records.reading import Recording
@@ -39,16 +38,16 @@ def answers(measured: Measured, k: Sequence[float], c: Sequence[float], error: f
     """Return an answer for each run with the same relative error; none where k/m is 0."""
     found = []
     for run, stiffness, damping in zip(runs_of(measured), k, c, strict=True):
-        outcome = Outcome(None, Status.OK, "", 0.0)
+        estimate = Estimate(SDOF())
         if stiffness == 0:
-            found.append(Finding("ls", run, outcome, reasons=(Reason(Trust.NO, "no vibration found"),)))
+            found.append(Finding("ls", run, estimate, reasons=(Reason(Trust.NO, "no vibration found"),)))
             continue
         intervals = {
             "k_over_m": stated(stiffness, error, "1/s²"),
             "c_over_m": stated(damping, 10 * error, "1/s"),
             "natural_frequency": stated(np.sqrt(stiffness) / 2 / np.pi, error / 2, "Hz"),
         }
-        found.append(Finding("ls", run, outcome, intervals))
+        found.append(Finding("ls", run, estimate, stated=intervals))
     return found
 
 
@@ -120,7 +119,7 @@ def test_a_run_that_does_not_determine_the_damping_is_kept_and_leaves_it_to_the_
     measured = several(4)
     alone = answers(measured, [100, 101, 99, 100], [1.0, 1.1, 0.9, 5.0])
     damping = replace(alone[3].intervals["c_over_m"], low=0.0, record_low=0.0, limit="at most")
-    alone[3] = replace(alone[3], intervals={**alone[3].intervals, "c_over_m": damping})
+    alone[3] = replace(alone[3], stated={**alone[3].intervals, "c_over_m": damping})
     found = combined(alone)
     assert found is not None
     assert found.intervals["c_over_m"].value == pytest.approx(np.cbrt(1.0 * 1.1 * 0.9), rel=1e-3)

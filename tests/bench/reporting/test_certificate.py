@@ -161,8 +161,8 @@ def test_agreement(value: float, low: float, high: float, agreement: str) -> Non
 
 
 def test_a_sound_method_that_disagrees_is_a_reason_for_caution(made: Certificate) -> None:
-    other = replace(made.primary, method="iqml", intervals={"c_over_m": interval(2.0, 1.9, 2.1)})
-    alike = replace(made.primary, method="ls", intervals={"c_over_m": interval(2.0, 0.1, 2.1)})
+    other = replace(made.primary, method="iqml", stated={"c_over_m": interval(2.0, 1.9, 2.1)})
+    alike = replace(made.primary, method="ls", stated={"c_over_m": interval(2.0, 0.1, 2.1)})
     primary = with_reasons(replace(made.primary, reasons=()), [other, alike], {})
     assert primary.trust is Trust.CAUTION
     assert [reason.text for reason in primary.reasons] == ["iqml disagrees in c/m"]

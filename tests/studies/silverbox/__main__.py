@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -28,7 +29,7 @@ from bench.contract.problem import Hold
 from bench.engine.pool import Limits
 from bench.entrants.registry import make_method, missing_package, registered
 from bench.isolation.machine import single_threaded
-from bench.records.fit import Outcome, fit_alone
+from bench.records.fit import fit_alone
 from bench.reporting.tables.render import markdown_table
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
@@ -63,14 +64,13 @@ REFERENCES = (
 """Root mean square errors (mV) elsewhere: test multisine, whole arrow, arrow without extrapolation."""
 
 
-def fitted(name: str, problem: Problem, timeout_s: float) -> Outcome:
+def fitted(name: str, problem: Problem, timeout_s: float) -> tuple[Estimate, float]:
     """One method on one problem, in a process of its own."""
     cell = expand([f"method={name}"], multirun=False)[0].cell()
     lacking = missing_package(cell.method)
     if lacking:
-        return Outcome(None, Status.MISSING_DEPENDENCY, lacking)
-    times, limits = problem.records[0].channels[0].times, Limits(1, timeout_s)
-    return fit_alone(make_method(cell.method, dict(cell.settings)), problem, times, np.random.default_rng(0), limits)
+        return Estimate.failed(problem.system, Status.MISSING_DEPENDENCY, lacking), math.nan
+    return fit_alone(make_method(cell.method, dict(cell.settings)), problem, Limits(1, timeout_s))
 
 
 def free_run(system: System, p: Mapping[str, float], data: Silverbox, part: slice, hold: Hold) -> np.ndarray:
@@ -104,25 +104,25 @@ def shooting_rows(data: Silverbox, system: ConstantForce, samples: int) -> tuple
     values: list[list[str]] = []
     for hold in HOLDS:
         problem = training_problem(data, system, hold, samples)
-        outcome = fitted("shooting", problem, 600.0)
-        p = _point(outcome, problem)
+        estimate, seconds = fitted("shooting", problem, 600.0)
+        p = _point(estimate, problem)
         label = f"shooting, {samples:,} samples, {hold} input"
-        if p is None or outcome.estimate is None:
-            rows.append([label, outcome.status.value, "", "", f"{outcome.wall_s:.0f}"])
+        if p is None:
+            rows.append([label, estimate.status.value, "", "", f"{seconds:.0f}"])
             continue
         multisine = free_run(system, p, data, TEST_MULTISINE, hold)
         arrow = free_run(system, p, data, ARROW, hold)
         errors = [millivolts(r) for r in (multisine, arrow, arrow[: WITHIN - UNSCORED])]
-        rows.append([label, *(f"{error:.3f}" for error in errors), f"{outcome.wall_s:.0f}"])
+        rows.append([label, *(f"{error:.3f}" for error in errors), f"{seconds:.0f}"])
         print("  ".join(rows[-1]), flush=True)
-        values = values or _parameters(outcome.estimate, system)
+        values = values or _parameters(estimate, system)
     return rows, values
 
 
-def _point(outcome: Outcome, problem: Problem) -> dict[str, float] | None:
-    if outcome.estimate is None or outcome.status is not Status.OK:
+def _point(estimate: Estimate, problem: Problem) -> dict[str, float] | None:
+    if estimate.status is not Status.OK:
         return None
-    p = point_parameters(combine_with_prior(outcome.estimate, problem.prior))
+    p = point_parameters(combine_with_prior(estimate, problem.prior))
     return None if p is None else {name: float(value) for name, value in p.items()}
 
 
@@ -141,13 +141,13 @@ def _parameters(estimate: Estimate, system: ConstantForce) -> list[list[str]]:
 def window_row(name: str, data: Silverbox, system: ConstantForce, window: int, timeout_s: float) -> list[str]:
     """Fit a short window; return status, errors (mV) there and on test samples, and seconds."""
     problem = training_problem(data, system, "cubic", window)
-    outcome = fitted(name, problem, timeout_s)
-    p, seconds = _point(outcome, problem), f"{outcome.wall_s:.1f}" if np.isfinite(outcome.wall_s) else ""
+    estimate, wall_s = fitted(name, problem, timeout_s)
+    p, seconds = _point(estimate, problem), f"{wall_s:.1f}" if np.isfinite(wall_s) else ""
     if p is None:
-        return [name, outcome.status.value, "", "", seconds, outcome.message]
+        return [name, estimate.status.value, "", "", seconds, estimate.message]
     own = _misfit(system, p, problem.records[0])
     test = free_run(system, p, data, slice(TEST_MULTISINE.start, TEST_MULTISINE.start + SHORT), "cubic")
-    return [name, outcome.status.value, f"{millivolts(own):.3g}", f"{millivolts(test):.3g}", seconds, outcome.message]
+    return [name, estimate.status.value, f"{millivolts(own):.3g}", f"{millivolts(test):.3g}", seconds, estimate.message]
 
 
 def _misfit(system: System, p: Mapping[str, float], record: Record) -> np.ndarray:
