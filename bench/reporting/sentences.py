@@ -379,6 +379,19 @@ def free_decay_regressions(r: Published, f: Facts) -> None:
     )
 
 
+def reproduction(r: Published, f: Facts) -> None:
+    """Where a verdict on the paper's k is one on its mass: with errors of one sign, its k/m is nearer than ours."""
+    verdicts = r.table("reproduction.csv").astype({"row": str})
+    paper = verdicts.pivot(index=["table", "row", "method"], columns="metric", values="paper")
+    better = verdicts[(verdicts.metric == "k_error_pct") & (verdicts["as in the protocol"] == "ours better")]
+    better = better.set_index(["table", "row", "method"])
+    implied = 100 * ((100 + paper.k_error_pct) / (100 + paper.m_error_pct) - 1)[better.index]
+    known = pd.concat([r.rows("table3", metric=K, initial_state="known"), r.rows("table5", metric=K, snr_db=5)])
+    ours = known[known.initial_state == "known"].astype({"row": str}).set_index(["table", "row", "method"])["median"]
+    f.say(k_verdicts=", ".join(f"{value:g}" for value in better.paper), k_implied=span(implied, number))
+    f.hold(a_better_k_follows_from_the_mass=(implied < ours[better.index]) & (len(better) == 3))
+
+
 # ---- the open split
 
 
@@ -1005,9 +1018,9 @@ def measured(r: Published, f: Facts) -> None:
 
 
 TOPICS = (
-    overview, free_decay, free_decay_training, free_decay_others, free_decay_regressions, open_split, systems_forced,
-    systems_more, systems_ends, systems_reach, pinn_engine, pinn_family, atlas, atlas_theory, atlas_forced, broken,
-    online, measured,
+    overview, free_decay, free_decay_training, free_decay_others, free_decay_regressions, reproduction, open_split,
+    systems_forced, systems_more, systems_ends, systems_reach, pinn_engine, pinn_family, atlas, atlas_theory,
+    atlas_forced, broken, online, measured,
 )  # fmt: skip
 
 
