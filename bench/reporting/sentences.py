@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,10 @@ class Facts:
     numbers: dict[str, str] = field(default_factory=dict)
     conclusions: dict[str, bool] = field(default_factory=dict)
 
-    def say(self, **numbers: object) -> None:
-        """Name numbers; each name is given once."""
+    def say(self, form: Callable[[Any], str] | None = None, /, **numbers: Any) -> None:
+        """Name numbers, each name once, printed in a form (:func:`count`); of several values ``low to high``."""
         assert not self.numbers.keys() & numbers.keys()
-        self.numbers |= {name: str(value) for name, value in numbers.items()}
+        self.numbers |= {name: printed(value, form or count) for name, value in numbers.items()}
 
     def hold(self, **conclusions: Any) -> None:
         """Name conclusions: a truth value, or one of each case."""
@@ -136,10 +136,30 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f}"
 
 
-def span(values: Iterable[float], form: Callable[[float], str] = fold) -> str:
-    """``low to high``, or one number where both are written alike."""
-    given = list(values)
-    low, high = form(min(given)), form(max(given))
+def rough(value: float) -> str:
+    """With one significant digit."""
+    return number(value, 1)
+
+
+def fine(value: float) -> str:
+    """With three significant digits."""
+    return number(value, 3)
+
+
+def tenth(value: float) -> str:
+    """With one decimal."""
+    return f"{value:.1f}"
+
+
+def count(value: float | str) -> str:
+    """A whole number, thousands parted, or what is text already."""
+    return value if isinstance(value, str) else f"{value:,.0f}"
+
+
+def printed(value: Any, form: Callable[[Any], str]) -> str:
+    """One value in a form, or ``low to high`` of several, which is one where both are written alike."""
+    values = [value] if isinstance(value, str) else np.ravel(value).tolist()
+    low, high = form(min(values)), form(max(values))
     return low if low == high else f"{low} to {high}"
 
 
@@ -156,17 +176,15 @@ def overview(r: Published, f: Facts) -> None:
     size = sum(path.stat().st_size for path in (r.folder / "archive").rglob("*.parquet"))
     spent = cells[cells.experiment.isin([f"table{i}" for i in range(2, 6)])].groupby("label").cpu_s.sum() / 60
     share = spent / spent.sum()
+    f.say(methods=len(methods), methods_on_the_same=panels.method.nunique().max())
+    f.say(chosen_rows=_markdown(r.study("table3.md", "Initial state unknown").loc[list(CHOSEN), list(COLUMNS)]))
     f.say(
-        methods=len(methods),
-        methods_on_the_same=panels.method.nunique().max(),
-        cells=f"{len(cells):,}",
-        archive_mb=number(size / 1e6, 3),
-        cost_minutes=number(spent.sum()),
-        cost_paper_training=percent(share["pinn_adam"]),
-        cost_next=percent(share.drop("pinn_adam").max()),
-        chosen_rows=_markdown(r.study("table3.md", "Initial state unknown").loc[list(CHOSEN), list(COLUMNS)]),
-        table_3_known=(r.folder / "table3.md").read_text("utf-8").split("## Initial state known\n")[1].split("\n##")[0],
+        table_3_known=(r.folder / "table3.md").read_text("utf-8").split("## Initial state known\n")[1].split("\n##")[0]
     )
+    f.say(cells=len(cells))
+    f.say(fine, archive_mb=size / 1000000.0)
+    f.say(number, cost_minutes=spent.sum())
+    f.say(percent, cost_paper_training=share["pinn_adam"], cost_next=share.drop("pinn_adam").max())
     f.hold(
         every_method_stands_in_a_table=methods <= {*lines.method, *r.table("pinn_family.csv").method},
         the_papers_training_costs_most=share.idxmax() == "pinn_adam",
@@ -199,20 +217,14 @@ def free_decay(r: Published, f: Facts) -> None:
     both = r.rows("table5", method=("pinn", "collocation"), metric=PRIMARY)
     both = both.pivot(index=["initial_state", "snr_db", "metric"], columns="method", values="excess")
     apart = np.abs(both.pinn / both.collocation - 1)
-    f.say(
-        on_bound=span(lines.excess),
-        on_bound_n=span(lines.n, "{:.0f}".format),
-        on_bound_apart=percent((wide.max(axis=1) / wide.min(axis=1)).max() - 1),
-        on_bound_k=number(median[K], 1),
-        on_bound_c=number(median[C]),
-        on_bound_mm=number(1000 * median["rmse"], 1),
-        paper_mm=number(1000 * paper),
-        pinn_s_30_cycles=number(cycles.iloc[0], 1),
-        spline_apart=number(100 * apart.max(), 1),
-        spline_time=span(seconds(r, "collocation") / seconds(r, "pinn"), percent),
-        **{f"{name}_s": span(seconds(r, name, 30, 20, 10, 5), lambda s: number(s, 1)) for name in ON_BOUND},
-        pinn_s_40_db=span(seconds(r, "pinn", 40), lambda s: number(s, 1)),
-    )
+    f.say(fold, on_bound=lines.excess)
+    f.say(on_bound_n=lines.n)
+    f.say(percent, on_bound_apart=(wide.max(axis=1) / wide.min(axis=1)).max() - 1)
+    f.say(percent, spline_time=seconds(r, "collocation") / seconds(r, "pinn"))
+    f.say(rough, on_bound_k=median[K], on_bound_mm=1000 * median["rmse"], pinn_s_30_cycles=cycles.iloc[0])
+    f.say(rough, spline_apart=100 * apart.max(), **{f"{name}_s": seconds(r, name, 30, 20, 10, 5) for name in ON_BOUND})
+    f.say(rough, pinn_s_40_db=seconds(r, "pinn", 40))
+    f.say(number, on_bound_c=median[C], paper_mm=1000 * paper)
     f.hold(
         four_are_on_the_bound=lines.excess < NEAR,
         displacement_better_than_the_papers=median["rmse"] < paper,
@@ -225,9 +237,7 @@ def free_decay(r: Published, f: Facts) -> None:
         errors = r.fits(("regimes",), [K], **cells).pivot(index="replicate", columns="label", values=K).dropna()
         wrong[disturbance] = (errors > 5).sum()
         f.say(**{f"sparse_n_{disturbance}": len(errors)})
-    f.say(
-        **{f"sparse_{name}_{times}": wrong[times][name] for times in wrong for name in ("pinn", "collocation")},
-    )
+    f.say(**{f"sparse_{name}_{times}": wrong[times][name] for times in wrong for name in ("pinn", "collocation")})
     f.hold(
         even_times_tell_no_difference=wrong["none"] <= 1,
         irregular_times_lead_the_pinn_astray=wrong["irregular"].pinn > 5 and wrong["irregular"].collocation == 0,
@@ -259,26 +269,16 @@ def free_decay_training(r: Published, f: Facts) -> None:
     ensemble = r.rows("calibration", method="pinn_ensemble", quantity=("k_over_m", "c_over_m"))
     trained = r.fits(("calibration",), ["k_over_m_coverage_95"], label="pinn_ensemble_adam").groupby("initial_state")
     trained = trained.k_over_m_coverage_95.agg(["sum", "size"])
-    f.say(
-        adam_ended=ended.sum(),
-        adam_fits=len(fits),
-        adam_s=span(seconds(r, "pinn_adam"), number),
-        adam_s_study=number(float(floats(engine["seconds a fit"])["method=pinn_adam, whole fit"])),
-        adam_s_40=number(float(floats(at_40["CPU s a fit"]).iloc[0])),
-        adam_loud=span(loud),
-        adam_middle=span(middle),
-        adam_quiet=span(quiet),
-        adam_unknown=span(excesses(r, "pinn_adam", "unknown", *USUAL)),
-        paper_at_40_db=number(paper),
-        held_n=span(held.n[held.method != "mcmc"], "{:.0f}".format),
-        held_n_mcmc=span(held.n[held.method == "mcmc"], "{:.0f}".format),
-        held=span(held.coverage_95, percent),
-        ensemble_held=round((ensemble.coverage_95 * ensemble.n).sum()),
-        ensemble_n=int(ensemble.n.sum()),
-        ensemble_adam_known=int(trained["sum"]["known"]),
-        ensemble_adam_unknown=int(trained["sum"]["unknown"]),
-        ensemble_adam_n=int(trained["size"].unique().item()),
-    )
+    f.say(adam_ended=ended.sum(), adam_fits=len(fits), ensemble_held=round((ensemble.coverage_95 * ensemble.n).sum()))
+    f.say(ensemble_n=ensemble.n.sum(), ensemble_adam_known=trained["sum"]["known"])
+    f.say(ensemble_adam_unknown=trained["sum"]["unknown"], ensemble_adam_n=trained["size"].unique().item())
+    f.say(held_n=held.n[held.method != "mcmc"], held_n_mcmc=held.n[held.method == "mcmc"])
+    f.say(number, adam_s=seconds(r, "pinn_adam"))
+    f.say(number, adam_s_study=float(floats(engine["seconds a fit"])["method=pinn_adam, whole fit"]))
+    f.say(number, adam_s_40=float(floats(at_40["CPU s a fit"]).iloc[0]), paper_at_40_db=paper)
+    f.say(fold, adam_loud=loud, adam_middle=middle, adam_quiet=quiet)
+    f.say(fold, adam_unknown=excesses(r, "pinn_adam", "unknown", *USUAL))
+    f.say(percent, held=held.coverage_95)
     f.hold(
         papers_training_ends_at_its_limit=ended,
         papers_training_is_on_the_bound_at_10_db=loud < NEAR,
@@ -301,18 +301,11 @@ def free_decay_others(r: Published, f: Facts) -> None:
     repaired = {name: excesses(r, name, "unknown", *USUAL) for name in ("iqml", "frequency", "npe")}
     astray = {label: _astray(r, label) for label in ("output_error_cold", "output_error", "shooting")}
     cold = astray["output_error_cold"]
-    f.say(
-        pencil=span(pencil),
-        pencil_known=span(known),
-        decrement=span(pd.concat(decrement)),
-        ar_40=span(plain[0]),
-        ar_20=span(plain[1]),
-        repaired=span(pd.concat(repaired)),
-        cold_right=span(1 - cold["mean"], percent),
-        astray_scanned=astray["output_error"]["sum"].sum(),
-        astray_shooting=astray["shooting"]["sum"].sum(),
-        astray_fits=f"{cold['size'].sum():,}",
-    )
+    f.say(fold, pencil=pencil, pencil_known=known, decrement=pd.concat(decrement), ar_40=plain[0], ar_20=plain[1])
+    f.say(fold, repaired=pd.concat(repaired))
+    f.say(percent, cold_right=1 - cold["mean"])
+    f.say(astray_scanned=astray["output_error"]["sum"].sum(), astray_shooting=astray["shooting"]["sum"].sum())
+    f.say(astray_fits=cold["size"].sum())
     f.hold(
         pencil_comes_close=pencil < NEAR,
         pencil_cannot_use_a_known_start=known.to_numpy() > pencil.to_numpy(),
@@ -350,23 +343,13 @@ def free_decay_regressions(r: Published, f: Facts) -> None:
     medians = mass[~mass.method.isin(("bound", "prior", "oracle"))]["median"].dropna()
     paper = mass[mass.method.isin(("ls", "rls", "ddnn"))].paper
     verdicts = r.table("reproduction.csv")
-    f.say(
-        differences_off=number(off),
-        differences_bound=number(bound, 1),
-        differences_held=round((held.coverage_95 * held.n).sum()),
-        differences_n=f"{int(held.n.sum()):,}",
-        spline_20=fold(spline[20]),
-        spline_40=fold(spline[40]),
-        ddnn=span(ddnn.excess),
-        ddnn_n=span(ddnn.n, "{:.0f}".format),
-        sindy_over_spline=span(sindy[[40, 30, 20]]),
-        sindy_over_spline_10=fold(sindy[10].max()),
-        prior_share=percent(mass[mass.method == "bound"].prior_share.item()),
-        mass=span(medians, number),
-        weighing=number(weighing),
-        mass_paper=span(paper, number),
-        verdicts=len(verdicts),
-    )
+    f.say(number, differences_off=off, weighing=weighing, mass=medians, mass_paper=paper)
+    f.say(rough, differences_bound=bound)
+    f.say(differences_held=round((held.coverage_95 * held.n).sum()), verdicts=len(verdicts))
+    f.say(differences_n=held.n.sum(), ddnn_n=ddnn.n)
+    f.say(fold, spline_20=spline[20], spline_40=spline[40], sindy_over_spline_10=sindy[10].max(), ddnn=ddnn.excess)
+    f.say(fold, sindy_over_spline=sindy[[40, 30, 20]])
+    f.say(percent, prior_share=mass[mass.method == "bound"].prior_share.item())
     f.hold(
         differences_are_biased=off > 20 * bound,
         their_intervals_miss=held.coverage_95 < 0.05,
@@ -388,7 +371,8 @@ def reproduction(r: Published, f: Facts) -> None:
     implied = 100 * ((100 + paper.k_error_pct) / (100 + paper.m_error_pct) - 1)[better.index]
     known = pd.concat([r.rows("table3", metric=K, initial_state="known"), r.rows("table5", metric=K, snr_db=5)])
     ours = known[known.initial_state == "known"].astype({"row": str}).set_index(["table", "row", "method"])["median"]
-    f.say(k_verdicts=", ".join(f"{value:g}" for value in better.paper), k_implied=span(implied, number))
+    f.say(k_verdicts=", ".join(f"{value:g}" for value in better.paper))
+    f.say(number, k_implied=implied)
     f.hold(a_better_k_follows_from_the_mass=(implied < ours[better.index]) & (len(better) == 3))
 
 
@@ -414,21 +398,15 @@ def open_split(r: Published, f: Facts) -> None:
     share, below, beyond = gross.mean(), gross[scenario.below].mean(), gross[~scenario.below].mean()
     modal, alike = gross[scenario.modal].mean(), share[["output_error", "ekf", "ukf"]]
     held = fits.groupby(["label", "below"]).k_over_m_coverage_95.agg(["mean", "count"])
-    f.say(
-        open_n=len(gross),
-        open_n_below=int(scenario.below.sum()),
-        open_n_beyond=int((~scenario.below).sum()),
-        open_n_modal=int(scenario.modal.sum()),
-        open_low=number(100 * low),
-        open_high=number(100 * high),
-        open_alike=span(100 * alike, number),
-        **{f"open_{name}": number(100 * share[name]) for name in named},
-        **{f"open_{name}_below": number(100 * below[name]) for name in ("shooting", "pinn", "collocation")},
-        open_shooting_beyond=number(100 * beyond["shooting"]),
-        **{f"open_{name}_modal": number(100 * modal[name]) for name in ("matrix_pencil", "iqml", "shooting")},
-        open_held_below=number(100 * held["mean"]["shooting", True], 3),
-        open_held_beyond=number(100 * held["mean"]["shooting", False], 3),
-    )
+    f.say(open_n=len(gross), open_n_below=scenario.below.sum(), open_n_beyond=(~scenario.below).sum())
+    f.say(open_n_modal=scenario.modal.sum())
+    f.say(number, open_low=100 * low, open_high=100 * high, **{f"open_{name}": 100 * share[name] for name in named})
+    f.say(number, **{f"open_{name}_below": 100 * below[name] for name in ("shooting", "pinn", "collocation")})
+    f.say(number, open_shooting_beyond=100 * beyond["shooting"])
+    f.say(number, **{f"open_{name}_modal": 100 * modal[name] for name in ("matrix_pencil", "iqml", "shooting")})
+    f.say(number, open_alike=100 * alike)
+    f.say(fine, open_held_below=100 * held["mean"]["shooting", True])
+    f.say(fine, open_held_beyond=100 * held["mean"]["shooting", False])
     f.hold(
         the_same_starts_are_gross_alike=(alike >= low) & (alike <= high),
         one_cold_start_is_gross_more_often=share["output_error_cold"] > alike,
@@ -457,22 +435,13 @@ def systems_forced(r: Published, f: Facts) -> None:
     noisy = r.rows("table6", system="sdof_noise", method=WHOLE, **POOLED).set_index("snr_db")
     oracle = r.value("table6", "excess", method="oracle", snr_db=40, system="sdof_noise", **POOLED)
     hidden = r.rows("table6", system="chain2_forced", method=WHOLE, snr_db=10, **POOLED).set_index("method").excess
-    f.say(
-        all_told_bound=span(bounds, number),
-        added=span(added.excess),
-        added_ls=span(off),
-        force_near=len(forces) - len(above),
-        force_cases=len(forces),
-        force_usual=span(forces.excess.drop(above.index)),
-        force_mcmc_step=fold(above.excess.max()),
-        noisy_20=span(noisy.excess[20]),
-        noisy_40=span(noisy.excess[40]),
-        noisy_held=span(noisy.coverage_95[40], percent),
-        noisy_oracle=fold(oracle),
-        hidden_near=span(hidden.drop(["pinn", "collocation"])),
-        hidden_pinn=fold(hidden["pinn"]),
-        hidden_spline=fold(hidden["collocation"]),
-    )
+    f.say(number, all_told_bound=bounds)
+    f.say(fold, added=added.excess, added_ls=off, force_usual=forces.excess.drop(above.index))
+    f.say(fold, noisy_20=noisy.excess[20], noisy_40=noisy.excess[40], hidden_near=hidden.drop(["pinn", "collocation"]))
+    f.say(fold, force_mcmc_step=above.excess.max(), noisy_oracle=oracle, hidden_pinn=hidden["pinn"])
+    f.say(fold, hidden_spline=hidden["collocation"])
+    f.say(force_near=len(forces) - len(above), force_cases=len(forces))
+    f.say(percent, noisy_held=noisy.coverage_95[40])
     f.hold(
         six_are_on_the_bound_with_an_added_mass=added.excess < NEAR,
         finite_differences_are_not=off > 5,
@@ -501,23 +470,12 @@ def systems_more(r: Published, f: Facts) -> None:
     smooth = r.rows("table8", method=("collocation", "pinn"), snr_db=40, **bouc)
     near = r.rows("efficiency", method=("shooting", "pinn", "mcmc"), **POOLED)
     first = near.method == "shooting"
-    f.say(
-        one_sensor_n=len(other),
-        one_sensor_lost=span(five, "{:.0f}".format),
-        one_sensor_pinn=lost["pinn"],
-        one_sensor_spline=lost["collocation"],
-        one_sensor_known=span(known.excess[~filters]),
-        one_sensor_filters=span(known.excess[filters]),
-        carried=span(carried),
-        carried_oracle=span(exact),
-        smooth=span(smooth.excess),
-        smooth_held=span(smooth.coverage_95, percent),
-        near_n=span(near.n[first], "{:.0f}".format),
-        near_shooting=span(near.excess[first]),
-        near_n_others=span(near.n[~first], "{:.0f}".format),
-        near_others=span(near.excess[~first]),
-        near_held=span(near.coverage_95, percent),
-    )
+    f.say(one_sensor_n=len(other), one_sensor_pinn=lost["pinn"], one_sensor_spline=lost["collocation"])
+    f.say(one_sensor_lost=five, near_n=near.n[first], near_n_others=near.n[~first])
+    f.say(fold, one_sensor_known=known.excess[~filters], one_sensor_filters=known.excess[filters], carried=carried)
+    f.say(fold, carried_oracle=exact, smooth=smooth.excess, near_shooting=near.excess[first])
+    f.say(fold, near_others=near.excess[~first])
+    f.say(percent, smooth_held=smooth.coverage_95, near_held=near.coverage_95)
     f.hold(
         six_end_at_the_other_chain_at_times=lost.drop("collocation") > 0,
         the_spline_never_does=lost["collocation"] == 0,
@@ -545,14 +503,8 @@ def systems_ends(r: Published, f: Facts) -> None:
         fits = r.fits(("regimes",), [K], system=system, label=labels, disturbance="none")
         errors = fits.pivot(index="replicate", columns="label", values=K).dropna()
         wrong[name] = (errors > 10).sum()
-        f.say(**{f"alias_n_{name}": len(errors), f"alias_{name}": span(wrong[name], "{:.0f}".format)})
-    f.say(
-        irregular=span(irregular),
-        irregular_pinn=span(pinn),
-        coarse=span(coarse),
-        close=span(close),
-        light=span(light),
-    )
+        f.say(**{f"alias_n_{name}": len(errors), f"alias_{name}": wrong[name]})
+    f.say(fold, irregular=irregular, irregular_pinn=pinn, coarse=coarse, close=close, light=light)
     f.hold(
         some_follow_an_alias=[wrong[name].max() > 0 for name in even],
         three_are_on_the_bound_at_irregular_times=irregular < NEAR,
@@ -577,18 +529,12 @@ def systems_reach(r: Published, f: Facts) -> None:
     far = {name: _last(own.n, solved[own.index]) for name, own in table.groupby("method") if name in CHAIN}
     ten = table[(table.n == 10) & table.method.isin(("shooting", "mcmc"))]
     pinn = table[(table.method == "pinn") & (table.n == far["pinn"])]
-    f.say(
-        by_hand_duffing=span(ratio(duffing), number),
-        by_hand_right=right[chain & by_hand][0].sum(),
-        by_hand_sets=right[chain & by_hand][1].sum(),
-        by_hand_shooting=right[chain & ours][0].sum(),
-        by_hand_chain=span(ratio(chain), number),
-        chains_n=span(table.n_fits[solved], "{:.0f}".format),
-        chains_ten=span(ten.rmse_excess),
-        chains_ten_s=span(ten.cpu_s, number),
-        chains_pinn_s=number(pinn.cpu_s.item()),
-        **{f"chains_{name}": far[name] for name in CHAIN},
-    )
+    f.say(number, by_hand_duffing=ratio(duffing), by_hand_chain=ratio(chain), chains_ten_s=ten.cpu_s)
+    f.say(number, chains_pinn_s=pinn.cpu_s.item())
+    f.say(by_hand_right=right[chain & by_hand][0].sum(), by_hand_sets=right[chain & by_hand][1].sum())
+    f.say(by_hand_shooting=right[chain & ours][0].sum(), **{f"chains_{name}": far[name] for name in CHAIN})
+    f.say(chains_n=table.n_fits[solved])
+    f.say(fold, chains_ten=ten.rmse_excess)
     f.hold(
         on_duffing_both_always_succeed=right[duffing & (by_hand | ours)][0] == right[duffing & (by_hand | ours)][1],
         on_five_masses_shooting_succeeds_more_often=right[chain & ours][0].sum() > right[chain & by_hand][0].sum(),
@@ -624,24 +570,14 @@ def pinn_engine(r: Published, f: Facts) -> None:
     reach = r.study("pinn.md", "Cost and reach").query("method in ('pinn', 'collocation')")
     error, displacement = floats(reach["groups / oracle"]), floats(reach["displacement / oracle"])
     wide = reach.assign(s=floats(reach["CPU s a fit"])).pivot(index="size", columns="method", values="s").dropna()
-    f.say(
-        engine_s=number(time[ours], 1),
-        engine_whole_s=number(time[pinn]),
-        rivals_s=span(time[[naive, deepxde]], number),
-        rivals_above=span(above[[naive, deepxde]], number),
-        rivals_over_pinn=span(time[[naive, deepxde]] / time[pinn], number),
-        rivals_over_adam=span(time[[naive, deepxde]] / time[adam], number),
-        steps_off_1000=number(off["1,000"]),
-        steps_off_10000=number(off["10,000"], 1),
-        steps_s_10000=number(floats(at_40["CPU s a fit"])["10,000"]),
-        steps_ended=at_40["ended at the limit"].iloc[-1],
-        weights_n=weights.initialisations.item(),
-        weights_apart=f"{deviation:.0e}".replace("e-0", "e-"),
-        starts_n=f"{starts['starting values']:.0f}",
-        reach_off=span(error["5 masses"]),
-        reach_displacement=fold(displacement["200 cycles"].max()),
-        reach_time=span(wide.pinn / wide.collocation, number),
-    )
+    f.say(rough, engine_s=time[ours], steps_off_10000=off["10,000"])
+    f.say(number, engine_whole_s=time[pinn], steps_off_1000=off["1,000"])
+    f.say(number, steps_s_10000=floats(at_40["CPU s a fit"])["10,000"], rivals_s=time[[naive, deepxde]])
+    f.say(number, rivals_above=above[[naive, deepxde]], rivals_over_pinn=time[[naive, deepxde]] / time[pinn])
+    f.say(number, rivals_over_adam=time[[naive, deepxde]] / time[adam], reach_time=wide.pinn / wide.collocation)
+    f.say(steps_ended=at_40["ended at the limit"].iloc[-1], weights_n=weights.initialisations.item())
+    f.say(weights_apart=f"{deviation:.0e}".replace("e-0", "e-"), starts_n=starts["starting values"])
+    f.say(fold, reach_off=error["5 masses"], reach_displacement=displacement["200 cycles"].max())
     f.hold(
         engine_is_at_the_minimum=above[ours] <= 1,
         the_rivals_stop_above_it=above[[naive, deepxde]] > 1,
@@ -680,30 +616,18 @@ def pinn_family(r: Published, f: Facts) -> None:
     held = held.assign(value=held.value.astype(float))
     mcmc = lines("Reference rows", "k_over_m_coverage_95").loc["Bayesian MCMC"]
     nuts = lines("Ways of stating uncertainty", "k_over_m_excess", base=bases[0]).value.astype(float)[NUTS]
-    f.say(
-        family_n=lines("Optimisers", "arrived_share", base=bases[0]).shape[0],
-        family_sets=span(sets, "{:.0f}".format),
-        family_theirs=len(theirs),
-        family_theirs_s=span(theirs, lambda s: number(s, 1)),
-        family_theirs_adam_s=number(theirs[adam]),
-        family_mine=len(mine),
-        family_mine_lm_s=number(mine[lm], 1),
-        family_mine_adam_s=number(mine[adam]),
-        weightings_n=len(k),
-        weighting_k=fold(k[papers]),
-        weighting_c=fold(c[papers]),
-        weighting_own_k=fold(k[own]),
-        weighting_own_c=fold(c[own]),
-        packages_n=f"{rivals['fit_s'].n.unique().item():.0f}",
-        packages_k=span(rivals["k_over_m_excess"].value.astype(float)),
-        packages_c=span(rivals["c_over_m_excess"].value.astype(float)),
-        packages_own_k=fold(same["k_over_m_excess"]),
-        packages_own_c=fold(same["c_over_m_excess"]),
-        packages_s=span(rivals["fit_s"].value.astype(float), number),
-        **{f"stated_{key}": f"{100 * held.value[row]:.0f} % of {held.n[row]:.0f}" for key, row in STATED.items()},
-        stated_mcmc=f"{100 * float(mcmc.value):.0f} % of {mcmc.n:.0f}",
-        stated_nuts_off=fold(nuts),
-    )
+    f.say(family_n=lines("Optimisers", "arrived_share", base=bases[0]).shape[0], family_theirs=len(theirs))
+    f.say(family_mine=len(mine), weightings_n=len(k))
+    f.say(**{f"stated_{key}": f"{100 * held.value[row]:.0f} % of {held.n[row]:.0f}" for key, row in STATED.items()})
+    f.say(stated_mcmc=f"{100 * float(mcmc.value):.0f} % of {mcmc.n:.0f}", family_sets=sets)
+    f.say(packages_n=rivals["fit_s"].n.unique().item())
+    f.say(rough, family_theirs_s=theirs, family_mine_lm_s=mine[lm])
+    f.say(number, family_theirs_adam_s=theirs[adam], family_mine_adam_s=mine[adam])
+    f.say(number, packages_s=rivals["fit_s"].value.astype(float))
+    f.say(fold, weighting_k=k[papers], weighting_c=c[papers], weighting_own_k=k[own], weighting_own_c=c[own])
+    f.say(fold, packages_own_k=same["k_over_m_excess"], packages_own_c=same["c_over_m_excess"], stated_nuts_off=nuts)
+    f.say(fold, packages_k=rivals["k_over_m_excess"].value.astype(float))
+    f.say(fold, packages_c=rivals["c_over_m_excess"].value.astype(float))
     f.hold(
         levenberg_marquardt_is_first_on_both=[own.idxmin() == lm for own in arrived.values()],
         the_papers_minimum_is_farther_from_the_truth=[k[papers] > k[own], c[papers] > c[own]],
@@ -750,38 +674,24 @@ def atlas(r: Published, f: Facts) -> None:
     held = [100 * own.k_over_m_held.mean() for own in (best, *(frame[name] for name in likely))]
     open_ = {name: own[own.bound_c_over_m > TOLD].near.mean() for name, own in {**frame, "best": best}.items()}
     snr = points[points.snr_db.between(15, 25) & ~points.aliased].bound_k_over_m
-    f.say(
-        atlas_fits=f"{int(table.fits.sum()):,}",
-        atlas_points=f"{len(points):,}",
-        atlas_told=percent(TOLD),
-        atlas_k=percent((points.bound_k_over_m <= TOLD).mean()),
-        atlas_c=percent((points.bound_c_over_m <= TOLD).mean()),
-        atlas_aliased=percent(points.aliased.mean()),
-        atlas_near=f"{TIMES:g}",
-        best_k=percent(best.near.mean()),
-        best_c=percent(damping.near.mean()),
-        best_gross=number(100 * best.k_over_m_gross.mean()),
-        whole_k=percent(near(whole).mean()),
-        whole_gross=percent(whole.k_over_m_gross.mean()),
-        whole_held=percent(whole.k_over_m_held.mean()),
-        start_unknown=span([frame[name][~frame[name].start_known].near.mean() for name in likely[1:]], percent),
-        start_known=span([frame[name][frame[name].start_known].near.mean() for name in likely[1:]], percent),
-        open_damping=span([open_["best"], open_["shooting"]], percent),
-        cheap_iqml=percent(unknown["iqml"].near.mean()),
-        cheap_best=percent(unknown["output_error"].near.mean()),
-        cheap_pencil=percent(unknown["matrix_pencil"].near.mean()),
-        cheap_ratio=number(time["output_error"] / time["iqml"]),
-        ls_near=number(100 * max(frame["ls"].near.mean(), frame["rls"].near.mean()), 1),
-        ls_gross=span([frame[name].k_over_m_gross.mean() for name in ("ls", "rls")], percent),
-        ar_gross=percent(frame["ar"].k_over_m_gross.mean()),
-        iqml_gross=number(100 * frame["iqml"].k_over_m_gross.mean()),
-        peaks_near=number(100 * decrement.near.mean(), 1),
-        peaks_gross=percent(decrement.c_over_m_gross.mean()),
-        atlas_held=span(held, "{:.1f}".format),
-        atlas_held_ls=percent(frame["ls"].k_over_m_held.mean()),
-        snr_low=number(100 * snr.quantile(0.1)),
-        snr_high=number(100 * snr.quantile(0.9)),
-    )
+    f.say(atlas_fits=table.fits.sum(), atlas_points=len(points), atlas_near=f"{TIMES:g}")
+    f.say(percent, atlas_told=TOLD, atlas_k=(points.bound_k_over_m <= TOLD).mean())
+    f.say(percent, atlas_c=(points.bound_c_over_m <= TOLD).mean(), atlas_aliased=points.aliased.mean())
+    f.say(percent, best_k=best.near.mean(), best_c=damping.near.mean(), whole_k=near(whole).mean())
+    f.say(percent, whole_gross=whole.k_over_m_gross.mean(), whole_held=whole.k_over_m_held.mean())
+    f.say(percent, cheap_iqml=unknown["iqml"].near.mean(), cheap_best=unknown["output_error"].near.mean())
+    f.say(percent, cheap_pencil=unknown["matrix_pencil"].near.mean(), ar_gross=frame["ar"].k_over_m_gross.mean())
+    f.say(percent, peaks_gross=decrement.c_over_m_gross.mean(), atlas_held_ls=frame["ls"].k_over_m_held.mean())
+    f.say(percent, start_unknown=[frame[name][~frame[name].start_known].near.mean() for name in likely[1:]])
+    f.say(percent, start_known=[frame[name][frame[name].start_known].near.mean() for name in likely[1:]])
+    f.say(percent, open_damping=[open_["best"], open_["shooting"]])
+    f.say(percent, ls_gross=[frame[name].k_over_m_gross.mean() for name in ("ls", "rls")])
+    f.say(tenth, atlas_held=held)
+    f.say(number, best_gross=100 * best.k_over_m_gross.mean(), cheap_ratio=time["output_error"] / time["iqml"])
+    f.say(number, iqml_gross=100 * frame["iqml"].k_over_m_gross.mean(), snr_low=100 * snr.quantile(0.1))
+    f.say(number, snr_high=100 * snr.quantile(0.9))
+    f.say(rough, ls_near=100 * max(frame["ls"].near.mean(), frame["rls"].near.mean()))
+    f.say(rough, peaks_near=100 * decrement.near.mean())
     f.hold(
         damping_is_harder_to_tell=(points.bound_c_over_m <= TOLD).mean() < (points.bound_k_over_m <= TOLD).mean(),
         output_error_is_near_with_few_samples_and_in_noise=[
@@ -826,21 +736,12 @@ def atlas_theory(r: Published, f: Facts) -> None:
     short, long_ = (damping(factor * best) / min(bounds) for factor in (1 / 4, 4))
     plans = r.study("plans.md")
     over = floats(plans["over the plan's"])
-    f.say(
-        threshold_points=len(points),
-        threshold_inside=f"{100 * inside:.1f}",
-        threshold_risky=len(risky),
-        threshold_counted=number(100 * risky.k_over_m_gross.mean()),
-        threshold_predicted=number(100 * risky.wrong_basin.mean()),
-        wait=f"{best:.1f}",
-        wait_cycles=f"{best / (2 * np.pi * light):.0f}",
-        wait_short=f"{short:.1f}",
-        wait_long=f"{long_:.1f}",
-        plans_n=len(plans),
-        plans_inside=(plans.inside == "yes").sum(),
-        plans_more=f"{over.median():.1f}",
-        plans_never=over.isna().sum(),
-    )
+    f.say(threshold_points=len(points), threshold_risky=len(risky), plans_n=len(plans))
+    f.say(plans_inside=(plans.inside == "yes").sum(), plans_never=over.isna().sum())
+    f.say(wait_cycles=best / (2 * np.pi * light))
+    f.say(tenth, threshold_inside=100 * inside, wait=best, wait_short=short, wait_long=long_, plans_more=over.median())
+    f.say(number, threshold_counted=100 * risky.k_over_m_gross.mean())
+    f.say(number, threshold_predicted=100 * risky.wrong_basin.mean())
     f.hold(
         the_threshold_is_where_theory_has_it=inside >= 0.92,
         too_long_costs_less_than_too_short=1 < long_ < short,
@@ -865,22 +766,13 @@ def atlas_forced(r: Published, f: Facts) -> None:
     for name in ("srivc", "output_error", "ls"):
         own = told(table[table.method == name], "m")
         mass[name] = near(own[own.force_snr_db - own.snr_db >= 20], "m").mean()
-    f.say(
-        force_fits=f"{int(table.fits.sum()):,}",
-        force_points=len(points),
-        **{f"force_told_{name}": percent(value) for name, value in share.items()},
-        force_clean_n=len(clean),
-        force_clean=percent(clean.near.mean()),
-        force_clean_held=percent(clean.k_over_m_held.mean()),
-        force_noisy_n=len(noisy),
-        force_noisy=percent(noisy.near.mean()),
-        force_noisy_held=percent(noisy.k_over_m_held.mean()),
-        force_slow=number(100 * slow.bound_k_over_m.median()),
-        force_fast=number(100 * fast.bound_k_over_m.median()),
-        force_slow_mass=number(100 * slow.bound_m.median()),
-        force_fast_mass=number(100 * fast.bound_m.median()),
-        **{f"force_mass_{name}": percent(mass[name]) for name in ("srivc", "output_error")},
-    )
+    f.say(force_fits=table.fits.sum(), force_points=len(points), force_clean_n=len(clean), force_noisy_n=len(noisy))
+    f.say(percent, **{f"force_told_{name}": value for name, value in share.items()}, force_clean=clean.near.mean())
+    f.say(percent, force_clean_held=clean.k_over_m_held.mean(), force_noisy=noisy.near.mean())
+    f.say(percent, force_noisy_held=noisy.k_over_m_held.mean())
+    f.say(percent, **{f"force_mass_{name}": mass[name] for name in ("srivc", "output_error")})
+    f.say(number, force_slow=100 * slow.bound_k_over_m.median(), force_fast=100 * fast.bound_k_over_m.median())
+    f.say(number, force_slow_mass=100 * slow.bound_m.median(), force_fast_mass=100 * fast.bound_m.median())
     f.hold(
         under_a_force_damping_is_hardest=share["c_over_m"] < min(share["k_over_m"], share["m"]),
         noise_of_the_force_is_not_allowed_for=noisy.k_over_m_held.mean() < clean.k_over_m_held.mean() - 0.1,
@@ -907,11 +799,9 @@ def broken(r: Published, f: Facts) -> None:
                    method=("shooting", "shooting_student"))  # fmt: skip
     clean = clean.pivot(index="metric", columns="method", values="excess")
     price = clean.shooting_student / clean.shooting
-    f.say(
-        small=span(small), outliers=span(outliers), oracle_outliers=span(ratio("outliers", "oracle")), late=span(late),
-        late_pencil=span(pencil), random_regressions=span(random), random_shooting=span(shooting),
-        student=span(student), student_price=span(price),
-    )  # fmt: skip
+    f.say(fold, small=small, outliers=outliers, oracle_outliers=ratio("outliers", "oracle"), late=late)
+    f.say(fold, late_pencil=pencil, random_regressions=random, random_shooting=shooting, student=student)
+    f.say(fold, student_price=price)
     f.hold(
         jitter_bias_and_drift_matter_little=np.abs(small - 1) < 0.15,
         outliers_cost_all_of_them=outliers > 1.8,
@@ -935,19 +825,10 @@ def broken(r: Published, f: Facts) -> None:
         for kind in ("wrong_prior", "nothing")
     )
     moved = np.abs(off - right.reindex(off.index))
-    f.say(
-        friction=span(friction.bias_pct, number),
-        friction_held=span(friction.coverage_95, percent),
-        spring=span(spring.bias_pct, number),
-        spring_held=span(spring.coverage_95, percent),
-        seen=span(seen, percent),
-        unseen=span(unseen, percent),
-        alarms=span(alarms, percent),
-        spring_seen=span(spring.coloured, percent),
-        wrong_n=span(friction.n, "{:.0f}".format),
-        prior_moved=number(moved.max()),
-        prior_mass=span(mass, percent),
-    )
+    f.say(number, friction=friction.bias_pct, spring=spring.bias_pct, prior_moved=moved.max())
+    f.say(percent, friction_held=friction.coverage_95, spring_held=spring.coverage_95, seen=seen, unseen=unseen)
+    f.say(percent, alarms=alarms, spring_seen=spring.coloured, prior_mass=mass)
+    f.say(wrong_n=friction.n)
     f.hold(
         friction_is_taken_for_damping=(friction.bias_pct > 20) & (friction.coverage_95 < 0.1),
         a_cubic_spring_for_stiffness=(spring.bias_pct > 2) & (spring.coverage_95 < 0.1),
@@ -966,10 +847,8 @@ def online(r: Published, f: Facts) -> None:
         whole = lines[lines.ok == lines.ok.max()]
         wide = whole.pivot(index="method", columns="quantity", values="excess").drop(index="bound").dropna()
         best, delay = str(wide.max(axis=1).idxmin()), lines[lines.quantity == "k_over_m"].set_index("method").delay
-        f.say(
-            **{f"step_{name}_k": fold(wide.k_over_m[best]), f"step_{name}_c": fold(wide.c_over_m[best])},
-            **{f"step_{name}_delay": f"{delay[best]:.0f}", f"step_{name}_bound": f"{delay['bound']:.0f}"},
-        )
+        f.say(**{f"step_{name}_k": fold(wide.k_over_m[best]), f"step_{name}_c": fold(wide.c_over_m[best])})
+        f.say(**{f"step_{name}_delay": f"{delay[best]:.0f}", f"step_{name}_bound": f"{delay['bound']:.0f}"})
         records = int(whole.replicates.max())
         f.hold(**{f"nearest_under_a_force_{name}": best == {"known": "change_points", "unknown": "ssi"}[name]})
     same = r.study("online.md", "Nothing changes")
@@ -980,16 +859,14 @@ def online(r: Published, f: Facts) -> None:
     faults = r.study("online.md", "Faults").drop(columns=["method", "records"])
     ratio = faults.apply(floats)
     cost, live = r.study("online.md", "A long record"), r.study("online.md", "A live run").iloc[0]
-    f.say(
-        step_n=records, same_k=span(k[~window]), same_c=span(c[~window]),
-        same_window_k=span(k[window]), same_window_c=span(c[window]),
-        same_held=span(held, "{:.0f}".format), same_n=f"{same.records.astype(int).max():,}",
-        false_alarms=", ".join(f"{name} {row.iloc[0]:g} ({row.iloc[1]:g})" for name, row in alarms.iterrows()),
-        faults=span(ratio.loc[["EKF", "IMM"]].to_numpy().ravel()),
-        sample_ekf=cost["µs a sample, median"]["EKF"], sample_points=cost["µs a sample, median"]["change points"],
-        sample_ar=cost["µs a sample, median"]["AR, recursive"],
-        live_rate=live["samples a second"], live_behind=live["page behind, median s"], live_most=live["largest s"],
-    )  # fmt: skip
+    f.say(step_n=records)
+    f.say(false_alarms=", ".join((f"{name} {row.iloc[0]:g} ({row.iloc[1]:g})" for name, row in alarms.iterrows())))
+    f.say(sample_ekf=cost["µs a sample, median"]["EKF"], sample_points=cost["µs a sample, median"]["change points"])
+    f.say(sample_ar=cost["µs a sample, median"]["AR, recursive"], live_rate=live["samples a second"])
+    f.say(live_behind=live["page behind, median s"], live_most=live["largest s"], same_held=held)
+    f.say(same_n=same.records.astype(int).max())
+    f.say(fold, same_k=k[~window], same_c=c[~window], same_window_k=k[window], same_window_c=c[window])
+    f.say(fold, faults=ratio.loc[["EKF", "IMM"]].to_numpy().ravel())
     f.hold(
         a_window_is_near_its_bound=[k[window] < 1.3, c[window] < 1.3],
         cusum_alone_gives_more_alarms_than_stated=(alarms.iloc[:, 0] > alarms.iloc[:, 1]) == (alarms.index == "CUSUM"),
@@ -1006,11 +883,8 @@ def measured(r: Published, f: Facts) -> None:
     parts = table.drop(columns=["model", "fit s"]).astype(float).set_axis(["multisine", "arrow", "inside"], axis=1)
     ours, lines = (parts[parts.index.str.endswith(f"{kind} input")].iloc[0] for kind in ("cubic", "linear"))
     nets = parts.loc[["GRU", "LSTM", "OLSTM", "RNN"]]
-    f.say(
-        **{f"silverbox_{part}": number(value, 3) for part, value in ours.items()},
-        **{f"networks_{part}": span(nets[part], number) for part in nets},
-        silverbox_linear=number(lines["multisine"], 3),
-    )
+    f.say(fine, **{f"silverbox_{part}": value for part, value in ours.items()}, silverbox_linear=lines["multisine"])
+    f.say(number, **{f"networks_{part}": nets[part] for part in nets})
     f.hold(
         below_every_recurrent_network=nets > ours,
         a_linear_input_is_worse=lines > ours,

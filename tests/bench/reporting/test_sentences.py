@@ -15,7 +15,7 @@ from bench.commands.main import main
 from bench.errors import InputError
 from bench.reporting import sentences
 from bench.reporting.documents import documents, filled, problems, rewritten, used
-from bench.reporting.sentences import Facts, Published, fold, number, span
+from bench.reporting.sentences import Facts, Published, fold, number, printed
 
 RESULTS = REPOSITORY / "results"
 
@@ -194,7 +194,7 @@ def test_significant_digits(value: float, digits: int, written: str) -> None:
     assert number(value, digits) == written
 
 
-def test_folds_and_spans() -> None:
+def test_folds_counts_and_several_values() -> None:
     assert (fold(0.854), fold(9.997), fold(36737.6)) == ("0.85", "10", "36,738")
-    assert span([1.004, 0.996, 1.0]) == "1.00"
-    assert span([1.5, 0.85]) == "0.85 to 1.50"
+    assert printed([1.004, 0.996, 1.0], fold) == "1.00"
+    assert printed(pd.Series([1.5, 0.85]), fold) == "0.85 to 1.50"
