@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from bench.errors import InputError
-from bench.records.reading.headings import Heading, heading_of
+from bench.records.reading.headings import Column
 from bench.records.reading.options import LETTERS, ReadOptions, slot
-from bench.records.reading.table import Column, Table
+from bench.records.reading.table import Table
 from bench.records.reading.units import KNOWN, unit_of
 
 LETTER_OF: dict[str, str] = {quantity: letter for letter, quantity in LETTERS.items()}
@@ -26,7 +25,7 @@ def columns_by_role(table: Table, options: ReadOptions, source: str) -> tuple[di
         InputError: a role or a unit is not certain; it says what to add.
     """
     columns = _Columns(table, options, source)
-    roles, notes = (columns.named_roles(), []) if options.columns else columns.found_roles()
+    roles, notes = (columns.named_roles(), []) if options.columns else columns.roles_said()
     columns.check_times(roles)
     columns.check_units(roles)
     taken = {role: columns.in_unit(role, i, notes) for role, i in roles.items()}
@@ -48,37 +47,29 @@ class _Columns:
     options: ReadOptions
     source: str
 
-    @cached_property
-    def headings(self) -> list[Heading]:
-        return [heading_of(column) for column in self.table.columns]
+    def __getitem__(self, i: int) -> Column:
+        return self.table.columns[i]
 
-    @cached_property
+    @property
     def usable(self) -> list[int]:
         """Numbers of the columns that can be taken."""
         return [i for i, column in enumerate(self.table.columns) if not column.flaw]
 
     def beside(self, time: int | None) -> list[int]:
         """Return the usable columns other than the time's, of its length."""
-        size = {len(self[time].values)} if time is not None else {len(self[i].values) for i in self.usable}
-        return [i for i in self.usable if i != time and len(self[i].values) in size]
-
-    def __getitem__(self, i: int) -> Column:
-        return self.table.columns[i]
-
-    def have_clocks(self, numbers: Sequence[int]) -> bool:
-        """Return whether the file gives each of these columns its own times."""
-        return all(self[i].times is not None for i in numbers)
+        sizes = {self[i].values.size for i in (self.usable if time is None else [time])}
+        return [i for i in self.usable if i != time and self[i].values.size in sizes]
 
     def shown(self, i: int) -> str:
         """Return a column as an error names it: ``3 'X (mm)'``, or the name of a variable."""
-        text = self.headings[i].text
-        return f"'{text}'" if self.table.contents else f"{i} '{text}'" if text else f"{i}"
+        number = "" if self.table.contents else f"{i} "
+        return f"{number}'{self[i].header}'" if self[i].header else f"{i}"
 
     def listed(self, numbers: Sequence[int]) -> str:
-        return ", ".join(self.shown(i) for i in numbers)
+        return ", ".join(map(self.shown, numbers))
 
-    def error(self, remedy: str) -> InputError:
-        return InputError("data", self.source, remedy)
+    def error(self, remedy: str, listing: bool = False) -> InputError:
+        return InputError("data", self.source, f"{remedy}; it has {self.table.listing()}" if listing else remedy)
 
     def example(self, time: int | None = None, first: int | None = None, letter: str = "x") -> str:
         """Return the remedy that always helps: columns= with a time and one other column, as the user may write it."""
@@ -86,12 +77,12 @@ class _Columns:
         value = first if first is not None else others[-1] if others else 0
         clock = next((i for i in (time, *others) if i is not None and i != value), None)
         text = f"{letter}:{self._key(value)}"
-        if self.usable and self.have_clocks(self.usable):
+        if self.usable and all(self[i].times is not None for i in self.usable):
             return f"columns={text}"
         return f"columns={text} rate=… (Hz)" if clock is None else f"columns=t:{self._key(clock)},{text}"
 
     def _key(self, i: int) -> str:
-        return self[i].name if self.table.contents and i < len(self.table.columns) else str(i)
+        return self[i].header if self.table.contents and i < len(self.table.columns) else str(i)
 
     # roles that the user names
 
@@ -108,27 +99,21 @@ class _Columns:
         return roles
 
     def _number(self, role: str, key: int | str) -> int:
-        problem = "no such column"
-        if isinstance(key, str):
-            written = key.strip()
-            for names in (
-                [key == column.name for column in self.table.columns],
-                [written == heading.text for heading in self.headings],
-                [written.lower() == heading.name.lower() for heading in self.headings],
-            ):
-                if sum(names) == 1:
-                    return names.index(True)
-                if any(names):
-                    problem = "several columns have this name"
-                    break
-        digits = isinstance(key, int) or (key.strip().isdigit() and problem == "no such column")
-        if digits and 0 <= int(key) < len(self.table.columns):
-            return int(key)
+        """Return the number of a column by its header, by its name without the unit, or by the number itself."""
+        written = " ".join(str(key).split())
+        headers = [i for i, column in enumerate(self.table.columns) if written == column.header]
+        names = [i for i, column in enumerate(self.table.columns) if written.lower() == column.name.lower()]
+        alike = [] if isinstance(key, int) else headers or names
+        if len(alike) == 1:
+            return alike[0]
+        if not alike and written.isdigit() and int(written) < len(self.table.columns):
+            return int(written)
+        problem = "several columns have this name" if alike else "no such column"
         raise InputError("columns", f"{role}:{key}", f"{problem}; it has {self.table.listing()}")
 
     # roles that units and names give
 
-    def found_roles(self) -> tuple[dict[str, int], list[str]]:
+    def roles_said(self) -> tuple[dict[str, int], list[str]]:
         """Return the columns whose unit or name says what they measure, and a note of those that are left out."""
         time = self._time()
         roles = {} if time is None else {"t": time}
@@ -137,69 +122,64 @@ class _Columns:
             roles |= self._numbered(letter, self._group(letter, others), time)
         if all(role[0] in "tf" for role in roles):
             roles |= self._only_one([i for i in others if i not in roles.values()], time)
-        left = [i for i, column in enumerate(self.table.columns) if i not in roles.values() and column.name]
+        left = [i for i, column in enumerate(self.table.columns) if i not in roles.values() and column.header]
         reasons = [f"{self.shown(i)} ({self[i].flaw or 'it has no known unit'})" for i in left]
         return roles, [f"columns left out: {', '.join(reasons)}"] if left else []
 
     def _time(self) -> int | None:
         """Return the column of the time: by its unit, or by its name where it has no unit."""
-        heads = {i: self.headings[i] for i in self.usable}
-        found = [i for i, h in heads.items() if h.certain == "time" or (h.unit is None and h.named == "time")]
-        if len(found) > 1:
-            found = [i for i in found if heads[i].named == "time"] or found
-        if len(found) > 1:
-            which = f"which column is the time, {self.listed(found)}? Add e.g. {self.example(found[0])}"
-            raise self.error(f"{which}; it has {self.table.listing()}")
-        return found[0] if found else None
+        named = [i for i in self.usable if self[i].named == "time"]
+        times = [i for i in self.usable if self[i].certain == "time" or (self[i].unit is None and i in named)]
+        if len(times) > 1:
+            times = [i for i in times if i in named] or times
+        if len(times) > 1:
+            which = f"which column is the time, {self.listed(times)}? Add e.g. {self.example(times[0])}"
+            raise self.error(which, listing=True)
+        return times[0] if times else None
 
     def _group(self, letter: str, usable: Sequence[int]) -> list[int]:
         """Return the columns of one quantity: by their unit, or by their name where no unit stands with it.
 
         A name with a label that is no unit, such as ``position [V]``, counts where units= says what it is in.
         """
-        heads = {i: self.headings[i] for i in usable}
-        sure = [i for i, h in heads.items() if h.certain == LETTERS[letter]]
-        by_name = [i for i, h in heads.items() if h.unit is None and h.named == LETTERS[letter]]
+        sure = [i for i in usable if self[i].certain == LETTERS[letter]]
+        by_name = [i for i in usable if self[i].unit is None and self[i].named == LETTERS[letter]]
         given = any(role[0] == letter for role in self.options.units)
-        return sure + [i for i in by_name if not heads[i].label] or (by_name if given else [])
+        return sure + [i for i in by_name if not self[i].label] or (by_name if given else [])
 
     def _numbered(self, letter: str, group: Sequence[int], time: int | None) -> dict[str, int]:
         """Return roles of one quantity: the plain letter, or numbers where headers count ``x1, x2`` or ``ch1, ch2``."""
-        counted = {i: number for i in group if (number := self.headings[i].number) is not None}
-        before = {name for name, _ in counted.values()}
-        values = sorted(value for _, value in counted.values())
+        counted = {number: i for i in group if (number := self[i].number) is not None}
+        before = {name for name, _ in counted}
+        values = sorted(value for _, value in counted)
         by_letter = before == {letter} and values[0] > 0
         if len(group) < 2 and not by_letter:
             return dict.fromkeys(letter, group[0]) if group else {}
-        alike = len(counted) == len(group) and len(before) == 1 and len(set(values)) == len(values)
-        if alike and (by_letter or values == list(range(1, len(values) + 1))):
-            return {f"{letter}{value}": i for i, (_, value) in counted.items()}
-        liveliest = max(group, key=lambda i: float(np.nanstd(self[i].values) * self._size(i)))
+        from_first = by_letter or values == list(range(1, len(values) + 1))
+        if len(counted) == len(group) and len(before) == 1 and from_first:
+            return {f"{letter}{value}": i for (_, value), i in counted.items()}
+        liveliest = max(group, key=lambda i: float(np.nanstd(self[i].values)) * (self[i].unit or (0, 1.0))[1])
         several = f"several columns measure {LETTERS[letter]}: {self.listed(group)}"
         dofs = f"{letter}1:{self._key(group[0])},{letter}2:{self._key(group[1])}"
         example = self.example(time, liveliest, letter)
         raise self.error(f"{several}; add e.g. {example}, or {dofs} where they are two DOFs")
 
-    def _size(self, i: int) -> float:
-        unit = self.headings[i].unit
-        return 1.0 if unit is None else unit.size
-
     def _only_one(self, usable: Sequence[int], time: int | None) -> dict[str, int]:
         """Return the single column there is, where units= names the one role it can have."""
         asked = [role for role in self.options.units if role != "t"]
-        if len(usable) == 1 and len(asked) == 1 and not self.headings[usable[0]].label:
+        if len(usable) == 1 and len(asked) == 1 and not self[usable[0]].label:
             return {asked[0]: usable[0]}
         for i in usable:
-            heading = self.headings[i]
-            if heading.unit is None and heading.label and heading.named:
-                letter = LETTER_OF[heading.named]
-                remedy = f"column {self.shown(i)} is in no known unit; add units={letter}:… ({KNOWN[heading.named]})"
-                raise self.error(f"{remedy}, or keep it as it is with {self.example(time, i, letter)}")
+            named = self[i].named
+            if named and self[i].label and self[i].unit is None:
+                letter = LETTER_OF[named]
+                remedy = f"column {self.shown(i)} is in no known unit; add units={letter}:… ({KNOWN[named]})"
+                raise self.error(f"{remedy}, or keep it as it is with {self.example(time, i, letter)}", listing=False)
         remedy = "a column of displacement, velocity or acceleration is needed"
         if usable:
             example = self.example(time)
             remedy = f"no unit says what a column measures; add e.g. {example}, and units= where the file has none"
-        raise self.error(f"{remedy}; it has {self.table.listing()}")
+        raise self.error(remedy, listing=True)
 
     # what must hold of the roles
 
@@ -208,17 +188,16 @@ class _Columns:
         signals = [i for role, i in roles.items() if role != "t"]
         if not signals:
             raise InputError("columns", "t", "a column that measures something is needed beside the time; add x:…")
-        own, rate = self.have_clocks(signals), self.options.rate
-        if rate is not None and ("t" in roles or own):
+        clocks, rate = all(self[i].times is not None for i in signals), self.options.rate
+        if rate is not None and ("t" in roles or clocks):
             what = f"column {self.shown(roles['t'])}" if "t" in roles else "the file"
             raise InputError("rate", rate, f"{what} gives the times; leave out rate=, or t in columns=")
-        if "t" not in roles and rate is None and not own:
-            listing = self.table.listing()
-            raise self.error(f"nothing gives the times; add rate= (Hz), or t:… to columns=; it has {listing}")
+        if "t" not in roles and rate is None and not clocks:
+            raise self.error("nothing gives the times; add rate= (Hz), or t:… to columns=", listing=True)
         lengths = {role: self[i].values.size for role, i in roles.items()}
-        if ("t" in roles or not own) and len(set(lengths.values())) > 1:
+        if ("t" in roles or not clocks) and len(set(lengths.values())) > 1:
             shown = ", ".join(f"{role} has {n}" for role, n in lengths.items())
-            raise self.error(f"columns of one length are needed, but {shown}; it has {self.table.listing()}")
+            raise self.error(f"columns of one length are needed, but {shown}", listing=True)
 
     def check_units(self, roles: Mapping[str, int]) -> None:
         """Refuse a unit of a role that no column has."""
@@ -232,38 +211,35 @@ class _Columns:
     def in_unit(self, role: str, i: int, notes: list[str]) -> Column | None:
         """Return a column in the unit that units= or else the file says, None without a unit; note where they differ.
 
-        A label that is no known unit is kept only where columns= names the column.
+        Its label is then the SI unit. A label that is no known unit is kept only where columns= names the column.
         """
-        column, heading, quantity, given = self[i], self.headings[i], LETTERS[role[0]], self.options.unit(role)
+        column, quantity, given = self[i], LETTERS[role[0]], self.options.unit(role)
         keeps = bool(self.options.columns) and quantity != "time"
-        said = heading.unit.measures if heading.unit else heading.says
+        said = column.unit.measures if column.unit else column.says
         if said in LETTER_OF and said != quantity:
             remedy = f"column {self.shown(i)} measures {said}, not {quantity}; take it as {LETTER_OF[said]}"
             raise InputError("columns", f"{role}:{i}", remedy)
-        unit = unit_of(given) if given else heading.unit
+        unit = unit_of(given) if given else column.unit
         if unit is not None and unit.measures != quantity:
             raise InputError("units", f"{role}:{given}", f"it is no unit of {quantity}; known are {KNOWN[quantity]}")
         if given and unit is None and not keeps:
             example = f"; to keep another name the column, e.g. {self.example(first=i, letter=role)}"
             remedy = f"known are {KNOWN[quantity]}{'' if quantity == 'time' else example}"
             raise InputError("units", f"{role}:{given}", remedy)
-        if given and heading.label and (unit or given) != (heading.unit or heading.label):
-            notes.append(f"{role} is taken in {given}, as units= says; its header says {heading.label}")
-        label = given or heading.label
+        if given and column.label and (unit or given) != (column.unit or column.label):
+            notes.append(f"{role} is taken in {given}, as units= says; its header says {column.label}")
         if unit is None:
-            return replace(column, unit=label) if label and keeps else None
-        if quantity == "time":
-            return replace(column, unit=label)
-        return replace(column, values=column.values * unit.size, unit=unit.symbol)
+            label = given or column.label
+            return replace(column, label=label) if label and keeps else None
+        size = 1.0 if quantity == "time" else unit.size
+        return replace(column, values=column.values * size, unit=unit, label=unit.symbol)
 
     def check_motion(self, roles: Mapping[str, int], taken: Mapping[str, Column]) -> None:
         """Refuse a DOF that both turns and moves along, unless the user names the columns."""
         first: dict[int, str] = {}
-        for role, column in taken.items():
-            if role[0] in "tf":
-                continue
+        for role in [role for role in taken if role[0] not in "tf"]:
             other = first.setdefault(slot(role)[1], role)
-            if taken[other].unit.startswith("rad") != column.unit.startswith("rad"):
+            if taken[other].label.startswith("rad") != taken[role].label.startswith("rad"):
                 both = self.listed([roles[other], roles[role]])
                 remedy = f"turn and move along, so they are not of one DOF; add e.g. {self.example()}"
                 raise self.error(f"columns {both} {remedy}")

@@ -49,8 +49,7 @@ def _bytes(path: Path) -> bytes:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):  # a pipe is waited on, a device may have no end
             raise InputError("data", path, "cannot be read: it is a folder, a pipe or a device; name a file")
-        size = status.st_size
-        if size > MAX_BYTES:
+        if (size := status.st_size) > MAX_BYTES:
             raise InputError("data", path, f"{size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20}, thin or cut it")
         data = path.read_bytes()
     except OSError as error:
@@ -61,10 +60,8 @@ def _bytes(path: Path) -> bytes:
 
 
 def _reader(data: bytes, path: Path) -> formats.Reader:
-    for magic, reader in MAGIC.items():
-        if re.match(magic, data):
-            return reader
-    return formats.read_mat if path.suffix.lower() == ".mat" else read_text
+    matlab = formats.read_mat if path.suffix.lower() == ".mat" else read_text
+    return next((reader for magic, reader in MAGIC.items() if re.match(magic, data)), matlab)
 
 
 def _table(data: bytes, path: Path) -> Table:
@@ -86,7 +83,7 @@ def _table_of_child(path: Path) -> Table:
         try:
             child.receive(READY_S)
             child.send(pickle.dumps(path))
-            answer = pickle.loads(child.receive(TIME_S, MEMORY_MB))
+            answer: Table | InputError = pickle.loads(child.receive(TIME_S, MEMORY_MB))
         except Died as died:
             if died.reason in ("oom", "timeout"):
                 raise _too_large(path) from None
@@ -94,7 +91,6 @@ def _table_of_child(path: Path) -> Table:
         child.retire()
     if isinstance(answer, InputError):
         raise answer
-    assert isinstance(answer, Table)
     return answer
 
 

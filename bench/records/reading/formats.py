@@ -6,16 +6,15 @@ before anything of that size is in memory.
 
 from __future__ import annotations
 
+import importlib
 import io
 import logging
 import math
 import os
-import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,51 +22,42 @@ import numpy as np
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
-from bench.records.reading.grid import (
-    NAN,
-    Above,
-    Cell,
-    TableRow,
-    bounds,
-    cell_of,
-    heading_above,
-    make_table,
-    row_of,
-    shape_of,
-    shown,
-)
-from bench.records.reading.table import MAX_COLUMNS, Column, Table, check_rows, check_values, optional
+from bench.records.reading.grid import LineAbove, bounds_of, make_table, row_of, shape_of
+from bench.records.reading.headings import Column, column_of
+from bench.records.reading.table import MAX_COLUMNS, PREAMBLE, Table, check_size
 from bench.records.reading.units import Measures
 
 Reader = Callable[[bytes, Path], Table]
-"""From the bytes of a file and its path to its table."""
+"""From the bytes of a file and its path to its table; raises InputError."""
 MAX_UNPACKED, MAX_WORKBOOK = 256 * 2**20, 64 * 2**20
-"""Bytes; those of a workbook take openpyxl a microsecond each where it does not state its dimensions."""
-MAX_CELLS = 3_000_000
-"""Of a workbook, whose cells take some microseconds each."""
-PREAMBLE = 1000
-"""Rows of a sheet that need not be of the table."""
+"""Bytes; those of a workbook take openpyxl a microsecond each."""
 NESTED = 8
 """Structures in structures that are looked into."""
 
 
+def optional(package: str, source: Path) -> Any:
+    """Import a package that only some kinds of file need; raise InputError that says how to install it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        remedy = f'this kind of file needs the package {package}: pip install "vibration-bench[files]"'
+        raise InputError("data", source, remedy) from None
+
+
 def read_zip(data: bytes, source: Path) -> Table:
-    """Read what is a zip file inside: a workbook (xlsx) or NumPy arrays (npz). Raises InputError."""
+    """Read what is a zip file inside: a workbook (xlsx) or NumPy arrays (npz)."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
         unpacked = sum(info.file_size for info in archive.infolist())
     workbook = any(name.startswith("xl/") for name in names)
-    _check_unpacked(unpacked, source, MAX_WORKBOOK if workbook else MAX_UNPACKED)
+    most = MAX_WORKBOOK if workbook else MAX_UNPACKED
+    if unpacked > most:
+        raise InputError("data", source, f"more than {most // 2**20} MiB when unzipped; thin or cut it")
     if workbook:
         return _read_xlsx(data, source)
     if names and all(name.endswith(".npy") for name in names):
         return read_numpy(data, source)
     raise InputError("data", source, "a zip file is not read; give one file out of it")
-
-
-def _check_unpacked(size: int, source: Path, most: int) -> None:
-    if size > most:
-        raise InputError("data", source, f"more than {most // 2**20} MiB when unzipped; thin or cut it")
 
 
 # spreadsheets
@@ -83,95 +73,62 @@ def _read_xlsx(data: bytes, source: Path) -> Table:
 
 
 def read_xls(data: bytes, source: Path) -> Table:
-    """Read an old workbook. Raises InputError."""
+    """Read an old workbook."""
     xlrd = optional("xlrd", source)
     with open(os.devnull, "w", encoding="utf-8") as log:
         book = xlrd.open_workbook(file_contents=data, logfile=log, ragged_rows=True)
-    numbers = (xlrd.XL_CELL_NUMBER, xlrd.XL_CELL_DATE, xlrd.XL_CELL_TEXT)
 
-    def rows(sheet: Any) -> Iterator[list[object]]:
-        for i in range(sheet.nrows):
-            yield [cell.value if cell.ctype in numbers else None for cell in sheet.row(i)]
+    def values(row: Sequence[Any]) -> list[object]:
+        known = (xlrd.XL_CELL_NUMBER, xlrd.XL_CELL_DATE, xlrd.XL_CELL_TEXT)
+        return [cell.value if cell.ctype in known else None for cell in row]  # an error has a number, too
 
-    return _first_table({sheet.name: rows(sheet) for sheet in book.sheets()}, source)
+    return _first_table({sheet.name: map(values, sheet.get_rows()) for sheet in book.sheets()}, source)
 
 
 def _first_table(sheets: Mapping[str, Iterable[Sequence[object]]], source: Path) -> Table:
     """Return the table of the first sheet that has one, and note which where there are more sheets."""
-    for title, cells in sheets.items():
-        rows = _rows(cells, source)
+    for title, sheet in sheets.items():
+        place = f"{source} sheet '{title}'"
+        texts = _texts(sheet, place)
+        rows = [row_of(i, line) for i, line in texts.items()]
         shape = shape_of(rows)
-        if not shape.numeric or shape.n < MIN_SAMPLES:
-            continue
-        first, last, notes = bounds(rows, shape, f"{source} sheet '{title}'")
-        above = [Above([[shown(cell) for cell in row.cells]]) for row in reversed(rows[:first])]
-        if len(sheets) > 1:
-            notes.insert(0, f"the workbook has {len(sheets)} sheets; '{title}' is read")
-        return make_table(rows[first:last], shape, heading_above(above, shape), notes)
+        if shape.n >= MIN_SAMPLES:
+            first, last = bounds_of(rows, shape, place)
+            above = (LineAbove([texts[row.line]]) for row in reversed(rows[:first]))
+            table = make_table(rows, shape, (first, last), above, place)
+            more = (f"the workbook has {len(sheets)} sheets; '{title}' is read",)
+            return replace(table, notes=more + table.notes) if len(sheets) > 1 else table
     raise InputError("data", source, "no sheet has rows of numbers; a table of times and values is needed")
 
 
-def _rows(sheet: Iterable[Sequence[object]], source: Path) -> list[TableRow]:
-    lines: dict[int, list[Cell]] = {}
-    held = 0
+def _texts(sheet: Iterable[Sequence[object]], place: str) -> dict[int, list[str]]:
+    """Return the cells of a sheet's rows as text, by the number of the row, without empty rows."""
+    lines: dict[int, list[str]] = {}
     for i, values in enumerate(sheet, 1):
-        cells = [_cell(value) for value in values[:MAX_COLUMNS]]
-        if any(value is not None for value in values[MAX_COLUMNS:]):
-            raise InputError("data", f"{source} row {i}", f"cells beyond column {MAX_COLUMNS}; keep those that matter")
-        held += len(cells)
-        if held > MAX_CELLS:
-            raise InputError(
-                "data", source, f"more than {MAX_CELLS} cells; keep the columns that matter, as csv or npz"
-            )
-        check_rows(len(lines) - PREAMBLE, source)
-        if any(isinstance(cell, str) or not math.isnan(cell) for cell in cells):
+        cells = ["" if value is None else str(value) for value in values[:MAX_COLUMNS]]
+        if any(value not in (None, "") for value in values[MAX_COLUMNS:]):
+            raise InputError("data", f"{place} row {i}", f"cells beyond column {MAX_COLUMNS}; keep those that matter")
+        if any(cells):
             lines[i] = cells
+            check_size(len(lines) - PREAMBLE, place)
     width = max(map(len, lines.values()), default=0)
-    return [row_of(i, cells + [NAN] * (width - len(cells))) for i, cells in lines.items()]
-
-
-def _cell(value: object) -> Cell:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    return NAN if value is None else cell_of(str(value))
+    return {i: line + [""] * (width - len(line)) for i, line in lines.items()}
 
 
 # named arrays
 
 
 def read_mat(data: bytes, source: Path) -> Table:
-    """Read the variables of a MATLAB file up to version 7; members of structures are named ``structure.member``.
-
-    Raises:
-        InputError: it is of version 7.3, or too large.
-    """
+    """Read the variables of a MATLAB file up to version 7; members of structures are named ``structure.member``."""
     from scipy.io import loadmat, whosmat  # slow to import, and few need it
 
     if data[:10] == b"MATLAB 7.3" or data[:8] == b"\x89HDF\r\n\x1a\n":
         raise InputError("data", source, "HDF5, as MATLAB 7.3 writes it, is not read; save it with save(…, '-v7')")
-    _check_unpacked(_unpacked_mat(data), source, MAX_UNPACKED)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of objects that SciPy skips
-        check_values(sum(math.prod(shape) for _, shape, _ in whosmat(io.BytesIO(data))), source)
+        check_size(0, source, sum(math.prod(shape) for _, shape, _ in whosmat(io.BytesIO(data))))
         loaded = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=False)
     return _variables({name: value for name, value in _members(loaded) if not name.startswith("__")}, source)
-
-
-def _unpacked_mat(data: bytes) -> int:
-    """Return the size of a file of version 5 with its packed elements (type 15) unpacked, up to a little too much."""
-    order = ">" if data[126:128] == b"MI" else "<"
-    size, place = 0, 128
-    while place + 8 <= len(data) and size <= MAX_UNPACKED:
-        kind, length = struct.unpack_from(order + "II", data, place)
-        size += length
-        if kind == 15:
-            packed = zlib.decompressobj()
-            rest = data[place + 8 : place + 8 + length]
-            while rest and size <= MAX_UNPACKED:
-                size += len(packed.decompress(rest, 2**24))
-                rest = packed.unconsumed_tail
-        place += 8 + length
-    return size
 
 
 def _members(variables: Mapping[str, object], depth: int = 0) -> Iterator[tuple[str, object]]:
@@ -184,7 +141,7 @@ def _members(variables: Mapping[str, object], depth: int = 0) -> Iterator[tuple[
 
 
 def read_numpy(data: bytes, source: Path) -> Table:
-    """Read the arrays of an npz file, or the columns of an npy file; nothing pickled is opened. Raises InputError."""
+    """Read the arrays of an npz file, or the columns of an npy file; nothing pickled is opened."""
     try:
         loaded = np.load(io.BytesIO(data), allow_pickle=False)
         if not isinstance(loaded, np.ndarray):
@@ -194,117 +151,90 @@ def read_numpy(data: bytes, source: Path) -> Table:
             remedy = "it holds Python objects, which are never loaded; save arrays of numbers"
             raise InputError("data", source, remedy) from None
         raise
-    if loaded.dtype.names:
-        return _variables({name: loaded[name] for name in loaded.dtype.names}, source, named=False)
-    return _variables({"": loaded}, source, named=False)
+    fields = {name: loaded[name] for name in loaded.dtype.names or ()}
+    return _variables(fields or {"": loaded}, source, named=False)
 
 
 def _variables(variables: Mapping[str, object], source: Path, named: bool = True) -> Table:
     """Return the variables that can be signals, in their order, and the shapes of all for an error."""
     arrays = {name: np.asarray(value) for name, value in variables.items()}
-    check_values(sum(array.size for array in arrays.values()), source)
-    columns = [column for name, array in arrays.items() for column in _columns(name, array, source)]
-    shapes = [f"{name} {array.shape if _numbers(array) else '(no numbers)'}" for name, array in arrays.items()]
+    numbers = {name: array for name, array in arrays.items() if array.dtype.kind in "biufc"}
+    check_size(0, source, sum(array.size for array in arrays.values()))
+    columns = [column for name, array in numbers.items() for column in _columns(name, np.squeeze(array), source)]
+    shapes = [f"{name} {array.shape if name in numbers else '(no numbers)'}" for name, array in arrays.items()]
     return Table(tuple(columns), contents=f"variables {', '.join(shapes)}" if named else "")
-
-
-def _numbers(array: np.ndarray) -> bool:
-    return array.dtype.kind in "biufc"
 
 
 def _columns(name: str, array: np.ndarray, source: Path) -> Iterator[Column]:
     """A vector is a column; of a matrix each ``name[0]``, ``name[1]`` ... along its shorter side is one."""
-    array = np.squeeze(array)
-    if not _numbers(array) or array.size < MIN_SAMPLES or array.ndim not in (1, 2):
+    if array.size < MIN_SAMPLES or array.ndim not in (1, 2):
         return
-    check_rows(max(array.shape), source)
+    check_size(max(array.shape), source)
     flaw = "complex numbers" if array.dtype.kind == "c" else ""
     values = np.real(array).astype(float)
     if values.ndim == 1:
-        yield Column(name, values, flaw=flaw)
-        return
-    values = values if values.shape[0] >= values.shape[1] else values.T
-    if values.shape[1] <= MAX_COLUMNS:
-        for j in range(values.shape[1]):
-            yield Column(f"{name}[{j}]" if name else "", np.ascontiguousarray(values[:, j]), flaw=flaw)
+        yield column_of(name, values, flaw=flaw)
+    elif min(values.shape) <= MAX_COLUMNS:
+        for j, part in enumerate(values.T if values.shape[0] >= values.shape[1] else values):
+            yield column_of(f"{name}[{j}]" if name else "", part.copy(), flaw=flaw)
 
 
-# channels, each with its head and its samples
-
-
-@dataclass(frozen=True, eq=False)
-class FileChannel:
-    """The head of a channel of ``n`` samples, and how its values and times (None without) are read."""
-
-    name: str
-    n: int
-    read: Callable[[], tuple[np.ndarray, np.ndarray | None]]
-    unit: str = ""
-    measures: Measures | None = None
-    flaw: str = ""
-
-    @property
-    def column(self) -> Column:
-        values, times = (np.full(1, np.nan), None) if self.flaw else self.read()
-        return Column(self.name, np.asarray(values, dtype=float), self.unit, self.measures, times, self.flaw)
-
-
-def _table(channels: Sequence[FileChannel], source: Path, notes: tuple[str, ...] = ()) -> Table:
-    sizes = [channel.n for channel in channels if not channel.flaw]
-    check_rows(max(sizes, default=0), source)
-    check_values(sum(sizes), source)
-    return Table(tuple(channel.column for channel in channels), notes)
+# channels
 
 
 def read_parquet(data: bytes, source: Path) -> Table:
-    """Read the columns of numbers of a Parquet file; a field's metadata may hold its unit. Raises InputError."""
+    """Read the columns of numbers of a Parquet file; a field's metadata may hold its unit."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     file = pq.ParquetFile(io.BytesIO(data))
-
-    def channel(field: Any) -> FileChannel:
+    kinds = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
+    fields = list(file.schema_arrow)
+    numbers = [field.name for field in fields if any(kind(field.type) for kind in kinds)]
+    check_size(file.metadata.num_rows, source, file.metadata.num_rows * len(numbers))
+    columns = []
+    for field in fields:
         unit = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
-        number = pa.types.is_integer(field.type) or pa.types.is_floating(field.type) or pa.types.is_decimal(field.type)
-        flaw = "" if number else f"not numbers: {field.type}"[:40]
+        if field.name in numbers:
+            values = file.read(columns=[field.name]).column(0).cast(pa.float64()).to_numpy()
+            columns.append(column_of(field.name, values, unit))
+        else:
+            columns.append(_flawed(field.name, f"not numbers: {field.type}"[:40]))
+    return Table(tuple(columns))
 
-        def read() -> tuple[np.ndarray, None]:
-            return file.read(columns=[field.name]).column(0).cast(pa.float64()).to_numpy(), None
 
-        return FileChannel(field.name, file.metadata.num_rows, read, unit, flaw=flaw)
-
-    return _table([channel(field) for field in file.schema_arrow], source)
+def _flawed(name: str, flaw: str) -> Column:
+    """Return a column that is listed and cannot be taken."""
+    return column_of(name, np.full(1, np.nan), flaw=flaw)
 
 
 def read_sound(data: bytes, source: Path) -> Table:
-    """Read the channels of a sound file (wav, flac, aiff), in parts of full scale. Raises InputError."""
-    sound = optional("soundfile", source)
-    with sound.SoundFile(io.BytesIO(data)) as file:
-        check_rows(file.frames, source)
-        check_values(file.frames * file.channels, source)
+    """Read the channels of a sound file (wav, flac, aiff), in parts of full scale."""
+    with optional("soundfile", source).SoundFile(io.BytesIO(data)) as file:
+        check_size(file.frames, source, file.frames * file.channels)
         values, clock = file.read(always_2d=True), np.arange(file.frames) / file.samplerate
-    columns = [Column(f"channel {i}", channel, times=clock) for i, channel in enumerate(values.T.copy(), 1)]
+    columns = [column_of(f"channel {i}", channel, times=clock) for i, channel in enumerate(values.T.copy(), 1)]
     return Table(tuple(columns), ("samples of a sound file are parts of its full scale",))
 
 
 def read_tdms(data: bytes, source: Path) -> Table:
-    """Read the channels of a TDMS file, with their times where a channel is a waveform. Raises InputError."""
+    """Read the channels of a TDMS file, with their times where a channel is a waveform."""
     nptdms = optional("nptdms", source)
     nptdms.log.log_manager.set_level(logging.CRITICAL)  # what is wrong is said once, by the error
-
-    def head(channel: Any) -> FileChannel:
-        said = channel.properties
-        unit = str(said.get("unit_string") or said.get("NI_UnitDescription") or "")
-        step, start = said.get("wf_increment", 0.0), said.get("wf_start_offset", 0.0)
-
-        def read() -> tuple[np.ndarray, np.ndarray | None]:
-            return channel[:], start + step * np.arange(len(channel)) if step > 0 else None
-
-        flaw = "" if channel.dtype.kind in "biuf" else "not numbers"
-        return FileChannel(channel.name, len(channel), read, unit, flaw=flaw)
-
+    columns = []
     with nptdms.TdmsFile.open(io.BytesIO(data)) as file:
-        return _table([head(channel) for group in file.groups() for channel in group.channels()], source)
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        check_size(max(map(len, channels), default=0), source, sum(map(len, channels)))
+        for channel in channels:
+            if channel.dtype.kind not in "biuf":
+                columns.append(_flawed(channel.name, "not numbers"))
+                continue
+            said = channel.properties
+            unit = str(said.get("unit_string") or said.get("NI_UnitDescription") or "")
+            step, start = said.get("wf_increment", 0.0), said.get("wf_start_offset", 0.0)
+            times = start + step * np.arange(len(channel)) if step > 0 else None
+            columns.append(column_of(channel.name, np.asarray(channel[:], float), unit, times=times))
+    return Table(tuple(columns))
 
 
 DATA_SET, GENERAL, TIME_RESPONSE, UNKNOWN, TIME = 58, 0, 1, 0, 17
@@ -316,46 +246,41 @@ ORDINATES: dict[int, Measures] = {
 
 
 def read_universal(data: bytes, source: Path) -> Table:
-    """Read the data sets 58 of a universal file, text or binary, each with its own times.
-
-    Raises:
-        InputError: none is a record in time, or one is cut short.
-    """
+    """Read the data sets 58 of a universal file, text or binary, each with its own times."""
     file = optional("pyuff", source).UFF(str(source))
     types = [int(kind) for kind in file.get_set_types()]
-    channels = [_data_set(file, i, source) for i, kind in enumerate(types) if kind == DATA_SET]
-    if not channels:
+    heads = {i: file.read_sets(i, header_only=True) for i, kind in enumerate(types) if kind == DATA_SET}
+    sizes = [int(head["num_pts"]) for head in heads.values()]
+    check_size(max(sizes, default=0), source, sum(sizes))
+    columns = [_data_set(file, i, head, source) for i, head in heads.items()]
+    if not columns:
         held = ", ".join(map(str, sorted(set(types)))) or "none"
         raise InputError("data", source, f"a data set {DATA_SET} is needed; it holds {held}")
-    if all(channel.flaw for channel in channels):
-        remedy = f"no data set is a record in time: {channels[0].flaw}; export time responses"
+    if all(column.flaw for column in columns):
+        remedy = f"no data set is a record in time: {columns[0].flaw}; export time responses"
         raise InputError("data", source, remedy)
-    return _table(channels, source)
+    return Table(tuple(columns))
 
 
-def _data_set(file: Any, i: int, source: Path) -> FileChannel:
-    head = file.read_sets(i, header_only=True)
+def _data_set(file: Any, i: int, head: Mapping[str, Any], source: Path) -> Column:
     label, unit, entity, clock = (
         "" if str(head[key]).strip().upper() == "NONE" else " ".join(str(head[key]).split())
         for key in ("ordinate_axis_lab", "ordinate_axis_units_lab", "rsp_ent_name", "abscissa_axis_units_lab")
     )
     node = f"node {head['rsp_node']}" if head["rsp_node"] else entity
     name = f"{label} {node}".strip() or str(head["id1"]).strip()
-    n, flaw = int(head["num_pts"]), ""
-    if head["func_type"] not in (GENERAL, TIME_RESPONSE):
-        flaw = f"a spectrum or another function (type {head['func_type']})"
-    elif head["abscissa_spec_data_type"] not in (UNKNOWN, TIME):
-        flaw = f"not over time (abscissa type {head['abscissa_spec_data_type']})"
-    elif clock not in ("", "s", "sec", "S", "SEC"):
-        flaw = f"its times are in {clock}, not in s"
-    elif head["ord_data_type"] in (5, 6):
-        flaw = "complex values"
-
-    def read() -> tuple[np.ndarray, np.ndarray]:
-        body = file.read_sets(i)
-        if len(body["data"]) != n:
-            remedy = f"{n} values are announced; write the file again"
-            raise InputError("data", f"{source} data set {i} of {len(body['data'])} values", remedy)
-        return body["data"], np.asarray(body["x"], float)
-
-    return FileChannel(name, n, read, unit, ORDINATES.get(int(head["ordinate_spec_data_type"])), flaw)
+    flaws = {
+        f"a spectrum or another function (type {head['func_type']})": head["func_type"] not in (GENERAL, TIME_RESPONSE),
+        f"not over time (abscissa type {head['abscissa_spec_data_type']})":
+            head["abscissa_spec_data_type"] not in (UNKNOWN, TIME),
+        f"its times are in {clock}, not in s": clock.lower() not in ("", "s", "sec"),
+        "complex values": head["ord_data_type"] in (5, 6),
+    }  # fmt: skip
+    if any(flaws.values()):
+        return _flawed(name, next(flaw for flaw, holds in flaws.items() if holds))
+    body, n = file.read_sets(i), int(head["num_pts"])
+    if len(body["data"]) != n:
+        remedy = f"{n} values are announced; write the file again"
+        raise InputError("data", f"{source} data set {i} of {len(body['data'])} values", remedy)
+    measures = ORDINATES.get(int(head["ordinate_spec_data_type"]))
+    return column_of(name, np.asarray(body["data"], float), unit, measures, np.asarray(body["x"], float))

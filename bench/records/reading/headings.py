@@ -1,4 +1,4 @@
-"""What the header of a column says: a name, a unit, and what the two together say is measured."""
+"""A column and what its header says: a name, a unit, and what the two together say is measured."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from bench.records.reading.options import LETTERS
-from bench.records.reading.table import Column
 from bench.records.reading.units import Quantity, Unit, unit_of
 
+Said = Quantity | Literal["other"] | None
 NAMES: dict[Quantity | Literal["other"], str] = {
     "time": "time times timestamp timestamps elapsed",
     "displacement": "displacement displacements disp position pos deflection angle theta phi elongation",
@@ -19,7 +21,6 @@ NAMES: dict[Quantity | Literal["other"], str] = {
     "other": "mass weight temperature temp voltage pressure frequency",
 }
 WORDS = {word: quantity for quantity, words in NAMES.items() for word in words.split()}
-TRIALS = {"trial", "trials", "run", "experiment", "test"}
 FIRST_LETTERS: dict[str, Quantity] = {**LETTERS, "y": "displacement", "z": "displacement", "F": "force"}
 SHORT = {"s", "m", "g", "mg", "in", "min", "us", "rev", "N"}
 """Endings that are a unit only where the name says as much: ``x_m``, but not ``ch_m``."""
@@ -27,22 +28,28 @@ WORD_ENDINGS = {"in", "min", "rev"}
 """Endings that are words as well, so that a letter is no name to rely on: ``position_in``, but not ``x_in``."""
 
 
-@dataclass(frozen=True)
-class Heading:
-    """A column's header as written, its name, its unit as written ("" without one) and, where known, as a unit."""
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Numbers, NaN where one is missing, and their header as written with what it says.
 
-    text: str
+    ``label`` is the unit as written ("" without one), ``unit`` the one it is known as, ``says`` what the name says is
+    measured. ``times`` (s) are the column's own, where the file gives each column its clock; ``flaw`` says why the
+    column cannot be taken ("" if it can).
+    """
+
+    header: str
+    values: np.ndarray
     name: str
     label: str
     unit: Unit | None
-    says: Quantity | Literal["other"] | None
+    says: Said
+    times: np.ndarray | None
+    flaw: str
 
     @property
     def certain(self) -> Quantity | None:
         """Return what is measured, by the unit, unless the words of the name say something else."""
-        if self.unit is None or self.says not in (None, self.unit.measures):
-            return None
-        return self.unit.measures
+        return self.unit.measures if self.unit and self.says in (None, self.unit.measures) else None
 
     @property
     def named(self) -> Quantity | None:
@@ -59,79 +66,54 @@ class Heading:
         return (match[1].lower(), int(match[2])) if match else None
 
 
-def heading_of(column: Column) -> Heading:
-    """Read a column's header; a unit that the file keeps elsewhere comes before one in the header."""
-    text = " ".join(column.name.split())
-    name, label = (text, column.unit) if column.unit else _name_and_label(text)
-    says = column.measures or _words(name)
-    unit = unit_of(label) if label else None
-    if unit is None and label in ("G", "mG") and says == "acceleration":
-        unit = unit_of(label.lower())
+def column_of(
+    header: str, values: np.ndarray, label: str = "", says: Said = None, times: np.ndarray | None = None, flaw: str = ""
+) -> Column:
+    """Return the column under a header; what the file says of it elsewhere (``label``, ``says``) comes first."""
+    header = " ".join(header.split())
+    name, label = (header, label) if label else _name_and_label(header)
+    says = says or _words(name)
+    unit = unit_of(label.lower() if label in ("G", "mG") and says == "acceleration" else label)
     if label == "mg" and says != "acceleration":
         unit = None  # a mass as likely
-    return Heading(text, name, label, unit, says)
+    return Column(header, values, name, label, unit, says, times, flaw)
 
 
-def is_trial(name: str) -> bool:
-    """Return whether a column of this name counts the runs in a file."""
-    return name.strip().lower() in TRIALS
-
-
-def _words(name: str) -> Quantity | Literal["other"] | None:
+def _words(name: str) -> Said:
     """Return the one quantity that the words of a name speak of; None where there is none, or two."""
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
-    found = {WORDS[word.lower()] for word in words if word.lower() in WORDS}
-    return found.pop() if len(found) == 1 else None
+    said = {WORDS[word.lower()] for word in words if word.lower() in WORDS}
+    return said.pop() if len(said) == 1 else None
 
 
-def _name_and_label(text: str) -> tuple[str, str]:
+def _name_and_label(header: str) -> tuple[str, str]:
     """Return a header in two: name and unit, as in ``t [s]``, ``Force/N``, ``Angle, deg`` and ``time_ms``."""
-    for split in (_bracketed, _after_mark, _after_underscore):
-        if parts := split(text):
-            return parts
-    return text, ""
-
-
-def _bracketed(text: str) -> tuple[str, str] | None:
-    brackets = list(re.finditer(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)", text))
-    for match in reversed(brackets):
+    for match in reversed(list(re.finditer(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)", header))):
         label = (match[1] or match[2] or "").strip()
-        if unit_of(label) or (match.end() == len(text) and label not in ("", "-")):
-            return f"{text[: match.start()]} {text[match.end() :]}".strip(" /,_"), label
-    return None
+        if unit_of(label) or (match.end() == len(header) and label not in ("", "-")):
+            return f"{header[: match.start()]} {header[match.end() :]}".strip(" /,_"), label
+    for mark in re.finditer("(?!^)[/,]", header):
+        if unit_of(header[mark.end() :]):
+            return header[: mark.start()].strip(), header[mark.end() :].strip()
+    return _by_underscores(header) or (header, "")
 
 
-def _after_mark(text: str) -> tuple[str, str] | None:
-    """Split at the first stroke or comma with a unit behind it."""
-    for mark in re.finditer("[/,]", text):
-        if mark.start() and unit_of(text[mark.end() :]):
-            return text[: mark.start()].strip(), text[mark.end() :].strip()
-    return None
-
-
-def _after_underscore(text: str) -> tuple[str, str] | None:
+def _by_underscores(header: str) -> tuple[str, str] | None:
     """``v_m_s`` and ``v_m_per_s`` are in m/s, ``theta_rad_from_rest`` in rad; a short ending needs a name to fit."""
-    parts = text.replace("_per_", "_").split("_")
-    if len(parts) > 2:
-        label = f"{parts[-2]}/{parts[-1]}"
-        unit = unit_of(label)
-        if unit is not None and _first_says(parts[0]) in (None, unit.measures):
-            return "_".join(parts[:-2]), label
-    if len(parts) > 1 and _fits(parts[:-1], parts[-1], parts[-1] in SHORT):
+    parts = header.replace("_per_", "_").split("_")
+    last = len(parts) - 1
+    if last > 1 and _fits(parts[:1], label := f"{parts[-2]}/{parts[-1]}", False):
+        return "_".join(parts[:-2]), label
+    if last > 0 and _fits(parts[:-1], parts[-1], parts[-1] in SHORT):
         return "_".join(parts[:-1]), parts[-1]
-    inner = [i for i in range(1, len(parts) - 1) if parts[i] not in SHORT and _fits(parts[:i], parts[i], True)]
+    inner = [i for i in range(1, last) if parts[i] not in SHORT and _fits(parts[:i], parts[i], True)]
     if len(inner) == 1 and not unit_of(parts[-1]):
         return "_".join(parts[: inner[0]] + parts[inner[0] + 1 :]), parts[inner[0]]
     return None
 
 
 def _fits(name: list[str], label: str, must_say: bool) -> bool:
-    unit = unit_of(label)
-    if unit is None:
-        return False
-    said = _words("_".join(name)) or (None if label in WORD_ENDINGS else _first_says(name[0]))
-    return said == unit.measures or (said is None and not must_say)
-
-
-def _first_says(part: str) -> Quantity | Literal["other"] | None:
-    return FIRST_LETTERS.get(part.rstrip("0123456789")) or _words(part)
+    """Return whether a label is a unit of what a name says, or may be where it says nothing."""
+    letter = None if label in WORD_ENDINGS else FIRST_LETTERS.get(name[0].rstrip("0123456789"))
+    unit, said = unit_of(label), _words("_".join(name)) or letter
+    return unit is not None and (said == unit.measures or (said is None and not must_say))

@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bench.errors import InputError
-from bench.records.reading.units import Quantity
+from bench.records.reading.units import Measures, Quantity
 
-LETTERS: dict[str, Quantity] = {
-    "t": "time", "x": "displacement", "v": "velocity", "a": "acceleration", "f": "force",
-}  # fmt: skip
+MEASURES: dict[str, Measures] = {"x": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
+LETTERS: dict[str, Quantity] = {"t": "time", **MEASURES}
 """Roles of columns; all but the time's may have the number of a DOF."""
 ROLE = re.compile(r"t|[xvaf](?:[1-9]\d?)?")
 ROLES = "t, x, v, a, f and x1, x2, …, v1, … with the number of a DOF"
@@ -44,8 +43,12 @@ class ReadOptions:
     detrend: bool | None = None
 
     def __post_init__(self) -> None:
-        _check_roles("columns", list(self.columns))
-        _check_roles("units", list(self.units))
+        for name, roles in (("columns", list(self.columns)), ("units", list(self.units))):
+            if bad := [role for role in roles if not ROLE.fullmatch(role)]:
+                raise InputError(name, bad[0], f"roles are {ROLES}")
+            slots = [slot(role) for role in roles]
+            if twice := [role for role in roles if slots.count(slot(role)) > 1]:
+                raise InputError(name, ", ".join(twice), "they are the same role; give one")
         if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
             raise InputError("rate", self.rate, "a positive number of samples a second is needed")
         for name, value in (("from", self.start), ("to", self.end)):
@@ -64,11 +67,3 @@ class ReadOptions:
 def slot(role: str) -> tuple[str, int]:
     """Return letter and DOF (from 0) of a role; x and x1 are the same."""
     return role[0], int(role[1:] or 1) - 1
-
-
-def _check_roles(field_name: str, roles: list[str]) -> None:
-    if bad := [role for role in roles if not ROLE.fullmatch(role)]:
-        raise InputError(field_name, bad[0], f"roles are {ROLES}")
-    slots = [slot(role) for role in roles]
-    if twice := [role for role in roles if slots.count(slot(role)) > 1]:
-        raise InputError(field_name, ", ".join(twice), "they are the same role; give one")

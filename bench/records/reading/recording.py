@@ -15,17 +15,18 @@ from bench.errors import InputError
 from bench.records.reading.arrays import table_of
 from bench.records.reading.columns import columns_by_role
 from bench.records.reading.files import read_file
-from bench.records.reading.headings import is_trial
-from bench.records.reading.options import LETTERS, ReadOptions, slot
-from bench.records.reading.table import Column, Recording, Signal, Table
+from bench.records.reading.headings import Column
+from bench.records.reading.options import MEASURES, ReadOptions, slot
+from bench.records.reading.table import Recording, Signal, Table
 from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
-from bench.records.reading.units import unit_of
 
 NO_OPTIONS = ReadOptions()
 LARGEST, SMALLEST = 1e15, 1e-30
 """In SI units: squares of larger or smaller numbers leave the range of floating point."""
 LEAST_RUN = 10
 """Samples of a run; time that goes back sooner is out of order."""
+TRIALS = {"trial", "trials", "run", "experiment", "test"}
+"""Headers of a column that counts the runs in a file."""
 
 
 def read_recordings(path: Path, options: ReadOptions = NO_OPTIONS) -> tuple[Recording, ...]:
@@ -74,41 +75,41 @@ def _only(recordings: Sequence[Recording]) -> Recording:
 def _recordings(table: Table, options: ReadOptions, source: str, sha256: str = "") -> tuple[Recording, ...]:
     columns, notes = columns_by_role(table, options, source)
     notes, error = [*table.notes, *notes], 0.0
-    if (time := columns.get("t")) and (sums := increments_summed(time.values, time.name)):
+    if (time := columns.get("t")) and (sums := increments_summed(time.values, time.header)):
         columns["t"], error = replace(time, values=sums.times), sums.rate_error
         notes += sums.notes
-    cuts = _cuts(table, columns, source)
-    if len(cuts) == 2:
-        return (_Run(table, columns, options, source, notes).recording(sha256, error),)
-    rows = np.arange(1, cuts[-1] + 1) if table.rows is None else table.rows
+    n = next(iter(columns.values())).values.size
+    starts = _starts(table, columns, n, source)
+    if not starts:
+        return (_Run(columns, options, source, notes, table.rows).recording(sha256, error),)
+    rows = np.arange(1, n + 1) if table.rows is None else table.rows
     recordings = []
-    for k, (first, last) in enumerate(pairwise(cuts), 1):
-        said = f"run {k} of {len(cuts) - 1}: rows {rows[first]} to {rows[last - 1]}"
+    for k, (first, last) in enumerate(pairwise([0, *starts, n]), 1):
         parts = {role: replace(column, values=column.values[first:last]) for role, column in columns.items()}
-        run = _Run(Table((), rows=rows[first:last]), parts, options, f"{source} run {k}", [*notes, said])
+        said = f"run {k} of {len(starts) + 1}: rows {rows[first]} to {rows[last - 1]}"
+        run = _Run(parts, options, f"{source} run {k}", [*notes, said], rows[first:last])
         recordings.append(run.recording(sha256, error))
     return tuple(recordings)
 
 
-def _cuts(table: Table, columns: Mapping[str, Column], source: str) -> list[int]:
-    """Return the samples at which runs begin, and the number of samples: where a trial's number or the time say so."""
-    n = next(iter(columns.values())).values.size
+def _starts(table: Table, columns: Mapping[str, Column], n: int, source: str) -> list[int]:
+    """Return the samples at which further runs begin: where a trial's number or the time says so."""
+
+    def long_enough(starts: Collection[int]) -> bool:
+        return min(last - first for first, last in pairwise([0, *sorted(starts), n])) >= LEAST_RUN
+
     starts: set[int] = set()
     for column in table.columns:
-        if is_trial(column.name) and not column.flaw and column.values.size == n:
+        if column.header.lower() in TRIALS and not column.flaw and column.values.size == n:
             starts |= set((np.flatnonzero(np.diff(column.values)) + 1).tolist())
-            if starts and not _long_enough(starts, n):
-                remedy = f"column '{column.name}' counts several records; keep one of them in a file of its own"
+            if starts and not long_enough(starts):
+                remedy = f"column '{column.header}' counts several records; keep one of them in a file of its own"
                 raise InputError("data", source, remedy)
     if "t" in columns:
         there = np.flatnonzero(np.isfinite(columns["t"].values))
         again = set(there[1:][np.diff(columns["t"].values[there]) < 0].tolist())
-        starts |= again if _long_enough(starts | again, n) else set()
-    return [0, *sorted(starts), n]
-
-
-def _long_enough(starts: Collection[int], n: int) -> bool:
-    return min(last - first for first, last in pairwise([0, *sorted(starts), n])) >= LEAST_RUN
+        starts |= again if long_enough(starts | again) else set()
+    return sorted(starts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,33 +126,31 @@ class _SampleTimes:
 class _Run:
     """Columns of one record by role, in SI but for the times; ``notes`` grow with what is done to them."""
 
-    table: Table
     columns: Mapping[str, Column]
     options: ReadOptions
     source: str
     notes: list[str]
+    rows: np.ndarray | None
 
     def recording(self, sha256: str, rate_error: float) -> Recording:
         """Return the signals with their times from the first sample on; raises InputError."""
-        shared = self._times(self.columns["t"], *self._signals) if "t" in self.columns else None
+        measured = {role: column for role, column in self.columns.items() if role != "t"}
+        time, shared = self.columns.get("t"), None
+        if time is not None:
+            assert time.unit is not None
+            shared = self._times(time.values, time.unit.size, list(measured.values()))
         signals = []
-        for role, column in self.columns.items():
-            quantity, dof = LETTERS[role[0]], slot(role)[1]
-            if quantity != "time":
-                clock = shared or self._own_times(column)
-                values, times = self._kept(role, column, clock)
-                signals.append(Signal(role, quantity, dof, values, column.unit, times))
-                rate_error = max(rate_error, clock.rate_error)
+        for role, column in measured.items():
+            clock = shared or self._own_times(column)
+            values, times = self._kept(role, column.values, clock)
+            signals.append(Signal(role, MEASURES[role[0]], slot(role)[1], values, column.label, times))
+            rate_error = max(rate_error, clock.rate_error)
         start = min(float(signal.times[0]) for signal in signals)
         signals = [replace(signal, times=signal.times - start) for signal in signals]
         return Recording(tuple(signals), tuple(dict.fromkeys(self.notes)), self.source, sha256, rate_error)
 
-    @property
-    def _signals(self) -> list[Column]:
-        return [column for role, column in self.columns.items() if role != "t"]
-
     def _error(self, remedy: str, sample: int | None = None) -> InputError:
-        place = "" if sample is None else f" {self.table.place(sample)}"
+        place = "" if sample is None else f" sample {sample + 1}" if self.rows is None else f" row {self.rows[sample]}"
         return InputError("data", self.source + place, remedy)
 
     def _check_size(self, name: str, values: np.ndarray) -> None:
@@ -165,24 +164,23 @@ class _Run:
         """Return the times of a signal where no column has them: by rate=, or as the file gives them."""
         if self.options.rate is None:
             assert column.times is not None
-            return self._times(Column("", column.times, "s"), column)
+            return self._times(column.times, 1.0, [column])
         numbers = np.arange(column.values.size)
         return _SampleTimes(numbers / self.options.rate, numbers / self.options.rate, numbers)
 
-    def _times(self, time: Column, *signals: Column) -> _SampleTimes:
-        """Return times from the stamps in a column, for signals; raises InputError where they do not grow."""
-        known = unit_of(time.unit)
-        stamps, unit = time.values, known.size if known else 1.0
+    def _times(self, stamps: np.ndarray, unit: float, signals: Sequence[Column]) -> _SampleTimes:
+        """Return times from stamps in a unit of so many seconds; raises InputError where they do not grow."""
         kept = np.flatnonzero(np.isfinite(stamps))
         if kept.size < stamps.size:
             self.notes.append(f"rows without a time are left out: {stamps.size - kept.size} of {stamps.size}")
         if not kept.size:
             raise self._error("the column of the time holds no number; name another with columns=t:…")
         self._check_size("t", stamps[kept] * unit)
-        for i in kept[1:][np.diff(stamps[kept]) < 0]:
-            pair = f"{stamps[kept[np.searchsorted(kept, i) - 1]]:.10g} to {stamps[i]:.10g}"
-            remedy = "sort the rows, or keep one record in a file, or give rate= for the time"
-            raise self._error(f"time goes back from {pair}; {remedy}", int(i))
+        for i, before in zip(kept[1:], stamps[kept], strict=False):
+            if stamps[i] < before:
+                pair = f"{before:.10g} to {stamps[i]:.10g}"
+                remedy = "sort the rows, or keep one record in a file, or give rate= for the time"
+                raise self._error(f"time goes back from {pair}; {remedy}", int(i))
         kept = self._without_copies(stamps, kept, signals)
         clock = rebuilt(stamps[kept], unit)
         if clock.rate_error > UNDETERMINED:
@@ -204,7 +202,7 @@ class _Run:
         self.notes.append(f"rows that repeat the row before them are left out: {again.size} of {kept.size}")
         return np.delete(kept, again)
 
-    def _kept(self, role: str, column: Column, clock: _SampleTimes) -> tuple[np.ndarray, np.ndarray]:
+    def _kept(self, role: str, samples: np.ndarray, clock: _SampleTimes) -> tuple[np.ndarray, np.ndarray]:
         """Return values and times (s) of the part from ``from`` to ``to``, without missing values."""
         first, last = float(clock.stamps[0]), float(clock.stamps[-1])
         room = 1e-9 * max(abs(first), abs(last))
@@ -214,7 +212,7 @@ class _Run:
                 if not first - room <= value <= last + room:
                     raise InputError(name, value, f"{self.source} runs from {first:.6g} to {last:.6g} s")
                 inside &= sign * (clock.stamps - value) >= -room
-        values, times = column.values[clock.kept][inside], clock.times[inside]
+        values, times = samples[clock.kept][inside], clock.times[inside]
         there = np.isfinite(values)
         if not there.all():
             self.notes.append(f"{role}: {np.sum(~there)} of {there.size} values are missing and left out")

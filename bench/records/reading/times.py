@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, QhullError
+from scipy.optimize import brentq, minimize_scalar
 
 IMMATERIAL = 1e-3
 """Rounding by less than this part of a step is left as it is."""
@@ -28,26 +27,12 @@ INCREMENT = re.compile(r"d_?t\b|Δ ?t|delta|diff|since (the )?(last|previous)|in
 """Names of a column of increments."""
 
 
-@dataclass(frozen=True, eq=False)
-class Clock:
-    """Times (s) from stamps, notes of what was done to them, and the relative standard uncertainty of their rate."""
+class Clock(NamedTuple):
+    """Times from stamps, notes of what was done to them, and the relative standard uncertainty of their rate."""
 
     times: np.ndarray
     notes: tuple[str, ...] = ()
     rate_error: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class TimeGrid:
-    """Evenly spaced times with the sample number of each stamp, numbers being left out where samples are missing."""
-
-    start: float
-    step: float
-    numbers: np.ndarray
-
-    @property
-    def times(self) -> np.ndarray:
-        return self.start + self.step * self.numbers
 
 
 def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
@@ -57,9 +42,8 @@ def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
     of mean ``d`` adds up to a relative error of the rate of q / (d sqrt(12 n)).
     """
     there = np.isfinite(stamps)
-    known = stamps[there]
-    later = known[1:]
-    if later.size < 2 or np.any(known < 0) or np.all(np.diff(known) > 0):
+    later = stamps[there][1:]
+    if later.size < 2 or np.any(stamps[there] < 0) or np.all(np.diff(stamps[there]) > 0):
         return None
     middle = float(np.median(later))
     alike = np.mean((later <= ALIKE * middle) & (later * ALIKE >= middle)) >= MOSTLY
@@ -68,8 +52,9 @@ def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
         return None
     column = f"column '{name}'" if name else "the column of the time"
     note = f"{column} holds the time since the sample before: the time is its running sum"
-    steps = np.diff(np.unique(later))
-    error = float(np.min(steps, initial=middle) / (np.mean(later) * np.sqrt(12.0 * later.size))) if steps.size else 0.0
+    distinct = np.unique(later)
+    rounding = float(np.min(np.diff(distinct), initial=middle)) if distinct.size > 1 else 0.0
+    error = rounding / (float(np.mean(later)) * np.sqrt(12.0 * later.size))
     return Clock(np.where(there, np.nancumsum(stamps), np.nan), (note,), error)
 
 
@@ -80,58 +65,62 @@ def rebuilt(stamps: np.ndarray, unit: float) -> Clock:
     of their resolution. Gaps stay, and so does sampling that is not even. Stamps that repeat stay in the times where no
     even sampling explains them.
     """
-    as_they_are = stamps * unit
+    as_they_are = Clock(stamps * unit)
     steps = np.diff(stamps)
     repeats = int(np.sum(steps == 0))
     if stamps.size < 3 or repeats == steps.size:
-        return Clock(as_they_are)
+        return as_they_are
     rounding = resolution(stamps)
-    tick = rounding  # where stamps repeat, the clock is no finer than its least step
-    if repeats:
-        tick = tick + float(np.min(steps[steps > 0]))
+    tick = rounding + (np.min(steps[steps > 0]) if repeats else 0.0)  # a clock is no finer than its least step
     since = stamps - stamps[0]
-    grid = _grid(since, float(np.max(tick)) if repeats else 0.0)
-    if np.mean(np.diff(grid.numbers) > 1) > (MOST_GAPS_AND_REPEATS if repeats else MOST_GAPS):
-        return Clock(as_they_are)
-    moved = np.abs(grid.times - since)
-    if not repeats and np.max(moved) <= max(IMMATERIAL * grid.step, 4 * _spacing(stamps)):
-        return Clock(as_they_are, _gaps(grid, unit))
+    numbers, start, step = _even(since, float(np.max(tick)) if repeats else 0.0)
+    lost = np.diff(numbers) - 1
+    if np.mean(lost > 0) > (MOST_GAPS_AND_REPEATS if repeats else MOST_GAPS):
+        return as_they_are
+    moved = np.abs(start + step * numbers - since)
+    if not repeats and np.max(moved) <= max(IMMATERIAL * step, 4 * _spacing(stamps)):
+        return Clock(stamps * unit, _gaps(lost, step * unit))
     if np.any(moved >= tick * (1 + 1e-6)):
-        return Clock(as_they_are)
-    grid, error = _bounded(since, grid, np.broadcast_to(rounding, since.shape) / 2)
-    rate = f"{1 / (grid.step * unit):.5g} Hz" + (f" (known to {100 * error:.2g} %)" if error > SAID else "")
+        return as_they_are
+    start, step, error = _bounded(since, numbers, start, step, np.broadcast_to(rounding, since.shape) / 2)
+    rate = f"{1 / (step * unit):.5g} Hz" + (f" (known to {100 * error:.2g} %)" if error > SAID else "")
+    why = f"time stamps are rounded to {np.max(rounding) * unit:.3g} s"
     if repeats:
-        note = f"{repeats} of {stamps.size} time stamps repeat: times are rebuilt from {rate}"
-    else:
-        note = f"time stamps are rounded to {np.max(rounding) * unit:.3g} s: times are rebuilt from {rate}"
-    return Clock((stamps[0] + grid.times) * unit, (note, *_gaps(grid, unit)), error)
+        why = f"{repeats} of {stamps.size} time stamps repeat"
+    notes = (f"{why}: times are rebuilt from {rate}", *_gaps(lost, step * unit))
+    return Clock((stamps[0] + start + step * numbers) * unit, notes, error)
+
+
+def _gaps(lost: np.ndarray, step: float) -> tuple[str, ...]:
+    gaps = f"gaps in time are kept: {np.sum(lost > 0)}, where {np.sum(lost):.0f} samples"
+    return (f"{gaps} {step:.4g} s apart are missing",) if np.any(lost) else ()
 
 
 def resolution(stamps: np.ndarray) -> np.ndarray:
     """Return the step to which stamps are rounded, 0 where they are not: one for all, or (n,) of significant digits."""
     all_alike = _decimals(stamps)
-    largest = float(np.max(np.abs(stamps)))
+    with np.errstate(divide="ignore"):
+        decades = 10.0 ** np.floor(np.log10(np.abs(stamps)))
     for digits in DIGITS:
-        with np.errstate(divide="ignore"):
-            steps = 10.0 ** (np.floor(np.log10(np.abs(stamps))) - digits + 1)
+        steps = decades * 10.0 ** (1 - digits)
         if np.max(steps) <= all_alike:
             break
-        if np.all(np.abs(stamps - np.round(stamps / np.where(steps > 0, steps, 1)) * steps) < 1e-9 * largest):
+        counts = np.divide(stamps, steps, out=np.zeros_like(steps), where=steps > 0)
+        if np.all(np.abs(stamps - np.round(counts) * steps) < 1e-9 * np.max(np.abs(stamps))):
             return np.asarray(np.maximum(steps, all_alike))
     return np.asarray(all_alike)
 
 
 def _decimals(stamps: np.ndarray) -> float:
     """Return the decimal step, or that of 32-bit numbers, to which all stamps are rounded; 0 where they are not."""
-    since, steps = stamps - stamps[0], np.diff(stamps)
-    single = stamps.astype(np.float32)
+    steps, single = np.diff(stamps), stamps.astype(np.float32)
     coarse = float(np.spacing(np.max(np.abs(single)))) if np.array_equal(single, stamps) else 0.0
     for decimals in range(-int(np.floor(np.log10(np.min(steps[steps > 0])) + 1e-9)), LAST_DECIMAL):
         step = 10.0**-decimals
         room = 1e-4 + 4 * _spacing(stamps) / step
         if room > MOST_ROOM:
             break
-        counts = since / step
+        counts = (stamps - stamps[0]) / step
         if np.all(np.abs(counts - np.round(counts)) < room):
             return max(step, coarse)
     return coarse
@@ -142,8 +131,11 @@ def _spacing(stamps: np.ndarray) -> float:
     return float(np.spacing(np.max(np.abs(stamps))))
 
 
-def _grid(stamps: np.ndarray, slack: float) -> TimeGrid:
-    """Return the even sampling nearest to stamps; a step may seem longer by ``slack`` than it is."""
+def _even(stamps: np.ndarray, slack: float) -> tuple[np.ndarray, float, float]:
+    """Return the number of each stamp in the nearest even sampling, and its start and step.
+
+    Missing samples have numbers, too. A step may seem longer by ``slack`` than it is.
+    """
     steps = np.diff(stamps)
     step = float(np.mean(steps[steps <= (2.5 * slack or GAP * np.median(steps))]))
     numbers, half = np.arange(stamps.size), stamps.size // 2
@@ -151,51 +143,38 @@ def _grid(stamps: np.ndarray, slack: float) -> TimeGrid:
         missing = np.where(steps > GAP * step + slack, np.round(steps / step) - 1, 0)
         numbers = np.arange(stamps.size) + np.concatenate([[0.0], np.cumsum(missing)])
         step = float(np.median((stamps[half:] - stamps[:-half]) / (numbers[half:] - numbers[:-half])))
-    return TimeGrid(float(np.median(stamps - step * numbers)), step, numbers)
+    return numbers, float(np.median(stamps - step * numbers)), step
 
 
-def _bounded(stamps: np.ndarray, grid: TimeGrid, room: np.ndarray) -> tuple[TimeGrid, float]:
-    """Return the middle one of the grids that rounding by ``room`` (n,) allows, and its rate's relative uncertainty.
+def _bounded(
+    stamps: np.ndarray, numbers: np.ndarray, start: float, step: float, room: np.ndarray
+) -> tuple[float, float, float]:
+    """Return start and step of the middle one of the samplings that rounding by ``room`` (n,) allows, and an error.
 
     Rounding is an error with bounds: each stamp says start + step * number = stamp within its room (and a jitter common
     to all, the least that has a solution), and the steps that satisfy all of them are equally likely (Milanese and
-    Vicino 1991). The standard deviation of such a step is its range over the root of 12.
+    Vicino 1991). The error is their standard deviation, their range over the root of 12, relative to the step.
     """
-    away = np.abs(stamps - grid.times)
-    near = away <= 4 * np.median(away) + np.max(room) + 1e-9 * grid.step
-    number, stamp, half = grid.numbers[near], stamps[near] / grid.step, room[near] / grid.step
-    scale = float(np.ptp(number))
-    x = (number - number[0]) / scale
-    upper, lower = _corners(x, stamp + half), _corners(x, -stamp + half)
-    a = np.array([[1.0, x[i]] for i in upper] + [[-1.0, -x[i]] for i in lower])
-    b = np.concatenate([(stamp + half)[upper], (half - stamp)[lower]])
+    away = stamps - start - step * numbers
+    near = np.abs(away) <= 4 * np.median(np.abs(away)) + np.max(room) + 1e-9 * step
+    scale = float(np.ptp(numbers[near]))
+    x, off, half = (numbers[near] - numbers[near][0]) / scale, away[near] / step, room[near] / step
 
-    def solve(objective: list[float], jitter: float | None = None) -> np.ndarray:
-        free = (None, None)
-        if jitter is None:
-            rows = np.column_stack([a, -np.ones(len(a))])
-            return np.asarray(linprog(objective, rows, b, bounds=[free, free, (0.0, None)]).x)
-        return np.asarray(linprog(objective, a, b + jitter, bounds=[free, free]).x)
+    def ends(slope: float) -> tuple[float, float]:
+        """Return the largest of the lower bounds of the start, and the least of its upper ones, in steps."""
+        return float(np.max(off - half - slope * x)), float(np.min(off + half - slope * x))
 
-    jitter = 1.2 * float(solve([0.0, 0.0, 1.0])[2]) + 1e-9 * scale
-    ends = [solve([0.0, side], jitter) for side in (1.0, -1.0)]
-    start, slope = np.mean(ends, axis=0)
-    step = float(slope) * grid.step / scale
-    error = float(abs(ends[1][1] - ends[0][1]) / np.sqrt(12.0) / slope)
-    return TimeGrid(float(start) * grid.step - step * number[0], step, grid.numbers), error
+    def lacking(slope: float) -> float:
+        """Return by how much the bounds of the start contradict each other, a convex function."""
+        lower, upper = ends(slope)
+        return lower - upper
 
-
-def _corners(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the numbers of the points that bound a line from above: the corners of their convex hull."""
-    try:
-        return np.asarray(ConvexHull(np.column_stack([x, y / (np.ptp(y) or 1.0)])).vertices)
-    except QhullError:  # all on one line
-        return np.array([0, x.size - 1])
-
-
-def _gaps(grid: TimeGrid, unit: float) -> tuple[str, ...]:
-    lost = np.diff(grid.numbers) - 1
-    gaps, samples = int(np.sum(lost > 0)), int(np.sum(lost))
-    if not gaps:
-        return ()
-    return (f"gaps in time are kept: {gaps}, where {samples} samples {grid.step * unit:.4g} s apart are missing",)
+    far = float(np.ptp(off) + 2 * np.max(half)) + 1e-9 * scale  # here the first and the last contradict each other
+    best = float(minimize_scalar(lacking, bounds=(-far, far), method="bounded", options={"xatol": 1e-9 * far}).x)
+    jitter = 1.2 * max(lacking(best) / 2, 0.0) + 1e-9 * scale
+    far += 3 * jitter
+    slopes = [brentq(lambda slope: lacking(slope) - 2 * jitter, best, side * far) for side in (-1.0, 1.0)]
+    middle = np.mean([np.mean(ends(slope)) for slope in slopes])
+    longer = 1 + float(np.mean(slopes)) / scale
+    error = (slopes[1] - slopes[0]) / np.sqrt(12.0) / (scale * longer)
+    return start + step * (float(middle) - numbers[near][0] * (longer - 1)), step * longer, float(error)

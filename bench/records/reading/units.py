@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Measures = Literal["displacement", "velocity", "acceleration", "force"]
 Quantity = Literal["time", "displacement", "velocity", "acceleration", "force"]
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(NamedTuple):
     """What a unit measures, how much one of it is in SI, and that SI unit.
 
     Torques are treated as forces, angles as displacements.
@@ -57,10 +55,6 @@ KNOWN = {
     "force": "N, kN, mN, lbf, N·m",
 }  # fmt: skip
 """The units that an error names, by what they measure."""
-PER_SECOND: dict[str, tuple[Quantity, str]] = {
-    "/s": ("velocity", "/s"),
-    **dict.fromkeys(("/s^2", "/s2", "/s/s"), ("acceleration", "/s²")),
-}  # fmt: skip
 CASE_DECIDES = {"m", "mn", "nm", "un", "g", "mg", "n", "ns"}
 """In capitals these may be other units: MN or mN, N·m or nm, gauss or g."""
 
@@ -75,7 +69,7 @@ def unit_of(text: str) -> Unit | None:
 
 def _plain(text: str) -> str:
     """Return one spelling of a unit: ``(m / s²)`` is ``m/s^2``, ``N m`` is ``N·m``, ``µm`` is ``um``."""
-    text = text.strip().strip("\"'").replace("µ", "u").replace("μ", "u").replace("**", "^")
+    text = re.sub(r"[µμ]", "u", text.strip().strip("\"'").replace("**", "^"))
     text = text.replace("⁻¹", "^-1").replace("⁻²", "^-2").replace("²", "^2")
     text = re.sub(r"[(){}]", "", text).strip().rstrip(".")
     text = re.sub(r"\s*([/^])\s*", r"\1", re.sub(r"_per_|\s+per\s+", "/", text))
@@ -88,12 +82,13 @@ def _known(name: str) -> Unit | None:
     """Return a unit of the table, a displacement over time, or a force times a length."""
     if name in UNITS:
         return UNITS[name]
-    for per, (measures, symbol) in PER_SECOND.items():
-        length = UNITS.get(name.removesuffix(per))
-        if length and name.endswith(per) and length.measures == "displacement":
-            return Unit(measures, length.size, length.symbol + symbol)
-    match = re.fullmatch(r"(.+)[·-](.+)|(.*N)(mm?)", name)
-    force, arm = (UNITS.get(match[1] or match[3]), UNITS.get(match[2] or match[4])) if match else (None, None)
-    if force and arm and force.measures == "force" and arm.symbol == "m":
-        return Unit("force", force.size * arm.size, "N·m")
+    if over := re.fullmatch(r"(.+?)(/s)(\^2|2|/s)?", name):
+        length, squared = UNITS.get(over[1]), over[3] is not None
+        if length and length.measures == "displacement":
+            symbol = length.symbol + ("/s²" if squared else "/s")
+            return Unit("acceleration" if squared else "velocity", length.size, symbol)
+    if moment := re.fullmatch(r"(.+)[·-](.+)|(.*N)(mm?)", name):
+        force, arm = UNITS.get(moment[1] or moment[3]), UNITS.get(moment[2] or moment[4])
+        if force and arm and force.measures == "force" and arm.symbol == "m":
+            return Unit("force", force.size * arm.size, "N·m")
     return None
