@@ -6,7 +6,7 @@ The process that asks only waits, so that a signal ends it at once, and with it 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -27,8 +27,8 @@ class Workers:
     A process performs one call after another, and finds imported and compiled what an earlier one needed.
     """
 
-    def __init__(self) -> None:
-        self._children = Children(PRELOADED)
+    def __init__(self, preload: Sequence[str] = PRELOADED) -> None:
+        self._children = Children(preload)
         self._threads = ThreadPoolExecutor(AT_ONCE)  # a thread for each process, which waits for its answer
         self._idle: list[Child] = []
 

@@ -10,19 +10,18 @@ import gzip
 import hashlib
 import io
 import multiprocessing
-import pickle
 import re
 import stat
 import zlib
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from bench.errors import InputError
 from bench.isolation.limits import limit_memory
-from bench.isolation.processes import READY_S, Children, Died
+from bench.isolation.processes import Died
 from bench.records.reading import formats
 from bench.records.reading.table import Table
 from bench.records.reading.text import read_text
+from bench.records.workers import Workers
 
 MAX_BYTES = 256 * 2**20
 """Largest file, packed or unpacked."""
@@ -78,33 +77,20 @@ def _table(data: bytes, path: Path) -> Table:
 
 
 def _table_of_child(path: Path) -> Table:
-    with Children() as children:
-        child = children.start(_serve, MEMORY_MB)
+    with Workers(preload=()) as workers:
         try:
-            child.receive(READY_S)
-            child.send(pickle.dumps(path))
-            answer: Table | InputError = pickle.loads(child.receive(TIME_S, MEMORY_MB))
+            table: Table = workers.submit(TIME_S, _limited, path, MEMORY_MB, memory_mb=MEMORY_MB).result()
         except Died as died:
             if died.reason in ("oom", "timeout"):
                 raise _too_large(path) from None
             raise InputError("data", path, f"it is damaged: {died.message}; write it again") from None
-        child.retire()
-    if isinstance(answer, InputError):
-        raise answer
-    return answer
+    return table
 
 
-def _serve(connection: Connection, memory_mb: float) -> None:
-    """Read the file that is asked for, in a process of its own."""
-    connection.send_bytes(b"ready")
-    path = pickle.loads(connection.recv_bytes())
+def _limited(path: Path, memory_mb: float) -> Table:
+    """Read a file in a process of its own."""
     limit_memory(memory_mb)
-    answer: Table | InputError
-    try:
-        answer = _table(_bytes(path), path)
-    except InputError as error:
-        answer = error
-    connection.send_bytes(pickle.dumps(answer))
+    return _table(_bytes(path), path)
 
 
 def _too_large(path: Path) -> InputError:

@@ -162,11 +162,11 @@ class _Run:
 
     def _own_times(self, column: Column) -> _SampleTimes:
         """Return the times of a signal where no column has them: by rate=, or as the file gives them."""
-        if self.options.rate is None:
-            assert column.times is not None
-            return self._times(column.times, 1.0, [column])
-        numbers = np.arange(column.values.size)
-        return _SampleTimes(numbers / self.options.rate, numbers / self.options.rate, numbers)
+        if self.options.rate is not None:
+            numbers = np.arange(column.values.size)
+            return _SampleTimes(numbers / self.options.rate, numbers / self.options.rate, numbers)
+        assert column.times is not None
+        return self._times(column.times, 1.0, [column])
 
     def _times(self, stamps: np.ndarray, unit: float, signals: Sequence[Column]) -> _SampleTimes:
         """Return times from stamps in a unit of so many seconds; raises InputError where they do not grow."""

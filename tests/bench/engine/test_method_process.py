@@ -125,11 +125,10 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
                 places.add(path.relative_to(REPOSITORY / "bench").as_posix())
     assert places <= {
         "conformance/candidate.py", "conformance/method_checks.py", "conformance/process.py",
-        "conformance/system_checks.py", "records/fit.py", "records/reading/files.py", "records/workers.py",
+        "conformance/system_checks.py", "records/fit.py", "records/workers.py",
         "engine/pool.py", "engine/cells.py", "engine/method_process.py", "engine/scoring_process.py", "engine/wire.py",
     }  # fmt: skip
-    of_files = places - {"records/reading/files.py"}  # reads records, and unpickles what its own process sends
-    assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in of_files)
+    assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in places)
 
 
 def test_alternatives_pass_between_the_processes_and_their_weights_must_add_up(problem: Problem) -> None:
