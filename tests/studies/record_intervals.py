@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
@@ -72,8 +73,10 @@ def intervals_of(kind: str, rng: np.random.Generator) -> tuple[dict[str, StatedI
     x = motion(t, truth, rng.uniform(0.0, 2 * np.pi))
     size = float(np.std(x)) * 10 ** (-rng.uniform(*decibels) / 20.0)
     x = x + size * noise(rng, t.size)
-    words = {"method": "output_error", "data": "arrays", "system": "sdof+coulomb" if friction else "sdof"}
-    problem = read_measured(request_of(overrides_of(words)), (of_arrays(t, x),)).problem
+    request = request_of(overrides_of({"method": "output_error", "data": "arrays"}))
+    if friction:
+        request = replace(request, system="sdof+coulomb")
+    problem = read_measured(request, (of_arrays(t, x),)).problem
     if len(problem.records) > 1:
         return None
     model = compiled_output_error(problem)
