@@ -2,10 +2,10 @@
 
 With bread ``B = (J' J / s² + P)⁻¹`` and the noise's covariance ``S`` the covariance of a fit that took the noise for
 white is ``B (J' S J / s⁴ + P) B`` (H. White, Econometrica 50:1, 1982; P. J. Huber, Proc. 5th Berkeley Symp. 1:221,
-1967), and ``B`` itself where the noise is white. ``P``: precision of the prior. For even samples ``S`` is the mean of
-an autoregression of the residuals and their own smoothed periodogram, where that is not far higher; otherwise
-``J' S J`` is a sum over pairs of samples with weights that fall with their distance in time (W. K. Newey, K. D. West,
-Econometrica 55:703, 1987).
+1967), and ``B`` itself where the noise is white. ``P``: precision of the prior. For even samples ``S`` is that of the
+smoothed periodogram of the residuals, where an autoregression of these has any order; otherwise ``J' S J`` is a sum
+over pairs of samples with weights that fall with their distance in time (W. K. Newey, K. D. West, Econometrica 55:703,
+1987).
 """
 
 from __future__ import annotations
@@ -32,10 +32,6 @@ LEAST = 1e-6
 """In natural units, what stands for a parameter of zero: next to no effect, and central differences still show it."""
 ROUNDING = 1e-7
 """Residuals over the motion, root mean squares, below which they are rounding and have no colour."""
-BEYOND = 2.0
-"""The periodogram smoothed over seven frequencies over the autoregression's spectrum beyond which it alone counts: of
-the same noise it is there in 2 % of cases (chi-square with 14 degrees of freedom). Else their mean does: the larger of
-both would be too wide by a tenth, the periodogram alone too narrow as often as not."""
 CORRELATED_CYCLES = 2.0
 """Cycles of the strongest frequency over which samples at uneven times may be correlated."""
 
@@ -44,14 +40,14 @@ CORRELATED_CYCLES = 2.0
 class Linearised:
     """Residuals (N,) of a problem in natural units at ``theta``, with the derivatives (N, size) of the predictions.
 
-    ``told``: the colour of each channel's noise where a longer record tells it better than these residuals do.
+    ``known_noises``: the colour of each channel's noise, where these residuals are not what shows it.
     """
 
     model: OutputError
     theta: np.ndarray
     residuals: np.ndarray
     slopes: np.ndarray
-    told: tuple[Autoregression | None, ...] | None = None
+    known_noises: tuple[Autoregression | None, ...] | None = None
 
     @cached_property
     def _prior_rows(self) -> np.ndarray:
@@ -78,12 +74,12 @@ class Linearised:
     @cached_property
     def noises(self) -> tuple[Autoregression | None, ...]:
         """The colour of each channel's noise; None at uneven times."""
-        if self.told is not None:
-            return self.told
+        if self.known_noises is not None:
+            return self.known_noises
         share = self.used / self.residuals.size
         return tuple(
-            autoregression(self.residuals[own], share * own.size) if even_times(channel.times) else None
-            for own, (_, channel) in zip(self.channels, self.model.channels, strict=True)
+            autoregression(self.residuals[rows], share * rows.size) if even_times(channel.times) else None
+            for rows, (_, channel) in zip(self.channels, self.model.channels, strict=True)
         )
 
     @cached_property
@@ -97,47 +93,56 @@ class Linearised:
         if self.white is None or np.all(self.sigma <= ROUNDING * self.model.rms):
             return self.white
         middle = self._prior_rows.T @ self._prior_rows
-        for i, own in enumerate(self.channels):
-            middle = middle + self._middle(i, own) / self.sigma[i] ** 4
+        for rows, (_, channel), noise, sigma in zip(
+            self.channels, self.model.channels, self.noises, self.sigma, strict=True
+        ):
+            slopes, residuals = self.slopes[rows], self.residuals[rows]
+            if noise is None:
+                reach = CORRELATED_CYCLES / max(strongest_frequency(channel.times, channel.values), 1e-12)
+                scores = uneven_scores(slopes, residuals, channel.times, reach)
+            else:
+                scores = even_scores(slopes, None if self.known_noises else residuals, noise)
+            middle = middle + scores / sigma**4
         return np.asarray(self.white @ middle @ self.white)
 
-    def _middle(self, i: int, own: np.ndarray) -> np.ndarray:
-        """``J' S J`` of one channel."""
-        noise, slopes = self.noises[i], self.slopes[own]
-        if noise is not None:
-            length = 1 << int(np.ceil(np.log2(2 * own.size)))
-            spectrum = noise.spectrum(length)
-            if noise.order and self.told is None:
-                local = local_spectrum(self.residuals[own], slopes, length)
-                spectrum = np.where(local > BEYOND * spectrum, local, (local + spectrum) / 2.0)
-            moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(slopes, length, axis=0), length, axis=0)
-            return np.asarray(slopes.T @ moved[: own.size])
-        times, scores = self.model.channels[i][1].times, slopes * self.residuals[own][:, None]
-        reach = CORRELATED_CYCLES / max(strongest_frequency(times, self.model.channels[i][1].values), 1e-12)
-        total = np.zeros((self.theta.size, self.theta.size))
-        for first in range(0, own.size, ROWS):  # a matrix of all pairs would not fit into memory
-            rows = slice(first, first + ROWS)
-            low, high = np.searchsorted(times, [times[rows][0] - reach, times[rows][-1] + reach])
-            near = np.maximum(1.0 - np.abs(times[rows][:, None] - times[low:high]) / reach, 0.0)
-            total += scores[rows].T @ near @ scores[low:high]
-        return total * own.size / max(own.size - self.theta.size, 1)
-
     def gradient(self, quantity: Quantity) -> np.ndarray:
-        """The derivative of the quantity's logarithm by theta."""
-        own = np.zeros(self.theta.size)
-        own[: len(self.model.free)] = quantity.vector(self.model.free)
-        return own
+        """Return the derivative of the quantity's logarithm by theta."""
+        by_theta = np.zeros(self.theta.size)
+        by_theta[: len(self.model.free)] = quantity.vector(self.model.free)
+        return by_theta
+
+
+def even_scores(slopes: np.ndarray, residuals: np.ndarray | None, noise: Autoregression) -> np.ndarray:
+    """Compute ``J' S J`` of one channel at even times, of slopes (n, p); without residuals (n,) the noise is known."""
+    n = len(slopes)
+    length = 1 << int(np.ceil(np.log2(2 * n)))
+    known = residuals is None or noise.order == 0
+    spectrum = noise.spectrum(length) if known else local_spectrum(residuals, slopes, length)
+    moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(slopes, length, axis=0), length, axis=0)
+    return np.asarray(slopes.T @ moved[:n])
+
+
+def uneven_scores(slopes: np.ndarray, residuals: np.ndarray, times: np.ndarray, reach: float) -> np.ndarray:
+    """Compute ``J' S J`` of one channel at any times, of slopes (n, p), correlated over a time of ``reach``."""
+    n, p = slopes.shape
+    scores, total = slopes * residuals[:, None], np.zeros((p, p))
+    for first in range(0, n, ROWS):  # a matrix of all pairs would not fit into memory
+        rows = slice(first, first + ROWS)
+        low, high = np.searchsorted(times, [times[rows][0] - reach, times[rows][-1] + reach])
+        near = np.maximum(1.0 - np.abs(times[rows][:, None] - times[low:high]) / reach, 0.0)
+        total += scores[rows].T @ near @ scores[low:high]
+    return total * n / max(n - p, 1)
 
 
 def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
-    """The likelihood of the problem at an answer to it; None where the answer has no parameters or no response.
+    """Compute the likelihood of the problem at an answer; None where the answer has no parameters or no response.
 
-    The start and the offset are what fits the data best at the answer's parameters, or the answer's own start where
-    that fits better.
+    The initial state and the offset are those that fit the data best at the answer's parameters, or the answer's own
+    initial state where that fits better.
     """
     units = problem.natural_units()
-    own, model = estimate.expressed_in(units), compiled_output_error(problem.expressed_in(units))
-    p = point_parameters(own)
+    answer, model = estimate.expressed_in(units), compiled_output_error(problem.expressed_in(units))
+    p = point_parameters(answer)
     if p is None or not all(np.isfinite(value) and value >= 0 for value in p.values()):
         return None
     p = {name: max(value, LEAST) for name, value in p.items()}  # a method may end at no damping at all
@@ -145,14 +150,14 @@ def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
         model = compiled_output_error(model.problem, p[model.system.gauge])
     with np.errstate(all="ignore"):
         trials = [model.vector(p)]
-        if own.initial_states is not None:
-            trials.append(_started(model, trials[0], own.initial_states))
+        if answer.initial_states is not None:
+            trials.append(_with_initial_states(model, trials[0], answer.initial_states))
         theta = min(trials, key=model.profile)
-        return at_theta(model, _unturned(model, theta))
+        return at_theta(model, _without_turns(model, theta))
 
 
 def at_theta(model: OutputError, theta: np.ndarray) -> Linearised | None:
-    """The likelihood at a vector of unknowns; None where its response, or a neighbour's, is not finite."""
+    """Compute the likelihood at a vector of unknowns; None where its response, or a neighbour's, is not finite."""
     with np.errstate(all="ignore"):
         predicted, slopes = model.jacobian(theta)
     if not (np.all(np.isfinite(predicted)) and np.all(np.isfinite(slopes))):
@@ -160,30 +165,27 @@ def at_theta(model: OutputError, theta: np.ndarray) -> Linearised | None:
     return Linearised(model, theta, model.data - predicted, slopes)
 
 
-def _unturned(model: OutputError, theta: np.ndarray) -> np.ndarray:
-    """Theta without whole turns of a pendulum, which its start and the offset of its sensor may share out as they like.
-
-    Of a sum, ``l`` may be told.
-    """
+def _without_turns(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Take whole turns of a pendulum out of its initial state, which the offset of its sensor may stand for."""
     length = model.parameters(theta).get("l", dict(getattr(model.system, "fixed", ())).get("l"))
     if length is None or not model.offset_channels or len(model.problem.records) > 1 or not model.unknown_starts:
         return theta
     turn = 2 * np.pi * float(length)
     turns = turn * np.round(theta[len(model.free)] / turn)
-    own = theta.copy()
-    own[len(model.free)] -= turns
-    own[-len(model.offset_channels) :] += turns
-    return own
+    theta = theta.copy()
+    theta[len(model.free)] -= turns
+    theta[-len(model.offset_channels) :] += turns
+    return theta
 
 
-def _started(model: OutputError, theta: np.ndarray, starts: Sequence[InitialState]) -> np.ndarray:
-    """Theta with the given starts, and the offsets that fit best there."""
-    theta, at = theta.copy(), len(model.free)
+def _with_initial_states(model: OutputError, theta: np.ndarray, states: Sequence[InitialState]) -> np.ndarray:
+    """Put given initial states into theta, and the offsets that fit best there."""
+    theta, place = theta.copy(), len(model.free)
     for i in model.unknown_starts:
-        both = np.concatenate([starts[i].displacement, starts[i].velocity])
-        theta[at : at + both.size] = both
-        at += both.size
+        state = np.concatenate([states[i].displacement, states[i].velocity])
+        theta[place : place + state.size] = state
+        place += state.size
     if model.offset_channels:
         left = model.data - model.predict(theta) + model.offsets(theta)[model.channel_of]
-        theta[at:] = [np.mean(left[model.channel_of == i]) for i in model.offset_channels]
+        theta[place:] = [np.mean(left[model.channel_of == i]) for i in model.offset_channels]
     return theta

@@ -2,116 +2,103 @@
 
 A model that is not quite right has other parameters in each part: damping that falls with the amplitude, a stiffness
 that drifts. The parts have equal energy in the fitted motion, so that all of them determine the parameters about as
-well; one in which the motion has died out has a large variance and counts for little.
+well; one in which the motion has died out has a large variance and counts for little. A part is fitted by a step of
+Gauss and Newton from the answer to the whole. The initial state of a part is a function of that of the record, so the
+derivatives by the one span what those by the other do, and the part is as free as if it were a record.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from bench.contract.problem import Problem, Record
-from bench.dynamics.simulate import simulate
-from bench.likelihood.compiled import compiled_output_error
-from bench.records.linearised import Linearised, at_theta
+from bench.likelihood.autoregression import autoregression, even_times
+from bench.likelihood.least_squares import covariances
+from bench.records.linearised import CORRELATED_CYCLES, Linearised, even_scores, uneven_scores
 
 MOST_PARTS = 6
 CYCLES, MEAN_CYCLES = 2.0, 3.0
 """Least cycles of a part, and of the parts on average: fewer do not determine a damping."""
 SAMPLES_PER_UNKNOWN = 4
-ITERATIONS = 8
 LARGEST_CHANGE = 0.7
 """A part whose stiffness differs by more than a factor of two from the whole's follows something else."""
 
 
-def parts_of(whole: Linearised, frequency: float) -> list[Linearised]:
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Logarithms (k,) of the free parameters that fit a part, their covariance (k, k), and the size of the motion."""
+
+    logs: np.ndarray
+    covariance: np.ndarray
+    amplitude: float
+
+
+def parts_of(whole: Linearised, frequency: float) -> list[Part]:
     """Fit the parts of a record, or each of several records, alone, from the answer to the whole; below two: none.
 
     ``frequency``: cycles per unit of the problem's time.
     """
-    model, theta = whole.model, whole.theta
-    records, offsets = model.problem.records, model.offsets(theta)
-    if len(records) > 1:
-        states = [np.zeros(0) if r.initial_state is not None else model.states(theta)[i] for i, r in enumerate(records)]
-        places = [[j for j in model.offset_channels if model.channels[j][0] == i] for i in range(len(records))]
-        pieces = [(r, s, offsets[own]) for r, s, own in zip(records, states, places, strict=True)]
+    model = whole.model
+    times = np.concatenate([channel.times for _, channel in model.channels])
+    motion = model.data - whole.residuals - model.offsets(whole.theta)[model.channel_of]
+    if len(model.problem.records) > 1:
+        record_of = np.array([record for record, _ in model.channels])[model.channel_of]
+        places = [np.flatnonzero(record_of == i) for i in range(len(model.problem.records))]
     else:
-        own = offsets[list(model.offset_channels)]
-        spans = pairwise(_edges(whole, frequency))
-        pieces = [(_cut(records[0], low, high), _state_at(whole, low), own) for low, high in spans]
-    fits = [_fitted(whole, *piece) for piece in pieces]
-    parts = [fit for fit in fits if fit is not None and fit.coloured is not None and _same_mode(fit, whole)]
+        edges = _edges(whole, motion, frequency)
+        places = [np.flatnonzero((times >= low) & (times < high)) for low, high in pairwise(edges)]
+    fits = [_fitted(whole, rows, times[rows], motion[rows], frequency) for rows in places]
+    parts = [part for part in fits if part is not None]
     return parts if len(parts) > 1 else []
 
 
-def _fitted(whole: Linearised, record: Record, state: np.ndarray, offsets: np.ndarray) -> Linearised | None:
-    """Fit a record alone from the parameters of the whole; None where it determines others or gives no response."""
-    model, k = whole.model, len(whole.model.free)
-    if not np.all(np.isfinite(state)) or min(channel.n for channel in record.channels) < 3:
+def _fitted(
+    whole: Linearised, rows: np.ndarray, times: np.ndarray, motion: np.ndarray, frequency: float
+) -> Part | None:
+    """Fit the samples in ``rows`` alone; None where they leave a direction open, or follow something else."""
+    model, k, n = whole.model, len(whole.model.free), rows.size
+    slopes, channel_of = whole.slopes[rows], model.channel_of[rows]
+    unknowns = np.any(slopes != 0, axis=0)
+    if not np.all(unknowns[:k]) or n <= np.count_nonzero(unknowns):
         return None
-    part = compiled_output_error(Problem(model.system, (record,)), model.gauge)
-    if part.free != model.free:
+    slopes, p = slopes[:, unknowns], int(np.count_nonzero(unknowns))
+    weights = 1.0 / whole.sigma[channel_of]
+    norms = np.linalg.norm(slopes * weights[:, None], axis=0)
+    change = np.linalg.lstsq(slopes * weights[:, None] / norms, whole.residuals[rows] * weights, rcond=None)[0] / norms
+    left = whole.residuals[rows] - slopes @ change
+    middle, sigma = np.zeros((p, p)), np.zeros(n)
+    for i in np.unique(channel_of):
+        inside = channel_of == i
+        r, j, t = left[inside], slopes[inside], times[inside]
+        variance = max(float(r @ r) / (r.size * (1.0 - p / n)), (1e-9 * float(model.rms[i])) ** 2)
+        sigma[inside] = np.sqrt(variance)
+        even = even_times(t)
+        noise = autoregression(r, p / n * r.size) if even else None
+        scores = uneven_scores(j, r, t, CORRELATED_CYCLES / frequency) if noise is None else even_scores(j, r, noise)
+        middle += scores / variance**2
+    white = covariances((slopes / sigma[:, None])[None])[0]
+    kinds = {parameter.name: parameter.kind for parameter in model.system.parameters}
+    stiffness = [i for i, name in enumerate(model.free) if kinds[name] == "stiffness"]
+    if white is None or np.any(np.abs(change[stiffness]) > LARGEST_CHANGE):
         return None
-    start = at_theta(part, np.concatenate([whole.theta[:k], state, offsets]))
-    if start is None:
-        return None
-    with np.errstate(all="ignore"):
-        reached, _ = part.search(
-            part.point(start.theta[None]), part.noise(start.residuals, part.size)[None], ITERATIONS
-        )
-    return at_theta(part, reached.theta[0])
+    amplitude = float(np.std(motion[channel_of == channel_of[0]])) or 1.0
+    return Part(whole.theta[:k] + change[:k], (white @ middle @ white)[:k, :k], amplitude)
 
 
-def _same_mode(part: Linearised, whole: Linearised) -> bool:
-    kinds = {parameter.name: parameter.kind for parameter in whole.model.system.parameters}
-    stiffness = [i for i, name in enumerate(whole.model.free) if kinds[name] == "stiffness"]
-    return bool(np.all(np.abs(part.theta[stiffness] - whole.theta[stiffness]) <= LARGEST_CHANGE))
-
-
-def _edges(whole: Linearised, frequency: float) -> list[float]:
+def _edges(whole: Linearised, motion: np.ndarray, frequency: float) -> list[float]:
     """Return the times that divide a record into parts of equal energy, none shorter than some cycles."""
     record = whole.model.problem.records[0]
-    channel = record.channels[0]
-    smallest = min(c.n for c in record.channels)
-    count = int(
-        min(MOST_PARTS, record.duration * frequency / MEAN_CYCLES, smallest / (SAMPLES_PER_UNKNOWN * whole.model.size))
-    )
-    motion = (whole.model.data - whole.residuals - whole.model.offsets(whole.theta)[whole.model.channel_of])[
-        : channel.n
-    ]
-    energy = np.cumsum(motion**2 * np.gradient(channel.times))
-    least = max(CYCLES / frequency, SAMPLES_PER_UNKNOWN * whole.model.size * record.duration / smallest)
+    times = record.channels[0].times
+    samples = min(c.n for c in record.channels)
+    unknowns, duration = SAMPLES_PER_UNKNOWN * whole.model.size, record.duration
+    count = int(min(MOST_PARTS, duration * frequency / MEAN_CYCLES, samples / unknowns))
+    energy = np.cumsum(motion[: times.size] ** 2 * np.gradient(times))
+    least = max(CYCLES / frequency, unknowns * duration / samples)
     edges = [0.0]
     for share in range(1, count):
-        time = float(np.interp(share / count, energy / (energy[-1] or 1.0), channel.times))
-        edges.append(max(time, edges[-1] + least))
-    while len(edges) > 1 and edges[-1] + least > record.duration:
+        edges.append(max(float(np.interp(share / count, energy / (energy[-1] or 1.0), times)), edges[-1] + least))
+    while len(edges) > 1 and edges[-1] + least > duration:
         edges.pop()
-    return [*edges, record.duration]
-
-
-def _cut(record: Record, low: float, high: float) -> Record:
-    """Return a stretch of a record, from time 0 on, whose initial state is unknown."""
-    last = np.inf if high >= record.duration else high
-    channels = []
-    for channel in record.channels:
-        inside = (channel.times >= low) & (channel.times < last)
-        channels.append(replace(channel, times=channel.times[inside] - low, values=channel.values[inside]))
-    forces = []
-    for force in record.forces:
-        first = max(int(np.searchsorted(force.times, low, side="right")) - 1, 0)
-        if force.times[-1] > low:
-            forces.append(replace(force, times=force.times[first:] - low, values=force.values[first:]))
-    return replace(record, channels=tuple(channels), forces=tuple(forces), initial_state=None)
-
-
-def _state_at(whole: Linearised, time: float) -> np.ndarray:
-    """Return displacement and velocity at a time of the record, as the whole fit has them."""
-    record, start = whole.model.problem.records[0], whole.model.starts(whole.theta)[0]
-    if time == 0.0:
-        return np.asarray(whole.model.states(whole.theta)[0])
-    p = {name: float(value) for name, value in whole.model.parameters(whole.theta).items()}
-    motion = simulate(record.rig(whole.model.system), p, start, np.array([time]), record.forces)
-    return np.concatenate([motion.displacement[:, 0], motion.velocity[:, 0]])
+    return [*edges, np.inf]

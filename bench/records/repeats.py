@@ -20,7 +20,7 @@ import numpy as np
 from bench.contract.belief import standard_quantile
 from bench.records.diagnostics import readable, reasons_of_intervals
 from bench.records.finding import Finding, Run
-from bench.records.intervals import HALF, PRIOR_SPREAD, UPPER, WIDEST, StatedInterval, paule_mandel
+from bench.records.intervals import CHANCE, HALF, PRIOR_SPREAD, UPPER, WIDEST, StatedInterval, paule_mandel
 from bench.records.problem import Measured
 from bench.records.verdict import Reason, Trust
 from bench.systems import Quantity, System
@@ -102,11 +102,12 @@ def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system:
     prior, of_runs = _prior_variance(quantity, system), paule_mandel(y, v)
     more = max(LEAST_DOF - (y.size - 1), 0)
     dof = y.size - 1 + more
-    between = ((y.size - 1) * of_runs + more * prior) / dof
+    between = ((y.size - 1) * of_runs.variance + more * prior) / dof
     weights = 1.0 / (v + between)
     mean, error = float(np.sum(weights * y) / np.sum(weights)), float(1.0 / np.sum(weights))
     white = HALF / math.sqrt(sum(1.0 / _variance(interval.white_low, interval.white_high) for interval in stated))
-    quantile, uneven = float(standard_quantile(UPPER, dof)), math.sqrt(of_runs / prior)
+    quantile = float(standard_quantile(UPPER, dof))
+    uneven = math.sqrt(of_runs.variance / prior) if of_runs.chance < CHANCE else 1.0
     repeat, together = quantile * math.sqrt(between + error), quantile * math.sqrt(error)
     low, high, record_low, record_high, white_low, white_high = (
         math.exp(mean + sign * half) for half in (repeat, together, white) for sign in (-1.0, 1.0)
