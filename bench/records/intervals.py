@@ -29,7 +29,7 @@ from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
 from bench.records.linearised import Linearised
 from bench.records.models import ClassComparison
-from bench.records.parts import Part
+from bench.records.parts import PartFit
 
 UPPER = 0.975
 HALF = float(standard_quantile(UPPER, None))
@@ -90,7 +90,7 @@ class StatedInterval:
 def stated_intervals(
     estimate: Estimate,
     fit: Linearised | None,
-    parts: Sequence[Part] = (),
+    parts: Sequence[PartFit] = (),
     rate_error: float = 0.0,
     classes: ClassComparison | None = None,
 ) -> dict[str, StatedInterval]:
@@ -151,7 +151,7 @@ class JointCovariance:
         """
         powers, record_quantile = np.linalg.solve(self.to.T, gradient), _quantile(self.record_dof)
         width = (interval.high - interval.low) / interval.value
-        if 0 < interval.low and math.isfinite(width):  # a method's interval is symmetric about the value or its log
+        if interval.low > 0 and math.isfinite(width):  # a method's interval is symmetric about the value or its log
             width = min(width, math.log(interval.high / interval.low))
         least = 2.0 * record_quantile * math.sqrt(max(powers @ self.white @ powers, 1e-300))
         over = max(width / least, 1.0) if math.isfinite(width) else 1.0
@@ -168,7 +168,7 @@ class JointCovariance:
         return replace(interval, low=low, high=high, record_low=record_low, record_high=record_high)
 
 
-def joint_covariance(fit: Linearised, parts: Sequence[Part], rate_error: float) -> JointCovariance | None:
+def joint_covariance(fit: Linearised, parts: Sequence[PartFit], rate_error: float) -> JointCovariance | None:
     """Compute the variances of an answer, see :func:`stated_intervals`; None where a direction is open."""
     if fit.white is None or fit.coloured is None:
         return None

@@ -116,8 +116,9 @@ def even_scores(slopes: np.ndarray, residuals: np.ndarray | None, noise: Autoreg
     """Compute ``J' S J`` of one channel at even times, of slopes (n, p); without residuals (n,) the noise is known."""
     n = len(slopes)
     length = 1 << int(np.ceil(np.log2(2 * n)))
-    known = residuals is None or noise.order == 0
-    spectrum = noise.spectrum(length) if known else local_spectrum(residuals, slopes, length)
+    spectrum = noise.spectrum(length)
+    if residuals is not None and noise.order:
+        spectrum = local_spectrum(residuals, slopes, length)
     moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(slopes, length, axis=0), length, axis=0)
     return np.asarray(slopes.T @ moved[:n])
 

@@ -27,7 +27,7 @@ LARGEST_CHANGE = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PartFit:
     """Logarithms (k,) of the free parameters that fit a part, their covariance (k, k), and the size of the motion."""
 
     logs: np.ndarray
@@ -35,7 +35,7 @@ class Part:
     amplitude: float
 
 
-def parts_of(whole: Linearised, frequency: float) -> list[Part]:
+def parts_of(whole: Linearised, frequency: float) -> list[PartFit]:
     """Fit the parts of a record, or each of several records, alone, from the answer to the whole; below two: none.
 
     ``frequency``: cycles per unit of the problem's time.
@@ -56,7 +56,7 @@ def parts_of(whole: Linearised, frequency: float) -> list[Part]:
 
 def _fitted(
     whole: Linearised, rows: np.ndarray, times: np.ndarray, motion: np.ndarray, frequency: float
-) -> Part | None:
+) -> PartFit | None:
     """Fit the samples in ``rows`` alone; None where they leave a direction open, or follow something else."""
     model, k, n = whole.model, len(whole.model.free), rows.size
     slopes, channel_of = whole.slopes[rows], model.channel_of[rows]
@@ -84,7 +84,7 @@ def _fitted(
     if white is None or np.any(np.abs(change[stiffness]) > LARGEST_CHANGE):
         return None
     amplitude = float(np.std(motion[channel_of == channel_of[0]])) or 1.0
-    return Part(whole.theta[:k] + change[:k], (white @ middle @ white)[:k, :k], amplitude)
+    return PartFit(whole.theta[:k] + change[:k], (white @ middle @ white)[:k, :k], amplitude)
 
 
 def _edges(whole: Linearised, motion: np.ndarray, frequency: float) -> list[float]:

@@ -94,7 +94,7 @@ def test_today_is_the_error_by_the_autoregression() -> None:
     finding = found(np.arange(200) / 10.0, colour=0.8, c=0.3)
     at = finding.fit
     assert at is not None
-    covariance = replace(at, told=at.noises).coloured
+    covariance = replace(at, known_noises=at.noises).coloured
     assert covariance is not None
     for one in what_if(finding):
         for name, error in one.today.items():
