@@ -6,12 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.contract.problem import Channel, Record
 from bench.likelihood.compiled import compiled_output_error
 from bench.records.linearised import Linearised
 
 HELD_OUT = 0.4
+"""Part of the record that the fit does not see."""
+FEWEST = 12
+"""Samples of a channel that the fit sees at least, where there are as many."""
 ITERATIONS = 15
+"""Of the search from the whole record's answer, which is near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,45 +28,38 @@ class EarlyFit:
     predicted: np.ndarray
     late: np.ndarray
 
-    def fit_percent(self, measured: np.ndarray, channel: np.ndarray | None = None) -> float:
-        """``100 (1 - |y - h| / |y - mean y|)`` over the unseen samples, of one ``channel`` (sample numbers) or of all.
+    def fit_percent(self, measured: np.ndarray, samples: slice | np.ndarray = slice(None)) -> float:
+        """Compute ``100 (1 - |y - h| / |y - mean y|)`` over the unseen of some samples; NaN where it is not defined.
 
         The fit that nonlinear system identification reports (L. Ljung, System Identification, 2nd ed. 1999, section
-        16.4). NaN where it is not defined.
+        16.4).
         """
-        own = self.late if channel is None else self.late & np.isin(np.arange(self.late.size), channel)
-        y, h = measured[own], self.predicted[own]
+        late = self.late[samples]
+        y, h = measured[samples][late], self.predicted[samples][late]
         scale = float(np.linalg.norm(y - np.mean(y))) if y.size else 0.0
         return float(100.0 * (1.0 - np.linalg.norm(y - h) / scale)) if scale > 0 and np.all(np.isfinite(h)) else np.nan
 
 
 def early_fit(at: Linearised) -> EarlyFit | None:
-    """Fit the first 60 % of a record from its answer; None for several records, or where a start is not told again."""
+    """Fit the first part of a record from its answer; None for several records, or without the same unknowns."""
     problem = at.model.problem
     if len(problem.records) > 1:
         return None
-    record = problem.records[0]
-    early = window(record, (1.0 - HELD_OUT) * record.duration)
-    model = compiled_output_error(replace(problem, records=(early,)), at.model.gauge)
+    record, channels = problem.records[0], problem.records[0].channels
+    length = (1.0 - HELD_OUT) * record.duration
+    counts = [max(int(np.searchsorted(c.times, length, side="right")), min(FEWEST, c.n)) for c in channels]
+    first = (replace(c, times=c.times[:n], values=c.values[:n]) for c, n in zip(channels, counts, strict=True))
+    early = replace(problem, records=(replace(record, channels=tuple(first)),))
+    model = compiled_output_error(early, at.model.gauge)
     if model.size != at.theta.size:
         return None
     with np.errstate(all="ignore"):
         predicted = at.model.predict(model.settle(at.theta[None], iterations=ITERATIONS)[0])
-    late = [np.arange(c.n) >= e.n for c, e in zip(record.channels, early.channels, strict=True)]
-    return EarlyFit(float(early.channels[0].times[-1]), predicted, np.concatenate(late))
+    late = np.concatenate([np.arange(c.n) >= n for c, n in zip(channels, counts, strict=True)])
+    return EarlyFit(float(channels[0].times[counts[0] - 1]), predicted, late)
 
 
 def held_out_fit(at: Linearised) -> float:
-    """The fit (%) of the last 40 % by that of the first 60 %; NaN where that fit is not possible."""
-    found = early_fit(at)
-    return float("nan") if found is None else found.fit_percent(at.model.data)
-
-
-def window(record: Record, length: float) -> Record:
-    """Return the record up to a time, but no shorter than twelve samples a channel."""
-    return replace(record, channels=tuple(_first_part(channel, length) for channel in record.channels))
-
-
-def _first_part(channel: Channel, length: float) -> Channel:
-    n = max(int(np.searchsorted(channel.times, length, side="right")), min(12, channel.n))
-    return replace(channel, times=channel.times[:n], values=channel.values[:n])
+    """Return the fit (%) of the last part by that of the first; NaN where that fit is not possible."""
+    early = early_fit(at)
+    return np.nan if early is None else early.fit_percent(at.model.data)
