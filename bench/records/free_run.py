@@ -17,7 +17,7 @@ from bench.contract.problem import Record
 from bench.dynamics.intervals import Steps
 from bench.dynamics.stepper import compiled_path
 from bench.records.reading import read_recording
-from bench.records.request import request_of
+from bench.records.request import AUTO, request_of
 from bench.records.sets import MeasuredSet, SimulatedSpan
 from bench.records.track import described
 from bench.systems import System
@@ -33,16 +33,17 @@ def free_runs(
 ) -> Iterator[tuple[str, list[float]]]:
     """Yield models with their errors over the test parts of a set, in thousandths of the record's unit.
 
-    The models are the primary method's, with the medians over its siblings in ``fits``, rows of the track with answers
-    that stand, and the parameters that others have published. Raises InputError.
+    The models are the primary method's, with the medians over its siblings in ``fits``, rows of the track, and that
+    with the parameters that others have published; none with ``system=auto``, whose siblings may differ in class.
+    Raises InputError.
     """
     place = of.place(data_root)
-    if place is None or not (of.tests and of.paths(data_root)):
+    if place is None or system == AUTO or not (of.tests and of.paths(data_root)):
         return
     parts = [part_problem(of, system, part, place) for part in of.tests.values()]
     names = list(parts[0][0].names)
     models = {}
-    primary = fits[fits["method"] == primary_method()]
+    primary = fits[(fits["method"] == primary_method()) & fits["quantity"].notna() & (fits["withdrawn"] == 0)]
     fitted = primary.pivot(index="sibling", columns="quantity", values="value").reindex(columns=names).dropna()
     if len(fitted):
         offsets = primary[primary["sibling"].isin(fitted.index)].drop_duplicates("sibling")["offset"]

@@ -13,15 +13,13 @@ import pandas as pd
 from bench.config.records import primary_method
 from bench.contract.belief import standard_quantile
 from bench.records.intervals import ENDS
-from bench.records.sets import Known, MeasuredSet
+from bench.records.sets import MeasuredSet
 from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total
 from bench.records.verdict import Trust
 from bench.reporting.rounding import number, readable
 from bench.reporting.tables.render import Columns, Rows, files, listing
 
 MAIN = ("k_over_m", "c_over_m")
-SAME = 1e-3
-"""Widths that differ by less agree to three digits."""
 MISSING = "not made yet"
 """Status of a fit that the store lacks."""
 SCORES = tuple(f"{name}_{kind}" for kind in KINDS for name in IntervalScore._fields)
@@ -41,8 +39,9 @@ siblings. **x/÷**: the median factor by which the interval reaches to either si
 assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median distance to
 what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %, predicted
 from a fit of the first 60 % (median). **verdicts**: answers by trust / use with caution / do not trust, which is
-withdrawn: it has no interval and counts in no score. Parts of a decay have other amplitudes and differ by what the
-named system leaves out, more than repeats of the whole record would."""
+withdrawn: it has no interval and counts in no score. **white/certified**: the interval assuming white noise over that
+of a certified value, where there is one. Parts of a decay have other amplitudes and differ by what the named system
+leaves out, more than repeats of the whole record would."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +69,6 @@ class TrackPanel:
     def absent(self) -> str:
         """The reason why there are no fits; empty where there are."""
         return str(self.rows["status"].iloc[0]) if self.rows["method"].isna().all() else ""
-
-    @cached_property
-    def standing(self) -> pd.DataFrame:
-        """The rows of answers that are not withdrawn."""
-        return self.rows[self.rows["quantity"].notna() & (self.rows["withdrawn"] == 0)]
 
     @cached_property
     def fits(self) -> pd.DataFrame:
@@ -116,12 +110,15 @@ class MethodFits:
         """A row for each fit."""
         return self.panel.fits[self.panel.fits["method"] == self.method]
 
+    def answers(self, quantity: str) -> pd.DataFrame:
+        """Return the rows of a quantity."""
+        rows = self.panel.rows
+        return rows[(rows["method"] == self.method) & (rows["quantity"] == quantity)]
+
     def agreement(self, quantity: str) -> dict[str, Any]:
-        """Compare the siblings whose answer stands."""
-        stands = self.panel.standing
-        known = self.panel.of.known.get(quantity)
-        answers = stands[(stands["method"] == self.method) & (stands["quantity"] == quantity)]
-        return compare_siblings(answers, known.value if known else None)
+        """Compare the siblings whose answer is not withdrawn."""
+        answers, known = self.answers(quantity), self.panel.of.known.get(quantity)
+        return compare_siblings(answers[answers["withdrawn"] == 0], known.value if known else None)
 
 
 def track_table(panels: Sequence[TrackPanel], command: str) -> Mapping[str, str]:
@@ -146,8 +143,6 @@ def _section(panel: TrackPanel) -> list[str | Rows]:
     if of.known:
         stated = [f"{readable(name)} {known.value:.6g} ({known.source})" for name, known in of.known.items()]
         parts.append(f"Known: {'; '.join(stated)}.")
-    if any(known.sd for known in of.known.values()):
-        parts += ["Against the certified values:", certified_rows(panel)]
     if panel.free_runs:
         runs = [[model, *map(number, errors), "simulated here"] for model, errors in panel.free_runs]
         runs += [[run.model, *map(number, run.errors), f"quoted: {run.source}"] for run in of.quoted]
@@ -192,24 +187,15 @@ def _total(scores: Mapping[str, float]) -> str:
 
 def overview(panels: Iterable[TrackPanel]) -> Rows:
     """Return a row for each panel: the primary method's scores, and all methods' together."""
-    columns: dict[str, Callable[[TrackPanel], str]] = {
-        "set": lambda panel: panel.name,
-        "system": lambda panel: panel.system,
-        "siblings": lambda panel: panel.absent or str(panel.fits["sibling"].nunique()),
+    columns: dict[str, Callable[[MethodFits], str]] = {
+        "set": lambda fits: fits.panel.name,
+        "system": lambda fits: fits.panel.system,
+        "siblings": lambda fits: fits.panel.absent or str(fits.panel.fits["sibling"].nunique()),
     }
     for name in MAIN:
-        columns |= {
-            heading: lambda panel, show=show: show(MethodFits(panel, primary_method()))  # type: ignore[misc]
-            for heading, show in _agreement(name).items()
-        }
-        columns[f"{readable(name)} score, all methods"] = partial(_pooled, name)
-    columns["held-out %"] = lambda panel: _median(MethodFits(panel, primary_method()), "held_out")
-    return listing(panels, columns)
-
-
-def _pooled(quantity: str, panel: TrackPanel) -> str:
-    of_all = panel.agreements[panel.agreements["quantity"] == quantity]
-    return _beside("score", number, {f"score_{kind}": total(of_all, kind)["score"] for kind in KINDS})
+        columns |= {**_agreement(name), f"{readable(name)} score, all methods": partial(_pooled, name)}
+    columns["held-out %"] = partial(_median, "held_out")
+    return listing([MethodFits(panel, primary_method()) for panel in panels], columns)
 
 
 def method_rows(panel: TrackPanel) -> Rows:
@@ -217,30 +203,27 @@ def method_rows(panel: TrackPanel) -> Rows:
     columns: dict[str, Callable[[MethodFits], str]] = {"method": lambda fits: fits.method}
     for name in panel.quantities:
         columns[readable(name)] = partial(_answer, name, "value", "{:.5g}")
-        if name in panel.of.known:
+        if (known := panel.of.known.get(name)) is not None:
             columns[f"{readable(name)} error"] = partial(_answer, name, "error_pct", "{:.3g} %")
+            if known.sd:
+                columns[f"{readable(name)} white/certified"] = partial(_beside_certified, name, known.sd, known.dof)
         columns |= _agreement(name)
     columns |= {
-        "held-out %": lambda fits: _median(fits, "held_out"),
-        "s": lambda fits: _median(fits, "wall_s"),
+        "held-out %": partial(_median, "held_out"),
+        "s": partial(_median, "wall_s"),
         "verdicts": lambda fits: " / ".join(map(str, _verdicts(fits.made).values())),
         "without an answer": _failures,
     }
     return listing(panel.by_method(), columns)
 
 
-def _answer(quantity: str, what: str, text: str, fits: MethodFits) -> str:
-    agreed = fits.agreement(quantity)
-    return text.format(agreed[what]) if agreed["n"] else "-"
-
-
 def _agreement(quantity: str) -> Columns[MethodFits]:
     """Return columns of how siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
     cells: Columns[Mapping[str, Any]] = {
-        "score": partial(_beside, "score", number),
-        "R": partial(_beside, "ratio", number),
+        "score": partial(_beside_white, "score", number),
+        "R": partial(_beside_white, "ratio", number),
         "cov.": _covered,
-        "x/÷": partial(_beside, "width", "{:.3f}".format),
+        "x/÷": partial(_beside_white, "width", "{:.3f}".format),
     }
     return {f"{readable(quantity)} {what}": partial(_cell, quantity, show) for what, show in cells.items()}
 
@@ -249,7 +232,7 @@ def _cell(quantity: str, show: Callable[[Mapping[str, Any]], str], fits: MethodF
     return show(fits.agreement(quantity))
 
 
-def _beside(name: str, text: Callable[[float], str], agreed: Mapping[str, Any]) -> str:
+def _beside_white(name: str, text: Callable[[float], str], agreed: Mapping[str, Any]) -> str:
     repeat, white = agreed[f"{name}_repeat"], agreed[f"{name}_white"]
     return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else "-"
 
@@ -260,41 +243,28 @@ def _covered(agreed: Mapping[str, Any]) -> str:
     return ", ".join([*parts, f"{limits} limits"] if limits else parts) or "-"
 
 
-def _median(fits: MethodFits, name: str) -> str:
+def _pooled(quantity: str, fits: MethodFits) -> str:
+    agreements = fits.panel.agreements
+    pooled = agreements[agreements["quantity"] == quantity]
+    return _beside_white("score", number, {f"score_{kind}": total(pooled, kind)["score"] for kind in KINDS})
+
+
+def _answer(quantity: str, what: str, text: str, fits: MethodFits) -> str:
+    agreed = fits.agreement(quantity)
+    return text.format(agreed[what]) if agreed["n"] else "-"
+
+
+def _beside_certified(quantity: str, sd: float, dof: float | None, fits: MethodFits) -> str:
+    """Return half of the interval assuming white noise over Student's t times the certified standard deviation."""
+    answers = fits.answers(quantity)
+    ratios = (answers["white_high"] - answers["white_low"]) / 2.0 / (float(standard_quantile(0.975, dof)) * sd)
+    return f"{ratios.median():.4f}" if len(answers) else "-"
+
+
+def _median(name: str, fits: MethodFits) -> str:
     return number(fits.made[name].median())
 
 
 def _failures(fits: MethodFits) -> str:
     status = fits.made["status"]
     return ", ".join(f"{n} {name}" for name, n in status[status != "ok"].value_counts(sort=False).items())
-
-
-def certified_rows(panel: TrackPanel) -> Rows:
-    """Return for each fit digits of the certified values, and its white interval over the certified one."""
-    certified, rows = {name: known for name, known in panel.of.known.items() if known.sd}, []
-    for fit in panel.fits.itertuples():
-        answers = panel.rows[(panel.rows["method"] == fit.method) & (panel.rows["sibling"] == fit.sibling)]
-        stated = answers.set_index("quantity")[list(ENDS)].to_dict("index")
-        row = [str(fit.method)]
-        for name, known in certified.items():
-            row += [number(digits(stated[name], known)), _width(stated[name], known)] if name in stated else ["-", "-"]
-        rows.append(row)
-    headers = ("digits", "white interval, over certified")
-    return rows, ["method", *(f"{readable(name)} {header}" for name in certified for header in headers)]
-
-
-def digits(stated: Mapping[str, Any], known: Known) -> float:
-    """Compute how many digits of a value match: minus the decimal logarithm of its relative error."""
-    return -math.log10(max(abs(stated["value"] / known.value - 1.0), 1e-15))
-
-
-def certified_ratio(stated: Mapping[str, Any], known: Known) -> float:
-    """Compute half of the white interval over Student's t times the certified standard deviation."""
-    assert known.sd is not None
-    quantile = float(standard_quantile(0.975, known.dof))
-    return float((stated["white_high"] - stated["white_low"]) / 2.0 / (quantile * known.sd))
-
-
-def _width(stated: Mapping[str, Any], known: Known) -> str:
-    ratio = certified_ratio(stated, known)
-    return f"{ratio:.4f}, {'the same' if abs(ratio - 1.0) < SAME else 'other'} to three digits"

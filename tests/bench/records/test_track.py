@@ -25,7 +25,7 @@ from bench.records.reading import Recording, Signal
 from bench.records.sets import Known, MeasuredSet, measured_set, set_names
 from bench.records.siblings import compare_siblings, total
 from bench.records.track import pieces, tasks
-from bench.reporting.tables.track_table import MethodFits, TrackPanel, certified_ratio, digits, track_table
+from bench.reporting.tables.track_table import MethodFits, TrackPanel, method_rows, track_table
 from bench.store.results import write_result
 
 HALF = 1.959964
@@ -110,14 +110,15 @@ def test_a_panel_without_answers_has_its_rows() -> None:
     assert [(line["method"], line["status"]) for line in lines(files)] == [("ls", "diverged")]
 
 
-def test_digits_and_widths_against_certified_values() -> None:
-    known = measured_set("mgh17").known["k_over_m"]
+def test_widths_against_certified_values() -> None:
+    of = measured_set("mgh17")
+    known = of.known["k_over_m"]
     assert known.sd is not None
     half = 2.0484071 * known.sd  # Student's t, 28 degrees of freedom
-    value = known.value * (1 + 1e-5)
-    fit = asdict(StatedInterval(value, *(0.0, 1.0) * 2, value - half, value + half, ""))
-    assert digits(fit, known) == pytest.approx(5.0, abs=1e-4)
-    assert certified_ratio(fit, known) == pytest.approx(1.0, abs=1e-6)
+    one = StatedInterval(known.value, *(0.0, 1.0) * 2, known.value - half, known.value + half, "")
+    (text,), headers = method_rows(TrackPanel.of_rows("mgh17", of, "sdof", [row("1", one)]))
+    assert text[headers.index("k/m white/certified")] == "1.0000"
+    assert text[headers.index("k/m error")] == "0 %"
 
 
 def test_a_recording_is_cut_scaled_and_thinned() -> None:
@@ -171,7 +172,7 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     assert tracked(asked) == 0
     text = (tmp_path / "table11.md").read_text(encoding="utf-8")
     assert "not found under data_root=: silverbox/SNLS80mV.csv.gz" in text
-    assert "the same to three digits" in text
+    assert "| 1.0000 " in text
     rows = list(csv.DictReader(io.StringIO((tmp_path / "table11.csv").read_text(encoding="utf-8"))))
     absent = [r["status"] for r in rows if r["set"] == "silverbox"]
     assert absent == ["not found under data_root=: silverbox/SNLS80mV.csv.gz"] * 2
@@ -185,6 +186,16 @@ def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(pool, "Children", lambda preload: pytest.fail("it fits again"))
     assert tracked(asked) == 0
     assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
+
+
+def test_the_class_may_be_left_to_the_record(tmp_path: Path) -> None:
+    given = ["set=airtrack", "method=shooting", "system=auto", f"store={tmp_path}", f"out={tmp_path}"]
+    assert tracked([*given, "dry_run=true"]) == 0
+    of = measured_set("airtrack").model_copy(update={"systems": ["auto"]})
+    task, *others = tasks("airtrack", of, ["ls"], None, 60.0)
+    assert len(others) == 3
+    stated = {row["quantity"]: row for row in task.rows()}
+    assert stated["k_over_m"]["value"] == pytest.approx(6.2, rel=0.05)
 
 
 def test_what_makes_a_fit_new(tmp_path: Path) -> None:
@@ -218,7 +229,7 @@ def test_a_free_run_of_the_right_model_has_no_error(tmp_path: Path) -> None:
     system, record = part_problem(of, "viscous", of.tests["all"], tmp_path)
     assert free_run_error(system, {"m": 2.0, "c": 1e-9}, record) < 1e-8
     fits = [
-        {"sibling": sibling, "method": "shooting", "quantity": name, "value": value, "offset": 0.0}
+        {"sibling": sibling, "method": "shooting", "quantity": name, "value": value, "offset": 0.0, "withdrawn": 0}
         for sibling, m in (("1", 2.0), ("2", 2.0), ("3", 5.0))
         for name, value in (("m", m), ("c", 1e-9))
     ]
