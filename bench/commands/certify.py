@@ -47,7 +47,7 @@ def certify(
         from bench.records.certificate import certify as certificate_of
         from bench.records.problem import read_measured
         from bench.records.verdict import Trust
-        from bench.reporting.certificate.contents import contents, listed
+        from bench.reporting.certificate.contents import contents
         from bench.reporting.certificate.page import page
         from bench.reporting.terminal import wrapped
         from bench.reporting.whole_file import check_folder, write
@@ -60,7 +60,7 @@ def certify(
     shown = contents(certificate, again)
     paths = (out / "certificate.html", out / "certificate.json")
     write(paths[0], page(shown), out)
-    write(paths[1], json.dumps(nulls(listed(shown)), allow_nan=False, ensure_ascii=False, indent=1) + "\n", out)
+    write(paths[1], json.dumps(nulls(shown), allow_nan=False, ensure_ascii=False, indent=1) + "\n", out)
     print(wrapped(f"{shown['verdict']}: {shown['answer']}"), *paths, sep="\n")
     return int(certificate.primary.trust is Trust.NO)
 

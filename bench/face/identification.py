@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.config.overrides import overrides_of
 from bench.errors import InputError
 from bench.face.results import nulls
-from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
 from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
@@ -21,23 +19,8 @@ from bench.records.modes import Mode
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
+from bench.records.response import ChannelResiduals, residuals_of
 from bench.reporting.record_page import record_page
-
-
-@dataclass(frozen=True, eq=False)
-class ChannelResiduals:
-    """Measured minus identified motion of the first channel in ``unit``: all ``values`` and what they amount to.
-
-    ``whiteness``: the p-value of the test that they are white noise.
-    """
-
-    values: np.ndarray
-    rms: float
-    part_of_signal: float
-    lag1_autocorrelation: float
-    whiteness: float
-    offset: float
-    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,26 +235,7 @@ def identified(finding: Finding) -> Identification:
         estimates=finding.intervals,
         withdrawn=finding.withdrawn,
         modes=finding.modes,
-        residuals=_residuals(finding),
+        residuals=residuals_of(finding),
         scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,
         runs={r.name: RunAnswer(r.finding.trust.value, r.left_out, r.finding.intervals) for r in finding.runs},
-    )
-
-
-def _residuals(finding: Finding) -> ChannelResiduals | None:
-    at = finding.fit
-    if at is None:
-        return None
-    channel = finding.problem.records[0].channels[0]
-    own = at.channels[0]
-    size = finding.channel_size
-    values = size * at.residuals[own]
-    return ChannelResiduals(
-        values=values,
-        rms=float(np.sqrt(np.mean(values**2))),
-        part_of_signal=part_of_signal(at),
-        lag1_autocorrelation=lag_one(at),
-        whiteness=whiteness_level(at),
-        offset=size * float(at.model.offsets(at.theta)[0]),
-        unit=channel.unit,
     )

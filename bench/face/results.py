@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bench.config.experiment import Experiment, sweep
 from bench.config.fields import Config
 from bench.config.overrides import overrides_of
@@ -231,9 +233,11 @@ def compute(
 
 
 def nulls(value: Any) -> Any:
-    """The same with None for every number that JSON cannot hold."""
+    """Return the same for JSON: lists in place of arrays and tuples, None for every number that it cannot hold."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {key: nulls(item) for key, item in value.items()}
-    return [nulls(item) for item in value] if isinstance(value, list) else value
+    return [nulls(item) for item in value] if isinstance(value, list | tuple) else value

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -203,18 +202,3 @@ def of_system(problem: Problem, system: Sum) -> Problem:
         for r in problem.records
     )
     return replace(problem, system=system, records=records)
-
-
-def summary_of(measured: Measured) -> dict[str, Any]:
-    """What the records are, for a page."""
-    record = measured.problem.records[0]
-    channel = record.channels[0]
-    return {
-        "files": [recording.source for recording in measured.recordings],
-        "sha256": [recording.sha256 for recording in measured.recordings],
-        "samples": measured.problem.n,
-        "seconds": record.duration,
-        "rate": (channel.n - 1) / (float(channel.times[-1] - channel.times[0]) or 1.0),
-        "unit": channel.unit,
-        "forced": measured.problem.forced,
-    }

@@ -1,4 +1,4 @@
-"""What a picture of a fit shows: the samples of a record's first channel, and the fitted response between them."""
+"""What is shown of a record's first channel, in the unit of its file: samples, fitted response, and residuals."""
 
 from __future__ import annotations
 
@@ -8,15 +8,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.likelihood.compiled import compiled_output_error
-from bench.records.diagnostics import part_of_signal
+from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
 from bench.records.finding import Finding
-from bench.records.linearised import Linearised
+from bench.records.problem import Measured
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Trust
 
 A_CYCLE, FEWEST, MOST = 32, 1000, 20_000
 """Points of the fitted response in a cycle, and on the whole curve at least and at most."""
 BEST_FIRST = (Trust.TRUST, Trust.CAUTION, Trust.NO)
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelResiduals:
+    """Measured minus identified motion of the first channel in ``unit``: all ``values`` and what they amount to.
+
+    ``whiteness``: the p-value of the test that they are white noise.
+    """
+
+    values: np.ndarray
+    rms: float
+    part_of_signal: float
+    lag1_autocorrelation: float
+    whiteness: float
+    offset: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,18 +43,11 @@ class ChannelResponse:
         times: Of the curve (s), from the first sample to the last, close enough to show each cycle.
         values: The curve.
         residuals: Measured minus fitted, of each sample.
-        part: Root mean square of the residuals over that of the signal.
     """
 
     times: np.ndarray
     values: np.ndarray
-    residuals: np.ndarray
-    part: float
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the residuals."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
+    residuals: ChannelResiduals
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +58,7 @@ class Response:
         method: What the method is called.
         trust: How far its answer is to be trusted.
         measures: What the channel measures.
-        unit: In which unit.
+        unit: In which unit, that of its file.
         times: Of the samples (s).
         values: The samples.
         frequency: The strongest in the samples (Hz).
@@ -75,39 +84,62 @@ def _left(finding: Finding) -> float:
     return np.inf if finding.fit is None else part_of_signal(finding.fit)
 
 
+def file_unit(measured: Measured) -> tuple[str, float]:
+    """Return the unit that the file of the first channel gives it, and how much one of it is in the problem's unit."""
+    signals = [signal for recording in measured.recordings[:1] for signal in recording.signals]
+    motion = next((signal for signal in signals if signal.measures != "force" and signal.written), None)
+    return (motion.written, motion.size) if motion else (measured.unit, 1.0)
+
+
+def residuals_of(finding: Finding) -> ChannelResiduals | None:
+    """Return the residuals of the first channel; None where there is no fit."""
+    fit = finding.fit
+    if fit is None:
+        return None
+    unit, size = file_unit(finding.measured)
+    values = finding.channel_size / size * fit.residuals[fit.channels[0]]
+    return ChannelResiduals(
+        values=values,
+        rms=float(np.sqrt(np.mean(values**2))),
+        part_of_signal=part_of_signal(fit),
+        lag1_autocorrelation=lag_one(fit),
+        whiteness=whiteness_level(fit),
+        offset=finding.channel_size / size * float(fit.model.offsets(fit.theta)[0]),
+        unit=unit,
+    )
+
+
 def response_of(finding: Finding) -> Response:
-    """The first channel of the first record, and what the finding makes of it."""
+    """Return the first channel of the first record, and what the finding makes of it."""
     channel = finding.problem.records[0].channels[0]
+    unit, size = file_unit(finding.measured)
     frequency = strongest_frequency(channel.times, channel.values)
     return Response(
         method=finding.method,
         trust=finding.trust,
         measures=channel.measures,
-        unit=channel.unit,
+        unit=unit,
         times=channel.times,
-        values=channel.values,
+        values=channel.values / size,
         frequency=frequency,
-        fit=None if finding.fit is None else _fit(finding, finding.fit, frequency),
+        fit=_fitted(finding, size, frequency),
     )
 
 
-def _fit(finding: Finding, at: Linearised, frequency: float) -> ChannelResponse:
-    channel, size = finding.problem.records[0].channels[0], finding.channel_size
-    residuals = size * at.residuals[at.channels[0]]
-    n = int(np.clip(A_CYCLE * frequency * np.ptp(channel.times), FEWEST, MOST))
-    curve = size * _between(at, n)
-    times = np.linspace(channel.times[0], channel.times[-1], n)
-    if not np.all(np.isfinite(curve)):  # the samples' own times are known to have a response
-        times, curve = channel.times, channel.values - residuals
-    return ChannelResponse(times, curve, residuals, part_of_signal(at))
-
-
-def _between(at: Linearised, n: int) -> np.ndarray:
-    """The predictions of the first channel, with its offset, at ``n`` even times from its first sample to its last."""
-    first = at.model.problem.records[0]
-    mine = first.channels[0]
-    even = replace(mine, times=np.linspace(mine.times[0], mine.times[-1], n), values=np.zeros(n))
-    record = replace(first, channels=(even, *first.channels[1:]))
-    problem = replace(at.model.problem, records=(record, *at.model.problem.records[1:]))
+def _fitted(finding: Finding, size: float, frequency: float) -> ChannelResponse | None:
+    """Return the response of the first channel, with its offset, over units of ``size``."""
+    fit, residuals = finding.fit, residuals_of(finding)
+    if fit is None or residuals is None:
+        return None
+    record = fit.model.problem.records[0]
+    channel, shown = record.channels[0], finding.problem.records[0].channels[0]
+    n = int(np.clip(A_CYCLE * frequency * np.ptp(shown.times), FEWEST, MOST))
+    even = replace(channel, times=np.linspace(channel.times[0], channel.times[-1], n), values=np.zeros(n))
+    record = replace(record, channels=(even, *record.channels[1:]))
+    problem = replace(fit.model.problem, records=(record, *fit.model.problem.records[1:]))
     with np.errstate(all="ignore"):
-        return compiled_output_error(problem, at.model.gauge).predict(at.theta)[:n]
+        curve = finding.channel_size / size * compiled_output_error(problem, fit.model.gauge).predict(fit.theta)[:n]
+    if np.all(np.isfinite(curve)):
+        return ChannelResponse(np.linspace(shown.times[0], shown.times[-1], n), curve, residuals)
+    # the samples' own times are known to have a response
+    return ChannelResponse(shown.times, shown.values / size - residuals.values, residuals)

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from bench.reporting.grid import Grid
 from bench.reporting.rounding import decimals, number, readable, rounded
 
 Interval = Mapping[str, Any]
-Rows = tuple[tuple[str, ...], list[tuple[str, ...]]]
-"""Headers and rows of text."""
 MEANING = "of a repeat: what another test of the same rig would give; of this record: what its noise leaves open"
 """What the two intervals are, in one line."""
 
@@ -95,30 +94,31 @@ def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:
 # ------------------------------------------------------------------------------------------------ tables
 
 
-def values_table(stated: Mapping[str, Interval], withdrawn: Mapping[str, Interval]) -> Rows:
+def values_table(stated: Mapping[str, Interval], withdrawn: Mapping[str, Interval]) -> Grid:
     """Tabulate values with their intervals, or withdrawn values alone: intervals about them would mislead."""
     if not stated:
         shown = {name: in_shown_unit(name, own) for name, own in withdrawn.items()}
         values = [(readable(name), number(own["value"]), unit_text(own["unit"])) for name, own in shown.items()]
-        return ("Quantity", "Withdrawn value", "Unit"), [*values]
+        return Grid(("Quantity", "Withdrawn value", "Unit"), tuple(values))
     rows: list[tuple[str, ...]] = []
     for name, interval in stated.items():
         own = in_shown_unit(name, interval)
         ends = [ends_text(own, of) for of in ("", "record_", "white_")]
         rows.append((readable(name), value_text(own), unit_text(own["unit"]), *ends))
-    return ("Quantity", "Value", "Unit", "95 % interval of a repeat", "Of this record", "White-noise interval"), rows
+    headers = ("Quantity", "Value", "Unit", "95 % interval of a repeat", "Of this record", "White-noise interval")
+    return Grid(headers, tuple(rows))
 
 
-def modes_table(modes: Iterable[Mapping[str, Any]]) -> Rows:
+def modes_table(modes: Iterable[Mapping[str, Any]]) -> Grid:
     """Tabulate the modes of a record with their intervals, and aliases."""
     rows = []
     for mode in modes:
         cells = [text for own in _mode_intervals(mode) for text in (value_text(own), ends_text(own))]
         rows.append((*cells, "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"))
-    return ("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share"), rows
+    return Grid(("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share"), tuple(rows))
 
 
-def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Rows:
+def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Grid:
     """Tabulate what each of several records says alone, with its own 95 % interval."""
     names = list(next((run["estimates"] for run in runs.values() if run["estimates"]), {}))[:2]
     rows = []
@@ -128,4 +128,4 @@ def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Rows:
         left_out = f"left out: {run['left_out']}" if run["left_out"] else ""
         rows.append((name, *(text for pair in pairs for text in pair), left_out))
     headers = [text for quantity in names for text in (readable(quantity), "95 % interval")]
-    return ("Run alone", *headers, ""), rows
+    return Grid(("Run alone", *headers, ""), tuple(rows))

@@ -11,7 +11,7 @@ def fit_picture(response: Response) -> str:
     """The samples, the fitted response, and what is left of each sample. Raises ImportError without matplotlib."""
     plt = pyplot()
     fit = response.fit
-    drawn = None if fit is None else ((fit.times, fit.values), fit.residuals)
+    drawn = None if fit is None else ((fit.times, fit.values), fit.residuals.values)
     label = f"{response.measures} ({response.unit})"
     with plt.rc_context({**RC, "svg.fonttype": "path"}):  # its letters are the same wherever it is opened
         figure = plt.figure(figsize=(1.3 * SIZE[0], 1.3 * SIZE[1]), layout="constrained")

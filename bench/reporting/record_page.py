@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.reporting.answer import MEANING, Rows, answer, ends_text, modes_table, runs_table, values_table
+from bench.reporting.answer import MEANING, answer, ends_text, modes_table, runs_table, values_table
 from bench.reporting.rounding import number, readable
 from bench.reporting.terminal import table, wrapped
 
@@ -19,35 +19,27 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
 
     ``found`` is what :class:`bench.Identification` holds, as plain values.
     """
-    stated = found["estimates"]
+    stated, withdrawn, residuals = found["estimates"], found["withdrawn"], found["residuals"]
     first = answer(stated, found["modes"]) + (" (95 % interval of a repeat)" if stated else "")
-    lines = [wrapped(first), wrapped(f"{found['method']}: {found['trust']}")]
-    lines += [wrapped(f"- {reason}", "    ", "  ") for reason in found["reasons"]]
-    lines.append(wrapped(f"record: {found['data']}, {found['samples']} samples"))
-    lines += [wrapped(f"note: {note}", "    ", "  ") for note in found["notes"]]
-    if stated or found["withdrawn"]:
-        headers, rows = values_table(stated, found["withdrawn"])
-        lines += ["", table([row[:WIDEST] for row in rows], headers[:WIDEST], (0, 2)), ""]
-    if stated:
-        lines.append(wrapped(f"Intervals {MEANING}."))
-    if found["modes"]:
-        lines += ["", _table(modes_table(found["modes"])), ""]
-    if found["runs"]:
-        lines += ["", _table(runs_table(found["runs"])), ""]
-    if scale_is_free and (stated or found["withdrawn"]):
-        lines.append(wrapped(FREE))
-    r = found["residuals"]
-    if r:
-        size = f"residual RMS: {number(r['rms'])} {r['unit']} ({100 * r['part_of_signal']:.2g} % of signal RMS)"
-        colour = f"lag-1 autocorrelation {r['lag1_autocorrelation']:.2f}, whiteness p = {r['whiteness']:.2g}"
-        lines.append(wrapped(f"{size}, {colour}, offset {number(r['offset'])} {r['unit']}"))
-    return "\n".join(lines)
-
-
-def _table(rows: Rows) -> str:
-    """Return a table for the terminal; its first and last column hold words."""
-    headers, lines = rows
-    return table(lines, headers, (0, len(headers) - 1))
+    head = [wrapped(first), wrapped(f"{found['method']}: {found['trust']}")]
+    head += [wrapped(f"- {reason}", "    ", "  ") for reason in found["reasons"]]
+    head.append(wrapped(f"record: {found['data']}, {found['samples']} samples"))
+    head += [wrapped(f"note: {note}", "    ", "  ") for note in found["notes"]]
+    blocks = ["\n".join(head)]
+    if stated or withdrawn:
+        values = values_table(stated, withdrawn)
+        blocks.append(table([row[:WIDEST] for row in values.rows], values.headers[:WIDEST], (0, 2)))
+    for grid in (modes_table(found["modes"]), runs_table(found["runs"])):
+        if grid.rows:  # its first and last column hold words
+            blocks.append(table(grid.rows, grid.headers, (0, len(grid.headers) - 1)))
+    foot = [wrapped(f"Intervals {MEANING}.")] if stated else []
+    foot += [wrapped(FREE)] if scale_is_free and (stated or withdrawn) else []
+    if residuals:
+        part, unit = f"{100 * residuals['part_of_signal']:.2g} % of signal RMS", residuals["unit"]
+        colour = f"lag-1 autocorrelation {residuals['lag1_autocorrelation']:.2f}"
+        white, offset = f"whiteness p = {residuals['whiteness']:.2g}", f"offset {number(residuals['offset'])} {unit}"
+        foot.append(wrapped(f"residual RMS: {number(residuals['rms'])} {unit} ({part}), {colour}, {white}, {offset}"))
+    return "\n\n".join([*blocks, *(["\n".join(foot)] if foot else [])])
 
 
 def methods_page(found: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:

@@ -44,8 +44,9 @@ def plotted(response: Response) -> str:
     if until < float(response.times[-1]):
         lines.append(wrapped(f"drawn to {number(until)} s of {number(float(response.times[-1]))} s"))
     if response.fit is not None:
-        size = f"rms {number(response.fit.rms)} {response.unit}, {100 * response.fit.part:.2g} % of the signal"
-        lines.append(wrapped(f"residual: {size}"))
+        residuals = response.fit.residuals
+        part = f"{100 * residuals.part_of_signal:.2g} % of the signal"
+        lines.append(wrapped(f"residual: rms {number(residuals.rms)} {response.unit}, {part}"))
     return "\n".join(lines)
 
 

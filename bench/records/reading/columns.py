@@ -228,11 +228,11 @@ class _Columns:
             raise InputError("units", f"{role}:{given}", remedy)
         if given and column.label and (unit or given) != (column.unit or column.label):
             notes.append(f"{role} is taken in {given}, as units= says; its header says {column.label}")
+        label = given or column.label
         if unit is None:
-            label = given or column.label
             return replace(column, label=label) if label and keeps else None
         size = 1.0 if quantity == "time" else unit.size
-        return replace(column, values=column.values * size, unit=unit, label=unit.symbol)
+        return replace(column, values=column.values * size, unit=unit, label=unit.symbol, written=label)
 
     def check_motion(self, roles: Mapping[str, int], taken: Mapping[str, Column]) -> None:
         """Refuse a DOF that both turns and moves along, unless the user names the columns."""

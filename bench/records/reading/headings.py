@@ -34,7 +34,7 @@ class Column:
 
     ``label`` is the unit as written ("" without one), ``unit`` the one it is known as, ``says`` what the name says is
     measured. ``times`` (s) are the column's own, where the file gives each column its clock; ``flaw`` says why the
-    column cannot be taken ("" if it can).
+    column cannot be taken ("" if it can). Of numbers in SI ``label`` is the SI unit, ``written`` that of the file.
     """
 
     header: str
@@ -45,6 +45,7 @@ class Column:
     says: Said
     times: np.ndarray | None
     flaw: str
+    written: str = ""
 
     @property
     def certain(self) -> Quantity | None:

@@ -143,7 +143,9 @@ class _Run:
         for role, column in measured.items():
             clock = shared or self._own_times(column)
             values, times = self._kept(role, column.values, clock)
-            signals.append(Signal(role, MEASURES[role[0]], slot(role)[1], values, column.label, times))
+            size = 1.0 if column.unit is None else column.unit.size
+            measures, dof = MEASURES[role[0]], slot(role)[1]
+            signals.append(Signal(role, measures, dof, values, column.label, times, column.written, size))
             rate_error = max(rate_error, clock.rate_error)
         start = min(float(signal.times[0]) for signal in signals)
         signals = [replace(signal, times=signal.times - start) for signal in signals]

@@ -42,8 +42,8 @@ class Signal:
     """One measured quantity over time.
 
     ``dof`` counts from 0; ``unit`` is in SI ("rad", "N·m" and so on where it turns), or the label as written where it
-    is no known unit. ``times`` (s) count from the first kept sample of the recording; a signal with missing values has
-    fewer samples than others.
+    is no known unit; ``written`` is the unit in the file, and ``size`` one of it in SI. ``times`` (s) count from the
+    first kept sample of the recording; a signal with missing values has fewer samples than others.
     """
 
     role: str
@@ -52,6 +52,8 @@ class Signal:
     values: np.ndarray
     unit: str
     times: np.ndarray
+    written: str = ""
+    size: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -54,8 +56,25 @@ def rms(values: np.ndarray) -> float:
 def test_the_residuals_are_the_noise(findings: list[Finding]) -> None:
     fit = response_of(findings[1]).fit
     assert fit is not None
-    assert fit.rms == pytest.approx(NOISE, rel=0.35)
-    assert fit.part == pytest.approx(fit.rms / np.std(response_of(findings[1]).values), rel=1e-6)
+    left = fit.residuals
+    assert left.rms == pytest.approx(NOISE, rel=0.35)
+    assert left.part_of_signal == pytest.approx(left.rms / np.std(response_of(findings[1]).values), rel=1e-6)
+
+
+def test_what_is_shown_is_in_the_unit_of_the_file(tmp_path: Path) -> None:
+    times = np.arange(0.0, 8.0, 0.1)
+    path = tmp_path / "decay.csv"
+    values = 1e3 * (decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size))
+    np.savetxt(path, np.column_stack([times, values]), delimiter=",", header="t (s),x (mm)", comments="")
+    request = request_of({"data": [str(path)], "method": ["shooting"]})
+    response = response_of(find_all(request, read_measured(request))[0])
+    assert (response.unit, response.measures) == ("mm", "displacement")
+    np.testing.assert_allclose(response.values, values)
+    assert response.fit is not None
+    assert rms(response.fit.values - 1e3 * decay(response.fit.times)) < 1e3 * NOISE
+    assert response.fit.residuals.unit == "mm"
+    assert response.fit.residuals.rms == pytest.approx(1e3 * NOISE, rel=0.35)
+    assert response.fit.residuals.offset == pytest.approx(100.0, abs=10.0)
 
 
 def test_the_best_is_trusted_most_then_leaves_least(findings: list[Finding]) -> None:

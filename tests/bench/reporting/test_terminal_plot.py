@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.records.response import ChannelResponse, Response
+from bench.records.response import ChannelResiduals, ChannelResponse, Response
 from bench.records.verdict import Trust
 from bench.reporting.terminal_plot import holds_braille, plotted, round_numbers, wanted
 
@@ -30,7 +30,9 @@ def output(monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8", terminal: b
 def response(
     times: np.ndarray, values: np.ndarray, curve: np.ndarray | None = None, frequency: float = 0.1
 ) -> Response:
-    fit = None if curve is None else ChannelResponse(times, curve, values - curve, 0.123)
+    left = values if curve is None else values - curve
+    residuals = ChannelResiduals(left, float(np.sqrt(np.mean(left**2))), 0.123, 0.0, 0.5, 0.0, "m")
+    fit = None if curve is None else ChannelResponse(times, curve, residuals)
     return Response("shooting", Trust.TRUST, "displacement", "m", times, values, frequency, fit)
 
 
