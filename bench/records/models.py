@@ -111,8 +111,9 @@ def without(system: Sum, zero: Collection[str]) -> Sum:
 
 
 def unit_over_mass(system: System, name: str) -> str:
-    """Return the unit of a parameter over the mass."""
-    return next((q.unit for q in system.groups if q.name == f"{name}_over_m"), "")
+    """Return the unit of a parameter over the mass, whether the system has its term or lacks it."""
+    systems = [system, *(Sum((term,)) for term in TERMS)]
+    return next((q.unit for any_system in systems for q in any_system.groups if q.name == f"{name}_over_m"), "")
 
 
 def first_guess(system: System, rate: float, size: float, mass: float = 1.0) -> dict[str, float]:

@@ -63,7 +63,8 @@ def fit_text(value: float) -> str:
 
 def methods_grid(shown: Mapping[str, Any]) -> Grid:
     """Tabulate the methods that state something, the primary first."""
-    names, rows, marks, units = shown["compared"], [], [], {}
+    names, rows, marks = shown["compared"], [], []
+    units: dict[str, str] = {}
     for method in (method for method in shown["methods"] if method["values"]):
         cells: list[str] = []
         for interval in (method["values"].get(name) for name in names):

@@ -176,11 +176,11 @@ def test_values_intervals_and_residuals_of_a_record_with_an_offset(tmp_path: Pat
     assert estimates["natural_frequency"]["value"] == pytest.approx(3 / (2 * math.pi))
     assert estimates["damping_ratio"]["value"] == pytest.approx(0.5 / 6)
     residuals = result["residuals"]
-    assert residuals["unit"] == "m"
-    assert residuals["offset"] == pytest.approx(OFFSET, abs=0.01)
+    assert residuals["unit"] == "mm"
+    assert residuals["offset"] == pytest.approx(1e3 * OFFSET, abs=10.0)
     assert len(residuals["values"]) == 31
-    assert residuals["rms"] == pytest.approx(0.01, rel=0.3)
-    assert residuals["rms"] <= np.sqrt(np.mean(left**2)) * 1.0001  # start and offset fit some of the noise
+    assert residuals["rms"] == pytest.approx(10.0, rel=0.3)
+    assert residuals["rms"] <= 1e3 * np.sqrt(np.mean(left**2)) * 1.0001  # start and offset fit some of the noise
 
 
 @pytest.mark.usefixtures("_exact")
@@ -343,7 +343,7 @@ def test_a_velocity_beside_the_displacement_is_used(tmp_path: Path, capsys: Capt
     assert found["samples"] == 400
     own = found["estimates"]["k_over_m"]
     assert own["value"] == pytest.approx(9.0, rel=0.01)
-    assert found["residuals"]["rms"] == pytest.approx(0.005, rel=0.2)
+    assert found["residuals"]["rms"] == pytest.approx(5.0, rel=0.2)  # mm, as the file has it
 
 
 def test_two_masses_are_a_chain(tmp_path: Path, capsys: Capture) -> None:
@@ -399,7 +399,7 @@ def test_columns_and_units_are_said_where_the_file_does_not(tmp_path: Path, caps
     np.savetxt(path, np.column_stack([1e3 * T, np.arange(31.0), 1e3 * free_record(OFFSET)]), delimiter=",", fmt="%.17g")
     said = ["columns=t:0,x:2", "units=t:ms,x:mm"]
     (found,) = answers(["method=exact", f"data={path}", *said], capsys)
-    assert found["residuals"]["offset"] == pytest.approx(OFFSET, abs=2e-3)
+    assert (found["residuals"]["offset"], found["residuals"]["unit"]) == (pytest.approx(1e3 * OFFSET, abs=2.0), "mm")
     assert found["residuals"]["part_of_signal"] < 0.01
 
 
