@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bench.online.follow import Followed
     from bench.online.paths import Tracking
     from bench.online.scenario import OnlineScenario
-    from bench.reporting.tables.online_table import Line
+    from bench.reporting.frame import Line
 
 OWN = Path("outputs/online_own")
 """Where what is made of a scenario of your own goes."""
@@ -109,13 +109,13 @@ def _trackings(
     """Return what is to be computed, and a line for each method that cannot take a scenario."""
     from bench.entrants.online import make_online
     from bench.online.paths import Tracking
-    from bench.reporting.tables.online_table import Line
 
     content = online_track()
     settings = {name: dict(own) for name, own in content["variants"].items()}
     registered = {name: settings.get(name, {}).pop("method", name) for name in method or content["methods"]}
     made = {name: make_online(registered[name], settings.get(name, {})) for name in registered}
-    tasks, refused = [], []
+    tasks: list[Tracking] = []
+    refused: list[Line] = []
     for scenario in scenarios:
         name = scenario.label
         left_out = content["left_out"].get(name, {"methods": [], "why": ""})
@@ -124,7 +124,8 @@ def _trackings(
             if not objection and label in left_out["methods"] and not method:
                 objection = left_out["why"]
             if objection:
-                refused.append(Line(name, label, _title(label, registered[label]), message=objection))
+                title = _title(label, registered[label])
+                refused.append({"scenario": name, "method": label, "title": title, "message": objection})
                 continue
             n = content["replicates_by_method"].get(label, content["replicates"])
             n = n if most is None else min(n, most)
@@ -149,7 +150,7 @@ def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out:
     for scenario in scenarios.values():
         own = [task for task in tasks if task.scenario is scenario or task.scenario == scenario]
         found = _scored(scenario, own, store)
-        lines += [*found[0], *(line for line in refused if line.scenario == scenario.label)]
+        lines += [*found[0], *(line for line in refused if line["scenario"] == scenario.label)]
         if found[1] is not None:
             shown.append(found[1])
     described = {name: scenario.describe() for name, scenario in scenarios.items()}
@@ -169,7 +170,7 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
     from bench.online.paths import read_paths
     from bench.online.score import score, score_bound, scored
     from bench.reporting.figures.online import ShownTrack
-    from bench.reporting.tables.online_table import BOUND, Line
+    from bench.reporting.tables.online_table import BOUND, tracked
 
     count = max(task.replicates for task in tasks)
     streams = [scenario.stream(tasks[0].seed, i) for i in range(count)]
@@ -179,33 +180,35 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
     least = {
         name: score_bound(scenario, streams, [bound[name] for bound in bounds], by_name[name]) for name in quantities
     }
-    lines, drawn = [Line(scenario.label, BOUND, BOUND, least, count, count)], {}
+    bound = {"scenario": scenario.label, "method": BOUND, "title": BOUND, "ok": count, "replicates": count}
+    lines, drawn = tracked(bound, least), {}
     for task in tasks:
         kept = read_paths(store, task)
         title = _title(task.label, task.method)
+        what = {
+            "scenario": scenario.label, "method": task.label, "title": title, "replicates": task.replicates,
+        }  # fmt: skip
         good = {i: path for i, path in kept.items() if np.isfinite(path.means).all(axis=1).any()}
         if not good:
             said = "no run gave an estimate" if kept else "not run yet"
-            lines.append(Line(scenario.label, task.label, title, replicates=task.replicates, message=said))
+            lines.append({**what, "message": said})
             continue
         scores = {
             name: score(scenario, [scored(streams[i], path, bounds[i], name) for i, path in good.items()])
             for name in quantities
         }
-        micros = _micros(list(good.values()))
-        size = max(path.held_bytes for path in good.values())
-        lines.append(
-            Line(scenario.label, task.label, title, scores, len(good), task.replicates, micros, size)
-        )  # fmt: skip
+        costs = {**_micros(list(good.values())), "held_bytes": max(path.held_bytes for path in good.values())}
+        lines += tracked({**what, "ok": len(good), **costs}, scores)
         if 0 in good:
             drawn[title] = (good[0], scores[quantities[0]].excess)
     shown = ShownTrack(scenario.label, streams[0], bounds[0], quantities[0], drawn) if drawn else None
     return lines, shown
 
 
-def _micros(paths: Sequence[Followed]) -> tuple[float, float, float]:
+def _micros(paths: Sequence[Followed]) -> dict[str, float]:
     """Median, 99 % and largest wall time of a sample behind the first estimate."""
     from bench.online.follow import begun
 
     each = np.concatenate([path.micros[min(begun(path) + 1, len(path.micros) - 1) :] for path in paths])
-    return float(np.median(each)), float(np.quantile(each, 0.99)), float(each.max())
+    times = np.quantile(each, [0.5, 0.99, 1.0]).tolist()
+    return dict(zip(("micros_median", "micros_99", "micros_largest"), times, strict=True))

@@ -260,10 +260,6 @@ class Result:
         """Root mean square of the successful replicates over the bound."""
         return self.statistic(metric, "excess")
 
-    def covered(self, quantity: str, level: int = 95) -> float:
-        """The share of the intervals of a quantity that held the truth."""
-        return self.statistic(f"{quantity}_coverage_{level}", "mean")
-
     def coverage(self, quantity: str, level: int = 95) -> tuple[float, float, float]:
         """The share of the intervals of successful replicates that held the truth, with its 95 % interval."""
         return share(self.successful(f"{quantity}_coverage_{level}"))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
-from bench.reporting.rounding import excess_text, number, readable
-from bench.reporting.tables.render import csv, markdown_table
+from bench.reporting.frame import Line, group
+from bench.reporting.rounding import answered, excess_text, number, percent, readable
+from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing, panel
 
+BEHIND = tuple(f"excess_after_{low}_{high}" for low, high in AFTER)
 COLUMNS = (
-    "scenario", "method", "quantity", "excess", "rms_pct", "share_told", "coverage_pct",
-    *(f"excess_after_{low}_{high}" for low, high in AFTER), "delay", "ok", "replicates", "micros_median", "micros_99",
-    "micros_largest", "held_bytes", "message",
+    "scenario", "method", "quantity", "excess", "rms_pct", "share_told", "coverage_pct", *BEHIND, "delay", "ok",
+    "replicates", "micros_median", "micros_99", "micros_largest", "held_bytes", "message",
 )  # fmt: skip
 HEAD = f"""# Table 10. The online track
 
@@ -29,46 +29,35 @@ machine that made the table, with as many processes side by side as it has cores
 says why below it."""
 BOUND = "bound"
 """The row of the bound, among the methods."""
+NOTHING: Line = {"ok": 0, "replicates": 0, "held_bytes": 0, "message": ""}
 
 
-@dataclass(frozen=True, eq=False)
-class Line:
-    """A method on a scenario: its scores by quantity, or why there are none."""
-
-    scenario: str
-    method: str
-    title: str
-    scores: Mapping[str, Score] = field(default_factory=dict)
-    ok: int = 0
-    replicates: int = 0
-    micros: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    held_bytes: int = 0
-    message: str = ""
+def tracked(what: Line, scores: Mapping[str, Score]) -> list[Line]:
+    """A line a quantity of a method on a scenario; ``what`` says which, with its title, counts and costs."""
+    return [
+        {
+            **NOTHING, **what, "quantity": name, "excess": one.excess, "rms_pct": one.rms, "share_told": one.share,
+            "coverage_pct": 100.0 * one.coverage, "delay": one.delay, "curve": one.curve,
+            **dict(zip(BEHIND, one.after, strict=True)),
+        }
+        for name, one in scores.items()
+    ]  # fmt: skip
 
 
 def table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> Mapping[str, str]:
-    """The files of the table by name."""
-    return {"table10.md": _markdown(lines, described, command), "table10.csv": csv(_rows(lines), columns=COLUMNS)}
-
-
-def _markdown(lines: Sequence[Line], described: Mapping[str, str], command: str) -> str:
-    parts = [HEAD]
+    """The files of the table by name; a method that has no scores on a scenario is a line with a message."""
+    parts: list[str | Rows] = [HEAD]
     for scenario, sentence in described.items():
-        own = [line for line in lines if line.scenario == scenario]
+        own = [line for line in lines if line["scenario"] == scenario]
         parts += [f"## {readable(scenario)}", sentence]
-        shown = [line for line in own if line.scores]
-        if len(shown) > 1:
-            parts += [markdown_table(*_panel(shown)), best_sentence(shown)]
-        refused: dict[str, list[str]] = {}
-        for line in own:
-            if not line.scores:
-                refused.setdefault(line.message, []).append(line.title)
-        parts += [f"Not there: {', '.join(titles)}: {message}." for message, titles in refused.items()]
+        shown = [line for line in own if "quantity" in line]
+        if len({line["method"] for line in shown}) > 1:
+            parts += [_panel(shown), best_sentence(shown)]
+        refused = group((line for line in own if "quantity" not in line), lambda line: line["message"])
+        parts += [f"Not there: {', '.join(one['title'] for one in its)}: {said}." for said, its in refused.items()]
     found = _curve(lines)
-    if found:
-        parts += ["## Delay against false alarms", CURVE, markdown_table(*found)]
-    parts.append(f"Regenerate: `{command}`")
-    return "\n\n".join(parts) + "\n"
+    parts += ["## Delay against false alarms", CURVE, found] if found[0] else []
+    return files("table10", [*parts, f"Regenerate: `{command}`"], ({**NOTHING, **one} for one in lines), COLUMNS)
 
 
 CONSTANT, STEP = "constant_multisine", "step10_multisine"
@@ -85,92 +74,96 @@ def best_sentence(lines: Sequence[Line]) -> str:
     The farther of its quantities counts, so that none is bought with another; only methods that answered the most
     replicates are asked.
     """
-    quantities = list(dict.fromkeys(name for line in lines for name in line.scores))
-    methods = [line for line in lines if line.method != BOUND]
-    methods = [line for line in methods if line.ok == max(other.ok for other in methods)]
-    best = min(methods, key=lambda line: max(_best(line, name) for name in quantities))
-    excesses = ", ".join(f"{readable(name)} {excess_text(best.scores[name].excess)}" for name in best.scores)
-    said = f"Nearest to the bound, by the farther of its quantities: **{best.title}** (excess: {excesses})."
-    bound = next((line for line in lines if line.method == BOUND), None)
-    delay = best.scores[quantities[0]].delay
+    methods = group(lines, lambda line: line["method"])
+    bound = methods.pop(BOUND, None)
+    most, n = max(own[0]["ok"] for own in methods.values()), len({line["quantity"] for line in lines})
+    asked = [own for own in methods.values() if own[0]["ok"] == most]
+    best = min(asked, key=lambda own: max(map(_size, own)) if len(own) == n else math.inf)
+    excesses = ", ".join(f"{readable(one['quantity'])} {excess_text(one['excess'])}" for one in best)
+    said = f"Nearest to the bound, by the farther of its quantities: **{best[0]['title']}** (excess: {excesses})."
+    delay = best[0]["delay"]
     if bound is not None and not math.isnan(delay):
-        said += f" Its delay is {_samples(delay)} samples, the bound's {_samples(bound.scores[quantities[0]].delay)}."
+        said += f" Its delay is {_samples(delay)} samples, the bound's {_samples(bound[0]['delay'])}."
     return said
 
 
-def _panel(lines: Sequence[Line]) -> tuple[list[list[str]], list[str]]:
-    quantities = list(dict.fromkeys(name for line in lines for name in line.scores))
-    stepped = any(math.isfinite(s.after[0]) for line in lines for s in line.scores.values())
-    headers = ["method"]
-    for i, name in enumerate(quantities):
-        headers += [f"{readable(name)} rms %"] * (i == 0) + [f"{readable(name)} excess", "told", "cov. %"]
-    if stepped:
-        headers += [f"{readable(quantities[0])} after {low}-{high}" for low, high in AFTER] + ["delay"]
-    headers += ["µs", "kB held", "ok"]
-    rows = []
-    for line in sorted(lines, key=lambda line: (line.method != BOUND, _best(line, quantities[0]))):
-        row = [line.title]
-        for i, name in enumerate(quantities):
-            row += _entries(line.scores.get(name), i == 0)
-        if stepped:
-            s = line.scores[quantities[0]]
-            row += [excess_text(value) for value in s.after] + [_samples(s.delay)]
-        rows.append([*row, *_costs(line), f"{line.ok}/{line.replicates}"])
-    return rows, headers
+def _size(line: Line) -> float:
+    return line["excess"] if math.isfinite(line["excess"]) else math.inf
 
 
-def _entries(score: Score | None, with_error: bool) -> list[str]:
-    if score is None:
-        return ["-"] * (4 if with_error else 3)
-    coverage = "-" if math.isnan(score.coverage) else f"{100 * score.coverage:.0f}"
-    return [number(score.rms)] * with_error + [excess_text(score.excess), f"{score.share:.2f}", coverage]
+def _panel(lines: Sequence[Line]) -> Rows:
+    """The bound, then the methods by their excess in the first quantity."""
+    first = lines[0]["quantity"]
+    sizes = {line["method"]: _size(line) for line in lines if line["quantity"] == first}
+    stepped: Columns[Sequence[Line]] = {}
+    if any(math.isfinite(line[BEHIND[0]]) for line in lines):
+        named = {f"{readable(first)} after {low}-{high}": name for name, (low, high) in zip(BEHIND, AFTER, strict=True)}
+        after = {heading: partial(_after, name) for heading, name in named.items()}
+        stepped = {**after, "delay": lambda own: _samples(own[0]["delay"])}
+    return panel(
+        lines,
+        lambda line: line["method"],
+        {"method": lambda own: own[0]["title"]},
+        lambda line: line["quantity"],
+        lambda line: _quantity(line["quantity"], line["quantity"] == first),
+        {**stepped, **COSTS},
+        order=lambda methods: sorted(methods, key=lambda name: (name != BOUND, sizes.get(name, math.inf))),
+    )
 
 
-def _costs(line: Line) -> list[str]:
-    if line.method == BOUND:
-        return ["-", "-"]
-    size = "<0.1" if line.held_bytes < 100 else f"{line.held_bytes / 1000:.1f}"
-    return [f"{line.micros[0]:.0f} / {line.micros[1]:.0f}", size]
+def _quantity(name: str, with_error: bool) -> Columns[Line]:
+    error: Columns[Line] = {f"{readable(name)} rms %": lambda line: number(line["rms_pct"])}
+    return {
+        **(error if with_error else {}),
+        f"{readable(name)} excess": lambda line: excess_text(line["excess"]),
+        "told": lambda line: f"{line['share_told']:.2f}",
+        "cov. %": lambda line: percent(line["coverage_pct"] / 100.0),
+    }
 
 
-def _best(line: Line, quantity: str) -> float:
-    score = line.scores.get(quantity)
-    return score.excess if score is not None and math.isfinite(score.excess) else math.inf
+def _after(column: str, own: Sequence[Line]) -> str:
+    return excess_text(own[0][column])
+
+
+def _micros(own: Sequence[Line]) -> str:
+    line = own[0]
+    return MISSING if line["method"] == BOUND else f"{line['micros_median']:.0f} / {line['micros_99']:.0f}"
+
+
+def _held(own: Sequence[Line]) -> str:
+    if own[0]["method"] == BOUND:
+        return MISSING
+    return "<0.1" if own[0]["held_bytes"] < 100 else f"{own[0]['held_bytes'] / 1000:.1f}"
+
+
+COSTS: Columns[Sequence[Line]] = {
+    "µs": _micros,
+    "kB held": _held,
+    "ok": lambda own: answered(own[0]["ok"], own[0]["replicates"]),
+}
 
 
 def _samples(delay: float) -> str:
     return "-" if math.isnan(delay) else "never" if math.isinf(delay) else f"{delay:.0f}"
 
 
-def _curve(lines: Sequence[Line]) -> tuple[list[list[str]], list[str]] | None:
-    """Rows of the curve, a method a row; None where neither scenario is there."""
-    by = {(line.scenario, line.method): line for line in lines if line.scores}
-    rows = []
-    for (scenario, method), line in by.items():
-        step = by.get((STEP, method))
-        if scenario != CONSTANT or step is None:
-            continue
-        name = next(iter(line.scores))
-        alarms = [one[0] for one in line.scores[name].curve]
-        delays = [one[1] for one in step.scores[name].curve]
-        rows.append([line.title, *(f"{a:.2g} / {_samples(d)}" for a, d in zip(alarms, delays, strict=True))])
-    return (rows, ["method", *(f"{level:g} sd" for level in LEVELS)]) if rows else None
+def _curve(lines: Iterable[Line]) -> Rows:
+    """A method a row, of those that have both scenarios; the first quantity of each."""
+    first = {(own[0]["scenario"], own[0]["method"]): own[0] for own in _by_method(lines)}
+    pairs = [
+        (line, first[STEP, method])
+        for (scenario, method), line in first.items()
+        if scenario == CONSTANT and (STEP, method) in first
+    ]
+    levels: Columns[tuple[Line, Line]] = {f"{level:g} sd": partial(_alarms, i) for i, level in enumerate(LEVELS)}
+    return listing(pairs, {"method": lambda pair: pair[0]["title"], **levels})
 
 
-def _rows(lines: Sequence[Line]) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = []
-    for line in lines:
-        head = {
-            "scenario": line.scenario, "method": line.method, "ok": line.ok, "replicates": line.replicates,
-            "micros_median": line.micros[0], "micros_99": line.micros[1], "micros_largest": line.micros[2],
-            "held_bytes": line.held_bytes, "message": line.message,
-        }  # fmt: skip
-        for name, s in line.scores.items():
-            after = {f"excess_after_{low}_{high}": v for (low, high), v in zip(AFTER, s.after, strict=True)}
-            rows.append(
-                {**head, "quantity": name, "excess": s.excess, "rms_pct": s.rms, "share_told": s.share,
-                 "coverage_pct": 100.0 * s.coverage, "delay": s.delay, **after}
-            )  # fmt: skip
-        if not line.scores:
-            rows.append(head)
-    return rows
+def _by_method(lines: Iterable[Line]) -> Iterable[list[Line]]:
+    scored = (line for line in lines if "quantity" in line)
+    return group(scored, lambda line: (line["scenario"], line["method"])).values()
+
+
+def _alarms(i: int, pair: tuple[Line, Line]) -> str:
+    constant, step = (line["curve"][i] for line in pair)
+    return f"{constant[0]:.2g} / {_samples(step[1])}"

@@ -10,7 +10,8 @@ from bench.online.follow import Followed
 from bench.online.forces import HeldForce
 from bench.online.scenario import OnlineScenario
 from bench.online.score import Z95, score, score_bound, scored
-from bench.reporting.tables.online_table import BOUND, Line, best_sentence
+from bench.reporting.frame import Line
+from bench.reporting.tables.online_table import BOUND, best_sentence, tracked
 
 
 def stepping(samples: int = 200) -> OnlineScenario:
@@ -61,12 +62,12 @@ def test_the_sentence_names_the_method_whose_worse_quantity_is_least() -> None:
     stream = made.stream(0, 0)
     bound = {"k_over_m": np.full(200, 1e-4), "c_over_m": np.full(200, 1e-4)}
 
-    def line(name: str, k: float, c: float) -> Line:
+    def line(name: str, k: float, c: float) -> list[Line]:
         scores = {
             quantity: score(made, [scored(stream, path(stream, np.full(200, off), 0.01), bound, quantity)])
             for quantity, off in (("k_over_m", k), ("c_over_m", c))
         }
-        return Line("x", name, name, scores, 1, 1)
+        return tracked({"scenario": "x", "method": name, "title": name, "ok": 1, "replicates": 1}, scores)
 
-    lines = [line(BOUND, 0.01, 0.01), line("one", 0.011, 0.05), line("other", 0.02, 0.02)]
+    lines = [*line(BOUND, 0.01, 0.01), *line("one", 0.011, 0.05), *line("other", 0.02, 0.02)]
     assert "**other** (excess: k/m 2.00, c/m 2.00)" in best_sentence(lines)
