@@ -6,29 +6,35 @@ It stands for an experiment whose ``table`` has the form ``family`` (:mod:`bench
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import product
 
 from bench.reporting.family import Family, FamilyRow, Member, Place, Section, any_stored, family_of
-from bench.reporting.frame import Frame, Result
-from bench.reporting.tables.family_latex import latex
+from bench.reporting.frame import Frame, Line, Result, group
+from bench.reporting.rounding import answered
 from bench.reporting.tables.family_numbers import (
     ACCURACY,
+    GROUP,
     MISSING,
     NEAR,
+    OTHER,
     PLACE,
     TRAINING,
     accuracy,
-    accuracy_cells,
+    median,
     text,
     training,
 )
-from bench.reporting.tables.family_product import combinations
 from bench.reporting.tables.family_sentences import sentences
 from bench.reporting.tables.family_sources import sources
-from bench.reporting.tables.render import Line, Rows, csv, failure_notes, markdown_table
+from bench.reporting.tables.render import Columns, Rows, failure_notes, files, listing, panel
 from bench.scoring.traces import MOMENTS
 
+COLUMNS = (
+    "section", "base", "row", "method", "settings", "snr_db", "initial_state", "quantity", "value", "n_ok", "n",
+)  # fmt: skip
 LEGEND = """A row is one way of training the network on the same data. It differs from a base in one thing.
 {bases} The base is the first row of each section. A row may stand in two sections.
 Slow rows have fewer data sets, the first of the same: below the base stands what it does on those alone.
@@ -57,11 +63,22 @@ def family_table(frame: Frame) -> Mapping[str, str]:
     if not any_stored(frame):
         return {}
     family = family_of(frame)
-    return {
-        f"{family.method}.md": markdown(frame, family),
-        f"{family.method}.csv": csv(lines(family), 5),
-        f"{family.method}.tex": latex(frame.title, family),
-    }
+    every = [replace(cell, label=member.name) for member in family.members for cell in member.cells.values()]
+    notes = failure_notes(every)
+    parts: list[str | Rows] = [
+        f"# {frame.title}",
+        "\n".join(f"- {sentence}" for sentence in sentences(family, PLACE)),
+        _legend(family),
+        f"Regenerate: `python -m bench -m experiment={frame.experiment}`, then `python -m bench tables`.",
+        *(part for section in family.every for part in _section(family, section)),
+        *_combinations(family),
+        "## Sources",
+        sources(family),
+        *(["## What failed", notes] if notes else []),
+    ]
+    caption = f"{frame.title} ({PLACE[0]:g} dB, initial state {PLACE[1]})."
+    latex = [(f"{caption} Root mean square errors over the Cramér-Rao bound.", _beside(family))]
+    return files(family.method, parts, lines(family), COLUMNS, 5, latex)
 
 
 # ---- the tidy table
@@ -70,26 +87,28 @@ def family_table(frame: Frame) -> Mapping[str, str]:
 def lines(family: Family) -> list[Line]:
     """One line a row, cell and quantity; a cell that is not computed has n = 0 and the quantities of accuracy."""
     sections = (*family.every, family.combinations)
-    return [line for section in sections for row in section.rows for line in _lines(family, section, row)]
+    return [
+        line
+        for section in sections
+        for row in section.rows
+        for place in family.places
+        for line in _lines(family, section, row, place)
+    ]
 
 
-def _lines(family: Family, section: Section, row: FamilyRow) -> Iterable[Line]:
-    member = row.member
-    for place in family.places:
-        one = member.at(place)
-        values = (
-            {**accuracy(one), **training(one, _oracle(family, place), section.common(place))}
-            if one
-            else dict.fromkeys(ACCURACY, float("nan"))
-        )
-        for quantity, value in values.items():
-            if value == value or quantity in ACCURACY:
-                yield {
-                    "section": section.heading, "base": section.base, "row": row.title, "method": member.method,
-                    "settings": json.dumps(dict(member.settings), sort_keys=True), "snr_db": place[0],
-                    "initial_state": place[1], "quantity": quantity, "value": value,
-                    "n_ok": one.n_ok if one else 0, "n": one.n if one else 0,
-                }  # fmt: skip
+def _lines(family: Family, section: Section, row: FamilyRow, place: Place) -> Iterator[Line]:
+    member, one = row.member, row.member.at(place)
+    head = {
+        "section": section.heading, "base": section.base, "row": row.title, "method": member.method,
+        "settings": json.dumps(dict(member.settings), sort_keys=True), "snr_db": place[0], "initial_state": place[1],
+        "n_ok": one.n_ok if one else 0, "n": one.n if one else 0,
+    }  # fmt: skip
+    values = dict.fromkeys(ACCURACY, float("nan"))
+    if one:
+        values = {**accuracy(one), **training(one, _oracle(family, place), section.common(place))}
+    for quantity, value in values.items():
+        if value == value or quantity in ACCURACY:
+            yield {**head, "quantity": quantity, "value": value}
 
 
 def _oracle(family: Family, place: Place) -> Result | None:
@@ -99,23 +118,6 @@ def _oracle(family: Family, place: Place) -> Result | None:
 # ---- for reading
 
 
-def markdown(frame: Frame, family: Family) -> str:
-    """Sentences, legend, and for each section the accuracy at either start and the training."""
-    parts = [
-        f"# {frame.title}",
-        "\n".join(f"- {sentence}" for sentence in sentences(family, PLACE)),
-        _legend(family),
-        f"Regenerate: `python -m bench -m experiment={frame.experiment}`, then `python -m bench tables`.",
-    ]
-    for section in family.every:
-        parts += _section(family, section)
-    parts += combinations(family)
-    parts += ["## Sources", sources(family)]
-    notes = failure_notes(_unique(family))
-    parts += ["## What failed", notes] if notes else []
-    return "\n\n".join(parts) + "\n"
-
-
 def _legend(family: Family) -> str:
     bases = " ".join(f"*{name.capitalize()}*: {words}." for name, words in family.bases.items())
     place = f"{PLACE[0]:g} dB, start {PLACE[1]}"
@@ -123,74 +125,154 @@ def _legend(family: Family) -> str:
     return LEGEND.format(bases=bases, place=place, near=NEAR, **ends)
 
 
-def _section(family: Family, section: Section) -> Iterable[str]:
+def _section(family: Family, section: Section) -> Iterator[str | Rows]:
+    """The accuracy at either start, and the training."""
     yield f"## {section.heading}" + (f", {section.base}" if section.base else "")
-    for start in dict.fromkeys(start for _, start in family.places):
-        levels = [place for place in family.places if place[1] == start]
+    for start, places in group(family.places, lambda place: place[1]).items():
         yield f"*Accuracy, start {start}*"
-        yield markdown_table(*_accuracy(section, levels))
+        yield _accuracy(section, places)
     yield f"*Training ({PLACE[0]:g} dB, start {PLACE[1]})*"
-    yield markdown_table(*_training(section, _oracle(family, PLACE)))
+    titles: Columns[FamilyRow] = {"row": _title, "n": lambda row: _counts(row.member, [PLACE])}
+    oracle, n = _oracle(family, PLACE), section.common(PLACE)
+    columns = {heading: partial(_training, name, oracle, n) for name, heading in TRAINING.items()}
+    yield listing(section.rows, {**titles, **columns})
 
 
 def _title(row: FamilyRow) -> str:
     return f"{row.title} (base)" if row.base else row.title
 
 
-def _accuracy(section: Section, levels: Sequence[Place]) -> Rows:
-    """A line a row, and side by side the noise levels."""
-    headers = ["row", "n"]
-    for snr, _ in levels:
-        headers += [f"{snr:g} dB: {name}" if not i else name for i, name in enumerate(ACCURACY.values())]
-    rows = []
-    for row in section.rows:
-        cells = [cell for place in levels for cell in accuracy_cells(row.member.at(place))]
-        rows.append([_title(row), _counts(row.member, levels), *cells])
-        if row.base:
-            rows += [_base_on_fewer(row.member, n, levels) for n in _fewer(section, levels)]
-    return rows, headers
-
-
-def _fewer(section: Section, levels: Sequence[Place]) -> list[int]:
-    """The numbers of data sets that rows have where the base has more, the largest first."""
-    base = section.rows[0].member
-    pairs = [(row.member.at(at), base.at(at)) for row in section.rows[1:] for at in levels]
-    return sorted({one.n for one, other in pairs if one and other and one.n < other.n}, reverse=True)
-
-
-def _base_on_fewer(base: Member, n: int, levels: Sequence[Place]) -> list[str]:
-    """The line of the base on its first n data sets; a dash at noise levels where it has no more."""
-    cells: list[str] = []
-    for at in levels:
-        one = base.at(at)
-        cells += accuracy_cells(one, n) if one and one.n > n else ["-", *[""] * (len(ACCURACY) - 1)]
-    return [f"the base on {n} data sets", str(n), *cells]
-
-
-def _counts(member: Member, levels: Sequence[Place]) -> str:
+def _counts(member: Member, places: Sequence[Place]) -> str:
     """Fits that gave an answer, of all: once where it is the same at every noise level that is computed."""
-    counts = [f"{one.n_ok}/{one.n}" if (one := member.at(place)) else "-" for place in levels]
+    counts = [answered(one.n_ok, one.n) if (one := member.at(place)) else "-" for place in places]
     computed = set(counts) - {"-"}
     return ", ".join(counts) if len(computed) > 1 else next(iter(computed), "-")
 
 
-def _training(section: Section, oracle: Result | None) -> Rows:
-    rows, n = [], section.common(PLACE)
+def _accuracy(section: Section, places: Sequence[Place]) -> Rows:
+    """A line a row, and side by side the noise levels; below the base what it does on fewer data sets."""
+    cells: list[Line] = []
     for row in section.rows:
-        one = row.member.at(PLACE)
-        cells = _training_cells(one, oracle, n) if one else ["-", MISSING, *[""] * (len(TRAINING) - 1)]
-        rows.append([_title(row), *cells])
-    return rows, ["row", "n", *TRAINING.values()]
+        head: Line = {"row": _title(row), "n": _counts(row.member, places), "missing": MISSING}
+        cells += [{**head, "place": place, "values": _values(row.member.at(place))} for place in places]
+        for n in _fewer(section, places) if row.base else ():
+            head = {"row": f"the base on {n} data sets", "n": str(n), "missing": "-"}
+            on_fewer = {place: one for place in places if (one := row.member.at(place)) and one.n > n}
+            cells += [{**head, "place": place, "values": _values(on_fewer.get(place), n)} for place in places]
+    return panel(
+        cells,
+        lambda cell: cell["row"],
+        {"row": lambda own: own[0]["row"], "n": lambda own: own[0]["n"]},
+        lambda cell: cell["place"],
+        lambda cell: {
+            f"{cell['place'][0]:g} dB: {name}" if not i else name: partial(_entry, quantity)
+            for i, (quantity, name) in enumerate(ACCURACY.items())
+        },
+    )
 
 
-def _training_cells(one: Result, oracle: Result | None, n: int) -> list[str]:
+def _values(one: Result | None, n: int | None = None) -> dict[str, float]:
+    return accuracy(one, n) if one else {}
+
+
+def _entry(quantity: str, cell: Line) -> str:
+    if not cell["values"]:
+        return str(cell["missing"]) if quantity == next(iter(ACCURACY)) else ""
+    return text(quantity, cell["values"][quantity])
+
+
+def _fewer(section: Section, places: Sequence[Place]) -> list[int]:
+    """The numbers of data sets that rows have where the base has more, the largest first."""
+    base = section.rows[0].member
+    pairs = [(row.member.at(at), base.at(at)) for row in section.rows[1:] for at in places]
+    return sorted({one.n for one, other in pairs if one and other and one.n < other.n}, reverse=True)
+
+
+def _training(name: str, oracle: Result | None, n: int, row: FamilyRow) -> str:
+    one = row.member.at(PLACE)
+    if one is None:
+        return MISSING if name == next(iter(TRAINING)) else ""
     values = training(one, oracle, n)
-    cells = {name: text(name, values[name]) for name in TRAINING}
-    if 0 < values["arrived_share"] < 1:
-        cells["arrival_s"] += f" ({round(values['arrived_share'] * one.n)}/{one.n})"
-    return [f"{one.n_ok}/{one.n}", *cells.values()]
+    share = values["arrived_share"]
+    some = name == "arrival_s" and 0 < share < 1
+    return text(name, values[name]) + (f" ({round(share * one.n)}/{one.n})" if some else "")
 
 
-def _unique(family: Family) -> list[Result]:
-    """Every cell once, under the name of its row."""
-    return [replace(cell, label=member.name) for member in family.members for cell in member.cells.values()]
+def _beside(family: Family) -> Rows:
+    """For an article, at one noise level: a line a row, the bases side by side.
+
+    Rows of no base stand in the columns of the first.
+    """
+    bases = tuple(family.bases)
+    columns: Columns[FamilyRow] = {
+        "n": lambda row: _counts(row.member, [PLACE]),
+        **{name: partial(_of_row, quantity) for quantity, name in ACCURACY.items()},
+    }
+    headers = ["", *(f"{base}: {name}" if not i else name for base in bases for i, name in enumerate(columns))]
+    rows: list[list[str]] = []
+    for heading, sections in group(family.every, lambda section: section.heading).items():
+        rows.append([heading, *[""] * (len(headers) - 1)])
+        placed = {
+            (row.title, section.base if section.base in bases else bases[0]): row
+            for section in sorted(sections, key=lambda one: bases.index(one.base) if one.base in bases else 0)
+            for row in section.rows
+        }
+        for title in dict.fromkeys(title for title, _ in placed):
+            own = [placed.get((title, base)) for base in bases]
+            rows.append([f"- {title}", *(show(row) if row else "" for row in own for show in columns.values())])
+    return rows, headers
+
+
+def _of_row(quantity: str, row: FamilyRow) -> str:
+    return _entry(quantity, {"values": _values(row.member.at(PLACE)), "missing": MISSING})
+
+
+# ---- what settings do together
+
+
+def _combinations(family: Family) -> list[str | Rows]:
+    """The errors of all combinations of settings on the same data sets; nothing where none were combined.
+
+    A line a value of all settings but the second, whose values stand side by side.
+    """
+    settings, names = family.combinations.settings, family.names
+    if len(settings) < 2 or not family.combinations.rows:
+        return []
+    members = {
+        tuple(member.settings.get(name, names.usual[name]) for name in settings): member
+        for member in family.members
+        if member.method == family.method and set(member.settings) <= set(settings)
+    }
+    n = min((one.n for member in members.values() if (one := member.at(PLACE))), default=0)
+    combined = [
+        [row.member.settings.get(name, names.usual[name]) for row in family.combinations.rows] for name in settings
+    ]
+    values = [sorted(set(own), key=partial(names.order, name)) for name, own in zip(settings, combined, strict=True)]
+    words = [setting.replace("_", " ") for setting in settings]
+
+    def entry(combination: tuple[object, ...]) -> str:
+        """Both errors and the time; what is missing is said."""
+        member = members.get(combination)
+        one = member.at(PLACE) if member else None
+        if one is None:
+            return MISSING
+        found = accuracy(one, n)
+        both = ", ".join(text(f"{name}_excess", found[f"{name}_excess"]) for name in (GROUP, OTHER))
+        return f"{both} ({text('fit_s', median(one.cpu_s))} s)"
+
+    down = [0, *range(2, len(settings))]
+    first: Columns[Sequence[tuple[object, ...]]] = {
+        words[i]: partial(lambda i, own: names.of(settings[i], own[0][i]), i) for i in down
+    }
+    table = panel(
+        sorted(product(*values), key=lambda one: [values[i].index(one[i]) for i in down]),
+        lambda one: tuple(one[i] for i in down),
+        first,
+        lambda one: one[1],
+        lambda any_one: {names.of(settings[1], any_one[1]): entry},
+    )
+    explanation = (
+        f"Errors of k/m and c/m over the bound on the first {n} data sets ({PLACE[0]:g} dB, start {PLACE[1]}), and "
+        "processor seconds of a whole fit."
+    )
+    return [f"## All combinations of {', '.join(words)}", explanation, table]

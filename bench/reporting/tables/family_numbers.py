@@ -120,13 +120,6 @@ def median(values: np.ndarray) -> float:
     return float(np.median(own)) if own.size else math.nan
 
 
-def accuracy_cells(one: Result | None, n: int | None = None) -> list[str]:
-    """The quantities of accuracy as texts; of a cell that is not stored, one text that says so."""
-    if one is None:
-        return [MISSING, *[""] * (len(ACCURACY) - 1)]
-    return [text(name, value) for name, value in accuracy(one, n).items()]
-
-
 def text(quantity: str, value: float) -> str:
     """A number as the table shows it."""
     if quantity in ("arrival_s", "oracle_s") and math.isinf(value):
