@@ -595,65 +595,56 @@ def pinn_engine(r: Published, f: Facts) -> None:
     )
 
 
+OURS, PAPERS, STATING = "our base", "the paper's base", "Ways of stating uncertainty"
+STATED = {"laplace": "Laplace, all weights", "nuts": "Bayesian PINN, NUTS", "variational": "variational, mean field",
+          "ensemble": "deep ensemble", "dropout": "Monte-Carlo dropout"}  # fmt: skip
+
+
 def pinn_family(r: Published, f: Facts) -> None:
     """Trainings side by side at 20 dB, start known."""
 
-    def lines(section: str, quantity: str, **wanted: str) -> pd.DataFrame:
-        asked = {"section": section, "quantity": quantity, "snr_db": 20, "initial_state": "known", **wanted}
-        return r.rows("pinn_family", **asked).set_index("row")
+    def lines(section: str, quantity: str, **base: str) -> pd.DataFrame:
+        asked = {"section": section, "quantity": quantity, "snr_db": 20, "initial_state": "known", **base}
+        return r.rows("pinn_family", **asked).set_index("row").astype({"value": float})
 
-    bases = ("our base", "the paper's base")
-    arrived = {}
-    for base in bases:
-        share = lines("Optimisers", "arrived_share", base=base).value.astype(float)
-        arrived[base] = lines("Optimisers", "arrival_s", base=base).value.astype(float)[share > 0.5]
-    lm, adam = "Levenberg-Marquardt", "Adam, then L-BFGS"
-    mine, theirs = arrived.values()
-    my_sets, their_sets = (lines("Optimisers", "arrival_s", base=base).n for base in bases)
-    k, c = (
-        lines("Weightings", f"{group}_excess_at_minimum", base=bases[0]).value.astype(float)
-        for group in ("k_over_m", "c_over_m")
-    )
-    papers, own = "fixed, all one", "by the estimated noise"
-    rivals = {name: lines("Other packages", name) for name in ("k_over_m_excess", "c_over_m_excess", "fit_s")}
-    same = {name: lines("Optimisers", name, base=bases[1]).value.astype(float)[adam] for name in list(rivals)[:2]}
-    held = lines("Ways of stating uncertainty", "k_over_m_coverage_95", base=bases[0])
-    held = held.assign(value=held.value.astype(float))
-    mcmc = lines("Reference rows", "k_over_m_coverage_95").loc["Bayesian MCMC"]
-    nuts = lines("Ways of stating uncertainty", "k_over_m_excess", base=bases[0]).value.astype(float)[NUTS]
-    f.say(family_n=lines("Optimisers", "arrived_share", base=bases[0]).shape[0], family_theirs=len(theirs))
-    f.say(family_mine=len(mine), weightings_n=len(k))
-    f.say(**{f"stated_{key}": f"{100 * held.value[row]:.0f} % of {held.n[row]:.0f}" for key, row in STATED.items()})
-    f.say(
-        stated_mcmc=f"{100 * float(mcmc.value):.0f} % of {mcmc.n:.0f}", family_sets=their_sets, family_my_sets=my_sets
-    )
-    f.say(packages_n=rivals["fit_s"].n.unique().item())
+    seconds = {base: lines("Optimisers", "arrival_s", base=base) for base in (OURS, PAPERS)}
+    arrived = {
+        base: own.value[lines("Optimisers", "arrived_share", base=base).value > 0.5] for base, own in seconds.items()
+    }
+    mine, theirs, lm, adam = arrived[OURS], arrived[PAPERS], "Levenberg-Marquardt", "Adam, then L-BFGS"
+    f.say(family_n=len(seconds[OURS]), family_theirs=len(theirs), family_mine=len(mine))
+    f.say(family_sets=seconds[PAPERS].n, family_my_sets=seconds[OURS].n)
     f.say(rough, family_theirs_s=theirs, family_mine_lm_s=mine[lm])
     f.say(number, family_theirs_adam_s=theirs[adam], family_mine_adam_s=mine[adam])
-    f.say(number, packages_s=rivals["fit_s"].value.astype(float))
+    k, c = (lines("Weightings", f"{name}_excess_at_minimum", base=OURS).value for name in ("k_over_m", "c_over_m"))
+    papers, own = "fixed, all one", "by the estimated noise"
+    f.say(weightings_n=len(k))
     f.say(fold, weighting_k=k[papers], weighting_c=c[papers], weighting_own_k=k[own], weighting_own_c=c[own])
-    f.say(fold, packages_own_k=same["k_over_m_excess"], packages_own_c=same["c_over_m_excess"], stated_nuts_off=nuts)
-    f.say(fold, packages_k=rivals["k_over_m_excess"].value.astype(float))
-    f.say(fold, packages_c=rivals["c_over_m_excess"].value.astype(float))
+    fit = lines("Other packages", "fit_s")
+    f.say(packages_n=fit.n)
+    f.say(number, packages_s=fit.value)
+    agree = []
+    for name in ("k", "c"):
+        packages = lines("Other packages", f"{name}_over_m_excess").value
+        same = lines("Optimisers", f"{name}_over_m_excess", base=PAPERS).value[adam]
+        f.say(fold, **{f"packages_{name}": packages, f"packages_own_{name}": same})
+        agree.append(np.abs(packages / same - 1) < 0.1)
+    held = pd.concat(
+        [lines(STATING, "k_over_m_coverage_95", base=OURS), lines("Reference rows", "k_over_m_coverage_95")]
+    )
+    nuts = lines(STATING, "k_over_m_excess", base=OURS).value[STATED["nuts"]]
+    for name, row in {**STATED, "mcmc": "Bayesian MCMC"}.items():
+        f.say(**{f"stated_{name}": f"{percent(held.value[row])} % of {held.n[row]:.0f}"})
+    f.say(fold, stated_nuts_off=nuts)
     f.hold(
         levenberg_marquardt_is_first_on_both=[own.idxmin() == lm for own in arrived.values()],
         the_papers_minimum_is_farther_from_the_truth=[k[papers] > k[own], c[papers] > c[own]],
         no_weighting_is_nearer=np.hypot(k, c) > np.hypot(k[own], c[own]) - 0.014,
-        the_packages_agree=[np.abs(rivals[name].value.astype(float) / same[name] - 1) < 0.1 for name in same],
+        the_packages_agree=agree,
         the_linearisation_holds_its_level=held.value[STATED["laplace"]] > 0.89,
         these_three_do_not=held.value[[STATED[key] for key in ("variational", "ensemble", "dropout")]] < 0.5,
         nuts_is_far_off=nuts > 1.5,
     )
-
-
-NUTS = "Bayesian PINN, NUTS"
-STATED = {
-    "laplace": "Laplace, all weights",
-    "nuts": NUTS,
-    "variational": "variational, mean field",
-    "ensemble": "deep ensemble",
-    "dropout": "Monte-Carlo dropout",
-}
 
 
 # ---- thresholds: the atlases
