@@ -660,55 +660,56 @@ def atlas(r: Published, f: Facts) -> None:
     table = r.table("atlas.csv.gz")
     points = table.drop_duplicates([axis.name for axis in FreeDecay.AXES])
 
-    def of(method: str, quantity: str = "k_over_m") -> pd.DataFrame:
-        return told(table[table.method == method], quantity).assign(near=lambda own: near(own, quantity))
+    def of(method: str, quantity: str = "k_over_m", where: str = "") -> pd.DataFrame:
+        """The points of a method that tell a quantity, with whether it is near the bound there."""
+        own = told(table[table.method == method], quantity).assign(near=lambda own: near(own, quantity))
+        return own.query(where) if where else own
 
-    best, damping = of("output_error"), of("output_error", "c_over_m")
-    whole = table[(table.method == "output_error") & (table.bound_k_over_m <= TOLD)]
-    frame = {name: of(name) for name in ("shooting", "frequency", "iqml", "matrix_pencil", "ls", "rls", "ar")}
-    unknown = {name: of(name, "c_over_m").query("~start_known") for name in ("output_error", "iqml", "matrix_pencil")}
-    time = {name: own.seconds.median() for name, own in unknown.items()}
-    decrement, likely = of("log_decrement", "c_over_m"), ("shooting", "frequency", "iqml", "matrix_pencil")
-    held = [100 * own.k_over_m_held.mean() for own in (best, *(frame[name] for name in likely))]
-    open_ = {name: own[own.bound_c_over_m > TOLD].near.mean() for name, own in {**frame, "best": best}.items()}
-    snr = points[points.snr_db.between(15, 25) & ~points.aliased].bound_k_over_m
+    best, whole = of("output_error"), table[(table.method == "output_error") & (table.bound_k_over_m <= TOLD)]
     f.say(atlas_fits=table.fits.sum(), atlas_points=len(points), atlas_near=f"{TIMES:g}")
-    f.say(percent, atlas_told=TOLD, atlas_k=(points.bound_k_over_m <= TOLD).mean())
-    f.say(percent, atlas_c=(points.bound_c_over_m <= TOLD).mean(), atlas_aliased=points.aliased.mean())
-    f.say(percent, best_k=best.near.mean(), best_c=damping.near.mean(), whole_k=near(whole).mean())
+    k, c = ((points[f"bound_{name}"] <= TOLD).mean() for name in ("k_over_m", "c_over_m"))
+    f.say(percent, atlas_told=TOLD, atlas_k=k, atlas_c=c, atlas_aliased=points.aliased.mean())
+    f.say(percent, best_k=best.near.mean(), best_c=of("output_error", "c_over_m").near.mean())
+    f.say(number, best_gross=100 * best.k_over_m_gross.mean())
+    f.say(percent, whole_k=near(whole).mean())
     f.say(percent, whole_gross=whole.k_over_m_gross.mean(), whole_held=whole.k_over_m_held.mean())
-    f.say(percent, cheap_iqml=unknown["iqml"].near.mean(), cheap_best=unknown["output_error"].near.mean())
-    f.say(percent, cheap_pencil=unknown["matrix_pencil"].near.mean(), ar_gross=frame["ar"].k_over_m_gross.mean())
-    f.say(percent, peaks_gross=decrement.c_over_m_gross.mean(), atlas_held_ls=frame["ls"].k_over_m_held.mean())
-    f.say(percent, start_unknown=[frame[name][~frame[name].start_known].near.mean() for name in likely[1:]])
-    f.say(percent, start_known=[frame[name][frame[name].start_known].near.mean() for name in likely[1:]])
-    f.say(percent, open_damping=[open_["best"], open_["shooting"]])
-    f.say(percent, ls_gross=[frame[name].k_over_m_gross.mean() for name in ("ls", "rls")])
+
+    blind = ("frequency", "iqml", "matrix_pencil")
+    unknown, known = (
+        [of(name, where=where).near.mean() for name in blind] for where in ("~start_known", "start_known")
+    )
+    hidden = [of(name, where=f"bound_c_over_m > {TOLD}").near.mean() for name in ("output_error", "shooting")]
+    f.say(percent, start_unknown=unknown, start_known=known, open_damping=hidden)
+    cheap = {name: of(name, "c_over_m", "~start_known") for name in ("iqml", "output_error", "matrix_pencil")}
+    time = {name: own.seconds.median() for name, own in cheap.items()}
+    f.say(percent, **{f"cheap_{name}": own.near.mean() for name, own in cheap.items()})
+    f.say(number, cheap_ratio=time["output_error"] / time["iqml"])
+
+    ls = [of(name, where=where).near.mean() for name in ("ls", "rls") for where in ("", "snr_db > 40")]
+    ar, iqml = (of(name).k_over_m_gross.mean() for name in ("ar", "iqml"))
+    peaks = of("log_decrement", "c_over_m")
+    f.say(percent, ls_gross=[of(name).k_over_m_gross.mean() for name in ("ls", "rls")], ar_gross=ar)
+    f.say(number, iqml_gross=100 * iqml)
+    f.say(rough, ls_near=100 * max(ls), peaks_near=100 * peaks.near.mean())
+    f.say(percent, peaks_gross=peaks.c_over_m_gross.mean(), atlas_held_ls=of("ls").k_over_m_held.mean())
+    held = np.array([100 * of(name).k_over_m_held.mean() for name in ("output_error", "shooting", *blind)])
+    snr = 100 * points[points.snr_db.between(15, 25) & ~points.aliased].bound_k_over_m.quantile([0.1, 0.9])
     f.say(tenth, atlas_held=held)
-    f.say(number, best_gross=100 * best.k_over_m_gross.mean(), cheap_ratio=time["output_error"] / time["iqml"])
-    f.say(number, iqml_gross=100 * frame["iqml"].k_over_m_gross.mean(), snr_low=100 * snr.quantile(0.1))
-    f.say(number, snr_high=100 * snr.quantile(0.9))
-    f.say(rough, ls_near=100 * max(frame["ls"].near.mean(), frame["rls"].near.mean()))
-    f.say(rough, peaks_near=100 * decrement.near.mean())
+    f.say(number, snr=snr)
+    few, noisy = best[best.samples < 30], best[best.snr_db < 10]
     f.hold(
-        damping_is_harder_to_tell=(points.bound_c_over_m <= TOLD).mean() < (points.bound_k_over_m <= TOLD).mean(),
-        output_error_is_near_with_few_samples_and_in_noise=[
-            best[best.samples < 30].near.mean() > 0.85, best[best.snr_db < 10].near.mean() > 0.8,
-        ],
+        damping_is_harder_to_tell=c < k,
+        output_error_is_near_with_few_samples_and_in_noise=[few.near.mean() > 0.85, noisy.near.mean() > 0.8],
         not_beyond_the_nyquist_frequency=whole[whole.aliased].k_over_m_gross.mean() > 0.5,
-        a_start_that_is_not_used_costs_the_bound=[
-            frame[name][frame[name].start_known].near.mean() < 0.2 for name in likely[1:]
-        ],
-        an_open_damping_does_not_hide_the_stiffness=[open_["best"] > 0.8, open_["shooting"] > 0.8],
+        a_start_that_is_not_used_costs_the_bound=np.array(known) < 0.2,
+        an_open_damping_does_not_hide_the_stiffness=np.array(hidden) > 0.8,
         iqml_takes_less_time=time["iqml"] < 0.5 * time["output_error"],
-        ls_is_hardly_ever_near=[
-            own.near.mean() < 0.05 for name in ("ls", "rls") for own in (frame[name], frame[name].query("snr_db > 40"))
-        ],
-        weights_are_what_ar_lacks=frame["iqml"].k_over_m_gross.mean() < 0.2 * frame["ar"].k_over_m_gross.mean(),
-        the_decrement_is_seldom_near=decrement.near.mean() < 0.1,
-        five_have_honest_intervals=(np.array(held) > 92) & (np.array(held) < 98),
-        the_snr_says_little=snr.quantile(0.9) > 10 * snr.quantile(0.1),
-    )  # fmt: skip
+        ls_is_hardly_ever_near=np.array(ls) < 0.05,
+        weights_are_what_ar_lacks=iqml < 0.2 * ar,
+        the_decrement_is_seldom_near=peaks.near.mean() < 0.1,
+        five_have_honest_intervals=(held > 92) & (held < 98),
+        the_snr_says_little=snr[0.9] > 10 * snr[0.1],
+    )
 
 
 def atlas_theory(r: Published, f: Facts) -> None:
