@@ -22,28 +22,32 @@ COLUMNS = (
 SYMBOLS = {"k_over_m": "k/m", "c_over_m": "c/m"}
 FEWEST = 20
 """Replicates below which nothing is judged."""
+COUNTED = 5
+"""Replicates below which nothing is counted either."""
 LEGEND = """Of each interval of 95 %: the share of replicates in which it held the truth, with its own 95 % interval
 (Wilson's). z is the truth's normal score under the belief, cut at 6: of mean 0 and root mean square (RMS) 1 if the
 belief is calibrated; an RMS of 2 means intervals half as wide as the errors ask for, bias included: too sure; one
 below 1, too wide. The verdict is by three tests (mean of z, its mean square, uniformity of the levels) at 5 %,
 adjusted over all tests of all lines of this table (Benjamini and Hochberg): of what they find, one in twenty is
-expected to be a false alarm, and if all lines were calibrated, nothing would be found with 95 % probability. Band: the
-share of the record, 1,000 points in each replicate, where the true displacement lies in the method's own 95 % band. A
-dash: the method states no uncertainty."""
+expected to be a false alarm, and if all lines were calibrated, nothing would be found with 95 % probability. Fewer than
+{fewest} replicates have no verdict. Band: the share of the record, 1,000 points in each replicate, where the true
+displacement lies in the method's own 95 % band. A dash: the method states no uncertainty, or there is no verdict."""
 
 
 def lines(results: Iterable[Result]) -> list[Line]:
     """One line a method, noise, start and quantity; the tests of all of them are adjusted together."""
     places = [(result, name) for result in results if result.stored for name in SYMBOLS]
     levels = [_told(result, f"{name}_pit") for result, name in places]
-    judged = iter(together([calibration(own) for own in levels if own.size >= FEWEST]))
+    alone = [calibration(own) if own.size >= COUNTED else None for own in levels]
+    judged = iter(together([one for one in alone if one and one.n >= FEWEST]))
     return [
         {
             **line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity")),
-            **(_judged(next(judged)) if own.size >= FEWEST else {"verdict": MISSING}), "n": own.size,
+            **(_counted(one) if one else {}), "verdict": next(judged).verdict if own.size >= FEWEST else MISSING,
+            "n": own.size,
             "band_95": np.mean(inside) if (inside := _told(result, "band_inside_95")).size else np.nan,
         }
-        for (result, name), own in zip(places, levels, strict=True)
+        for (result, name), own, one in zip(places, levels, alone, strict=True)
     ]  # fmt: skip
 
 
@@ -52,12 +56,12 @@ def _told(result: Result, score: str) -> np.ndarray:
     return np.asarray(scores[~np.isnan(scores)])
 
 
-def _judged(found: Calibration) -> Line:
+def _counted(found: Calibration) -> Line:
     shares = {f"coverage_{round(100 * c.level)}": c.share for c in found.coverage}
     widest = found.coverage[-1]
     return {
         **shares, "low_95": widest.low, "high_95": widest.high, "mean_z": found.mean_z, "rms_z": found.rms_z,
-        "uniform_p": found.p_values[2], "verdict": found.verdict,
+        "uniform_p": found.p_values[2],
     }  # fmt: skip
 
 
@@ -90,7 +94,7 @@ def calibration_table(frame: Frame) -> Mapping[str, str]:
     if not frame.any_stored:
         return {}
     data = lines(frame)
-    parts: list[str | Rows] = [f"# {frame.title}", LEGEND]
+    parts: list[str | Rows] = [f"# {frame.title}", LEGEND.format(fewest=FEWEST)]
     for told, own in group(data, lambda one: one["initial_state"]).items():
         parts += [f"## Initial state {told}", _panel(own)]
     return files(frame.name, [*parts, f"Regenerate: `{frame.command}`"], data, COLUMNS, 5)

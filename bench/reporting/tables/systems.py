@@ -8,7 +8,7 @@ error over bound, on those quantities that the data tell.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -264,11 +264,22 @@ def _untold(results: Sequence[Result]) -> str:
         bounds = {name: known[level].bound(name + ERROR) for name in names if name not in never}
         weak = [f"{n} (bound {number(b)} %)" for n, b in bounds.items() if 100 * UNTOLD < b < math.inf]
         if level == first and never:
-            what = "decided by the prior" if scenario.prior else "not identifiable"
-            sentences.append(f"Not told by the data at any noise, {what}: {', '.join(map(readable, never))}.")
+            said = ", ".join(f"{readable(name)} ({_prior_shares(name, known.values())} %)" for name in never)
+            sentences.append(
+                f"Not told by the data alone (the prior's share of the variance at the bound, over the noise): {said}."
+                if scenario.prior
+                else f"Not identifiable at any noise: {', '.join(map(readable, never))}."
+            )
         if weak:
             sentences.append(f"At {level:g} dB practically not identifiable: {', '.join(map(readable, weak))}.")
     return " ".join(sentences)
+
+
+def _prior_shares(name: str, results: Iterable[Result]) -> str:
+    """The least and the largest share, in percent."""
+    shares = [result.prior_share.get(name, math.nan) for result in results]
+    least, most = percent(min(shares)), percent(max(shares))
+    return least if least == most else f"{least} to {most}"
 
 
 def describe(scenario: Scenario) -> str:

@@ -48,6 +48,13 @@ def test_honest_and_halved_uncertainties_are_told_apart(found: list[Result]) -> 
     assert "too sure" in text
 
 
+def test_few_replicates_are_counted_and_have_no_verdict(reference: Scenario) -> None:
+    cell = Cell(reference, "pinn", {}, 10, 0, "pinn")
+    few = Result.of_cell(cell, stored(np.array([0.5, *[0.999] * 9]), None))
+    line = next(line for line in lines([few]) if line["quantity"] == "k_over_m")
+    assert (line["coverage_95"], line["verdict"], line["n"]) == (0.1, "-", 10)
+
+
 def test_a_store_without_its_cells_gives_no_table(reference: Scenario) -> None:
     missing = Result.of_cell(Cell(reference, "pinn", {}, 200, 0, "pinn"), None)
     assert calibration_table(Frame("calibration", "T", {}, (missing,))) == {}
