@@ -6,16 +6,17 @@ start where ``from=`` or a known initial state says where the motion begins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from functools import partial
+from itertools import combinations, pairwise
 
 import numpy as np
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.records.decimation import decimated
-from bench.records.free_motion import SensorDrift, drift, first_change, silence
+from bench.records.free_motion import changes, drift, silence
 from bench.records.reading import ReadOptions, Recording, Signal
 from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
@@ -55,71 +56,85 @@ def prepare(
     Raises:
         InputError: Decimation or detrending is asked for and not possible.
     """
-    runs: list[Recording] = []
+    prepared: list[Recording] = []
     for recording in _without_copies(recordings):
-        recording = _within_limits(_without_computed(recording), options)
-        free = not any(s.measures == "force" and np.any(s.values) for s in recording.signals)
-        cut = [recording]
+        recording = _without_computed(recording)
+        if options.decimate == 1:  # decimation needs all samples
+            recording = _each_motion(recording, _within_limits)
+        free, begun = not any(s.measures == "force" and np.any(s.values) for s in recording.signals), options.start
+        runs = [recording]
         if free and not known_state:
-            begun = recording if options.start is not None else _released(recording)
-            cut = _runs(begun, options.start is not None) if n_dof == 1 else [begun]
-        runs += [_levelled(_straightened(run, options.detrend, free), known_state) for run in cut]
-    return tuple(decimated(run, options.decimate) for run in runs)
+            recording = _released(recording) if begun is None else recording
+            runs = _runs(recording, begun is not None) if n_dof == 1 else [recording]
+        for run in runs:
+            if options.detrend or (free and options.detrend is None):
+                run = _each_motion(run, partial(_straightened, wanted=bool(options.detrend), source=run.source))
+            prepared.append(run if known_state else _each_motion(run, _levelled))
+    return tuple(decimated(run, options.decimate) for run in prepared)
 
 
 def _said(recording: Recording, *sentences: str) -> Recording:
     return replace(recording, notes=(*recording.notes, *sentences))
 
 
-def _between(recording: Recording, first: float, last: float) -> Recording:
-    """Return the samples from ``first`` to before ``last`` (s), with times from 0 on."""
-    signals = []
-    for signal in recording.signals:
-        kept = (signal.times >= first) & (signal.times < last)
-        signals.append(replace(signal, times=signal.times[kept], values=signal.values[kept]))
-    start = min((float(s.times[0]) for s in signals if s.times.size), default=0.0)
-    return replace(recording, signals=tuple(replace(s, times=s.times - start) for s in signals if s.times.size))
+def _each_motion(recording: Recording, change: Callable[[Signal], tuple[Signal, str]]) -> Recording:
+    """Return the recording with each signal of a motion changed, and the sentences that say so."""
+    changed = [(signal, "") if signal.measures == "force" else change(signal) for signal in recording.signals]
+    said = [sentence for _, sentence in changed if sentence]
+    return _said(replace(recording, signals=tuple(signal for signal, _ in changed)), *said)
 
 
 def _motions(recording: Recording) -> list[Signal]:
     return [signal for signal in recording.signals if signal.measures != "force"]
 
 
+def _kept(signal: Signal, samples: np.ndarray | slice) -> Signal:
+    return replace(signal, times=signal.times[samples], values=signal.values[samples])
+
+
+def _between(recording: Recording, first: float, last: float) -> Recording:
+    """Return the samples from ``first`` to before ``last`` (s), with times from 0 on."""
+    signals = [_kept(signal, (signal.times >= first) & (signal.times < last)) for signal in recording.signals]
+    signals = [signal for signal in signals if signal.times.size]
+    start = min((float(signal.times[0]) for signal in signals), default=0.0)
+    return replace(recording, signals=tuple(replace(signal, times=signal.times - start) for signal in signals))
+
+
+# ------------------------------------------------------------------------------- copies and computed columns
+
+
 def _without_copies(recordings: Sequence[Recording]) -> list[Recording]:
     """Return recordings without those that repeat another's every value, and without what repeats within one."""
     kept: list[Recording] = []
-    for recording in recordings:
-        recording = _once(recording)
-        same = [i for i, other in enumerate(kept) if _equal(recording, other)]
-        if same:
-            twice = f"{recording.source} repeats every value of {kept[same[0]].source} and is left out"
-            kept[same[0]] = _said(kept[same[0]], twice)
-        else:
+    for recording in map(_once, recordings):
+        same = next((i for i, other in enumerate(kept) if _equal(recording, other)), None)
+        if same is None:
             kept.append(recording)
+        else:
+            twice = f"{recording.source} repeats every value of {kept[same].source} and is left out"
+            kept[same] = _said(kept[same], twice)
     return kept
 
 
-def _equal(one: Recording, other: Recording) -> bool:
-    pairs = zip(one.signals, other.signals, strict=False)
-    return len(one.signals) == len(other.signals) and all(
+def _equal(first: Recording, second: Recording) -> bool:
+    pairs = zip(first.signals, second.signals, strict=False)
+    return len(first.signals) == len(second.signals) and all(
         a.role == b.role and np.ptp(a.values) > 0 and np.array_equal(a.values, b.values) for a, b in pairs
     )
 
 
 def _once(recording: Recording) -> Recording:
     """Return a recording whose samples are the same block again and again, value for value, with the first block."""
-    sizes = {signal.values.size for signal in recording.signals}
-    motions = [signal for signal in _motions(recording) if np.ptp(signal.values) > 0]
-    if len(sizes) != 1 or not motions:
+    motion = next((signal for signal in _motions(recording) if np.ptp(signal.values) > 0), None)
+    if motion is None or any(signal.values.size != motion.values.size for signal in recording.signals):
         return recording
-    n = sizes.pop()
-    block = next(
-        (p for p in range(1, n // 2 + 1) if n % p == 0 and all(_repeats(s.values, p) for s in recording.signals)), n
-    )
-    cycles = block / n * float(np.ptp(motions[0].times)) * strongest_frequency(motions[0].times, motions[0].values)
-    if block == n or block < LEAST_SAMPLES or cycles < BLOCK_CYCLES:  # a sine without noise repeats itself
+    n = motion.values.size
+    blocks = (p for p in range(LEAST_SAMPLES, n // 2 + 1) if n % p == 0)
+    block = next((p for p in blocks if all(_repeats(signal.values, p) for signal in recording.signals)), n)
+    cycles = block / n * float(np.ptp(motion.times)) * strongest_frequency(motion.times, motion.values)
+    if block == n or cycles < BLOCK_CYCLES:  # a sine without noise repeats itself
         return recording
-    first = tuple(replace(s, times=s.times[:block], values=s.values[:block]) for s in recording.signals)
+    first = tuple(_kept(signal, slice(block)) for signal in recording.signals)
     said = f"the record is there {n // block} times, value for value: its first {block} samples are kept"
     return _said(replace(recording, signals=first), said)
 
@@ -129,67 +144,50 @@ def _repeats(values: np.ndarray, period: int) -> bool:
 
 
 def _without_computed(recording: Recording) -> Recording:
-    """Return the recording without motions that a logger computed from another of the same degree of freedom."""
-    left_out: dict[int, Signal] = {}
-    motions = _motions(recording)
-    for i, one in enumerate(motions):
-        for other in motions[i + 1 :]:
-            if one.dof == other.dof and one.measures != other.measures and _computed(one, other):
-                computed, source = sorted((one, other), key=_colour, reverse=True)
-                left_out.setdefault(id(computed), source)
-    if not left_out:
-        return recording
-    kept = tuple(s for s in recording.signals if id(s) not in left_out)
-    return _said(
-        replace(recording, signals=kept),
-        *(
-            f"{s.role} is computed from {left_out[id(s)].role}, noise and all: no second measurement, left out"
-            for s in recording.signals
-            if id(s) in left_out
-        ),
-    )
+    """Return the recording without motions that a logger computed from another of the same degree of freedom.
+
+    The noise of both, above the vibration, is the same noise then, and that of the computed one is farther from white.
+    """
+    sources: dict[str, str] = {}
+    for first, second in combinations(_motions(recording), 2):
+        if first.dof == second.dof and first.measures != second.measures:
+            coherence, colours = _noise(first, second)
+            if coherence > COHERENT:
+                source, computed = (first, second) if colours[0] <= colours[1] else (second, first)
+                sources.setdefault(computed.role, source.role)
+    kept = tuple(signal for signal in recording.signals if signal.role not in sources)
+    said = [f"{role} is computed from {source}, noise and all: no second measurement, left out"
+            for role, source in sources.items()]  # fmt: skip
+    return _said(replace(recording, signals=kept), *said)
 
 
-def _computed(one: Signal, other: Signal) -> bool:
-    """Return whether the noise of two sensors, above the vibration, is the same noise: by its coherence."""
-    from scipy.signal import coherence  # slow to import, and few records need it
+def _noise(first: Signal, second: Signal) -> tuple[float, tuple[float, float]]:
+    """Return the median coherence of two sensors' noise above the vibration, and how far each spectrum is from flat.
 
-    n = one.values.size
-    if n != other.values.size or not np.array_equal(one.times, other.times) or n < 16 * BLOCKS:
-        return False
-    rate = (n - 1) / float(np.ptp(one.times))
-    frequencies, coherent = coherence(one.values, other.values, rate, nperseg=2 * n // (BLOCKS + 1))
-    noise = frequencies > NOISE_BAND * strongest_frequency(one.times, one.values)
-    return int(np.count_nonzero(noise)) >= 8 and float(np.nanmedian(coherent[noise])) > COHERENT
+    That is the standard deviation of its logarithm. Nothing is coherent where too little is known.
+    """
+    from scipy.signal import coherence, welch  # slow to import, and few records need it
 
-
-def _colour(signal: Signal) -> float:
-    """Return how far the spectrum of a sensor's noise is from flat: the standard deviation of its logarithm."""
-    from scipy.signal import welch
-
-    frequencies, power = welch(signal.values, nperseg=2 * signal.values.size // (BLOCKS + 1))
-    cycles = strongest_frequency(signal.times, signal.values) * float(np.ptp(signal.times)) / signal.values.size
-    noise = (frequencies > NOISE_BAND * cycles) & (power > 0)
-    return float(np.std(np.log(power[noise]))) if np.any(noise) else np.inf
+    n, unknown = first.values.size, (0.0, (0.0, 0.0))
+    if n != second.values.size or not np.array_equal(first.times, second.times) or n < 16 * BLOCKS:
+        return unknown
+    rate, block = (n - 1) / float(np.ptp(first.times)), 2 * n // (BLOCKS + 1)
+    frequencies, coherent = coherence(first.values, second.values, rate, nperseg=block)
+    above = frequencies > NOISE_BAND * strongest_frequency(first.times, first.values)
+    if np.count_nonzero(above) < 8:
+        return unknown
+    powers = [welch(signal.values, rate, nperseg=block)[1][above] for signal in (first, second)]
+    colours = [float(np.std(np.log(power[power > 0]))) if np.any(power > 0) else np.inf for power in powers]
+    return float(np.nanmedian(coherent[above])), (colours[0], colours[1])
 
 
-def _within_limits(recording: Recording, options: ReadOptions) -> Recording:
-    """Return the recording without samples of a motion at the limit of its sensor; decimation needs them all."""
-    signals, said = [], []
-    for signal in recording.signals:
-        cut = at_limit(signal.values) if signal.measures != "force" and options.decimate == 1 else np.zeros(0, bool)
-        if np.any(cut):
-            said.append(f"{signal.role} is clipped: {np.count_nonzero(cut)} samples at the sensor's limit are left out")
-            signal = replace(signal, times=signal.times[~cut], values=signal.values[~cut])
-        signals.append(signal)
-    return _said(replace(recording, signals=tuple(signals)), *said)
+# ------------------------------------------------------------------------------- where the free motion goes on
 
 
 def _released(recording: Recording) -> Recording:
-    """Return the recording from its release on, where its sensors show a constant before."""
-    released = [silence(signal.times, signal.values) for signal in _motions(recording)]
-    times = [time for time in released if time is not None]
-    if not times or len(times) < len(released):
+    """Return the recording from its release on, where all its sensors show a constant before."""
+    times = [time for signal in _motions(recording) if (time := silence(signal.times, signal.values)) is not None]
+    if not times or len(times) < len(_motions(recording)):
         return recording
     said = f"nothing moves in the first {min(times):.3g} s: the record begins at the release"
     return _said(_between(recording, min(times), np.inf), said)
@@ -201,23 +199,26 @@ def _runs(recording: Recording, begun: bool) -> list[Recording]:
     ``begun``: whether the user says where the motion begins.
     """
     signal = next(iter(_motions(recording)), None)
-    if signal is None or signal.values.size < LEAST_SAMPLES:
+    cuts = [] if signal is None or signal.values.size < LEAST_SAMPLES else changes(signal.times, signal.values)
+    if signal is None or not 0 < len(cuts) <= MOST_CUTS:
         return [recording]
     last = float(signal.times[-1])
-    ends = _ends(signal)
-    if len(ends) == 2:
-        return [recording]
-    pieces = list(pairwise(ends))
-    runs = [piece for piece in pieces if _is_run(signal, *piece)]
-    sizes = [_power(signal, *run) for run in runs]
-    runs = [run for run, size in zip(runs, sizes, strict=True) if size >= LIVELY * max(sizes)]
+    pieces = [_kept(signal, (signal.times >= a) & (signal.times < b)) for a, b in pairwise([0.0, *cuts, np.inf])]
+    liveliest = max((np.var(piece.values) for piece in pieces if _is_run(piece)), default=0.0)
+    lively = [_is_run(piece) and np.var(piece.values) >= LIVELY * liveliest for piece in pieces]
+    spans: list[tuple[float, float, bool]] = []
+    for first, end, is_run in zip([0.0, *cuts], [*cuts, last], lively, strict=True):
+        if spans and not (is_run or spans[-1][2]):
+            first = spans.pop()[0]
+        spans.append((first, end, is_run))
+    runs = [(first, np.inf if end == last else end) for first, end, is_run in spans if is_run]
     if not runs or (begun and runs[0][0] > 0.0):
         return [recording]
-    said = [_left_out(first, min(end, last)) for first, end in pieces if (first, end) not in runs]
+    said = [_left_out(first, end) for first, end, is_run in spans if not is_run]
     if len(runs) == 1:
         return [_said(_between(recording, *runs[0]), *said)]
-    spans = " and ".join(f"{first:.4g} to {min(end, last):.4g} s" for first, end in runs)
-    said.append(f"the free motion starts again within the record: {len(runs)} runs, {spans}")
+    listed = " and ".join(f"{first:.4g} to {min(end, last):.4g} s" for first, end in runs)
+    said.append(f"the free motion starts again within the record: {len(runs)} runs, {listed}")
     return [
         replace(_said(_between(recording, *run), *said), source=f"{recording.source} run {i}")
         for i, run in enumerate(runs, 1)
@@ -230,74 +231,50 @@ def _left_out(first: float, end: float) -> str:
     return f"{first:.4g} to {end:.4g} s do not belong to the free motion before or after (a jump, a hand): left out"
 
 
-def _ends(signal: Signal) -> list[float]:
-    """Return times (s) between which a motion goes on undisturbed, first and last included."""
-    done, waiting = [0.0, np.inf], [(0.0, np.inf)]
-    while waiting:
-        first, last = waiting.pop()
-        inside = (signal.times >= first) & (signal.times < last)
-        cut = first_change(signal.times[inside], signal.values[inside]) if np.sum(inside) > LEAST_SAMPLES else None
-        if cut is not None:
-            done.append(cut.time)
-            waiting += [(first, cut.time), (cut.time, last)]
-        if len(done) > MOST_CUTS:
-            return [0.0, np.inf]
-    return sorted(done)
-
-
-def _is_run(signal: Signal, first: float, last: float) -> bool:
+def _is_run(piece: Signal) -> bool:
     """Return whether a stretch is long enough for a run, and its motion does not grow."""
-    inside = (signal.times >= first) & (signal.times < last)
-    times, values = signal.times[inside], signal.values[inside]
-    if values.size < LEAST_SAMPLES or np.ptp(values) == 0:
+    if piece.values.size < LEAST_SAMPLES or np.ptp(piece.values) == 0:
         return False
-    halves = np.array_split(values - np.mean(values), 2)
-    grows = np.mean(halves[1] ** 2) > GROWTH * np.mean(halves[0] ** 2)
-    return not grows and float(np.ptp(times)) * strongest_frequency(times, values) >= LEAST_CYCLES
+    early, late = (np.mean(half**2) for half in np.array_split(piece.values - np.mean(piece.values), 2))
+    cycles = float(np.ptp(piece.times)) * strongest_frequency(piece.times, piece.values)
+    return bool(late <= GROWTH * early and cycles >= LEAST_CYCLES)
 
 
-def _power(signal: Signal, first: float, last: float) -> float:
-    return float(np.var(signal.values[(signal.times >= first) & (signal.times < last)]))
+# ------------------------------------------------------------------------------- what a sensor adds to its motion
 
 
-def _straightened(recording: Recording, wanted: bool | None, free: bool) -> Recording:
-    """Return the recording without the drift of its motions: where the user wants it, or where it is significant."""
-    if wanted is False or not (wanted or free):
-        return recording
-    signals, said = [], []
-    for signal in recording.signals:
-        line = None if signal.measures == "force" else _drift(signal, bool(wanted), recording.source)
-        if line is not None and (wanted or line.p_value < DRIFT_P):
-            middle = 0.5 * (signal.times[0] + signal.times[-1])
-            taken = line.slope * (signal.times - middle)
-            share = 100.0 * float(np.ptp(taken)) / (float(np.ptp(signal.values - taken)) or 1.0)
-            said.append(
-                f"{signal.role}: the sensor drifts by {line.slope:.3g} {signal.unit}/s, {share:.2g} % of the motion "
-                "over the record: a straight line is taken off"
-            )
-            signal = replace(signal, values=signal.values - taken)
-        signals.append(signal)
-    return _said(replace(recording, signals=tuple(signals)), *said)
+def _within_limits(signal: Signal) -> tuple[Signal, str]:
+    """Leave out samples at the limit of the sensor."""
+    cut = at_limit(signal.values)
+    if not np.any(cut):
+        return signal, ""
+    said = f"{signal.role} is clipped: {np.count_nonzero(cut)} samples at the sensor's limit are left out"
+    return _kept(signal, ~cut), said
 
 
-def _drift(signal: Signal, wanted: bool, source: str) -> SensorDrift | None:
+def _straightened(signal: Signal, wanted: bool, source: str) -> tuple[Signal, str]:
+    """Take off the drift of the sensor: where the user wants it, or where it is significant."""
     level = signal.values - np.polynomial.Polynomial.fit(signal.times, signal.values, 1)(signal.times)
     cycles = float(np.ptp(signal.times)) * strongest_frequency(signal.times, level)
     if wanted and cycles < DETREND_CYCLES:
         remedy = f"{source} has {cycles:.2g} cycles of {signal.role}; at least {DETREND_CYCLES:g} are needed"
         raise InputError("detrend", "true", remedy)
-    return drift(signal.times, signal.values) if signal.values.size > MIN_SAMPLES else None
+    line = drift(signal.times, signal.values) if signal.values.size > MIN_SAMPLES else None
+    if line is None or not (wanted or line[1] < DRIFT_P):
+        return signal, ""
+    slope, _ = line
+    drifted = slope * (signal.times - 0.5 * (signal.times[0] + signal.times[-1]))
+    share = 100.0 * float(np.ptp(drifted)) / (float(np.ptp(signal.values - drifted)) or 1.0)
+    return replace(signal, values=signal.values - drifted), (
+        f"{signal.role}: the sensor drifts by {slope:.3g} {signal.unit}/s, {share:.2g} % of the motion "
+        "over the record: a straight line is taken off"
+    )
 
 
-def _levelled(recording: Recording, known_state: bool) -> Recording:
-    """Return the recording with a large constant taken off each motion, such as gravity off an accelerometer."""
-    if known_state:
-        return recording
-    signals, said = [], []
-    for signal in recording.signals:
-        mean = float(np.mean(signal.values))
-        if signal.measures != "force" and abs(mean) > LEVEL * float(np.std(signal.values)) > 0:
-            said.append(f"{signal.role}: its mean of {mean:.4g} {signal.unit} is taken off before the fit")
-            signal = replace(signal, values=signal.values - mean)
-        signals.append(signal)
-    return _said(replace(recording, signals=tuple(signals)), *said)
+def _levelled(signal: Signal) -> tuple[Signal, str]:
+    """Take off a large constant, such as gravity in an accelerometer."""
+    mean = float(np.mean(signal.values))
+    if not abs(mean) > LEVEL * float(np.std(signal.values)) > 0:
+        return signal, ""
+    said = f"{signal.role}: its mean of {mean:.4g} {signal.unit} is taken off before the fit"
+    return replace(signal, values=signal.values - mean), said
