@@ -81,24 +81,23 @@ class TrackPanel:
         answered = set(self.rows["quantity"])
         return [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in answered]
 
+    @cached_property
     def by_method(self) -> list[MethodFits]:
-        """Return the fits that were made, method by method."""
+        """The fits that were made, method by method."""
         return [MethodFits(self, method) for method in self.fits["method"].unique()]
 
     @cached_property
     def agreements(self) -> pd.DataFrame:
         """How siblings agree, a row for each method and quantity."""
         rows = []
-        for fits in self.by_method():
-            withdrawn = fits.made["withdrawn"].sum()
+        for fits in self.by_method:
             head = {"set": self.name, "system": self.system, "method": fits.method, "sibling": "all"}
-            for name in self.quantities:
-                known = self.of.known[name].value if name in self.of.known else None
-                rows.append({**head, "quantity": name, "known": known, "withdrawn": withdrawn, **fits.agreement(name)})
+            head["withdrawn"] = fits.made["withdrawn"].sum()
+            rows += [{**head, "quantity": name, **fits.agreements[name]} for name in self.quantities]
         return pd.DataFrame(rows, columns=COLUMNS)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MethodFits:
     """The fits of a panel by a method."""
 
@@ -115,10 +114,15 @@ class MethodFits:
         rows = self.panel.rows
         return rows[(rows["method"] == self.method) & (rows["quantity"] == quantity)]
 
-    def agreement(self, quantity: str) -> dict[str, Any]:
-        """Compare the siblings whose answer is not withdrawn."""
-        answers, known = self.answers(quantity), self.panel.of.known.get(quantity)
-        return compare_siblings(answers[answers["withdrawn"] == 0], known.value if known else None)
+    @cached_property
+    def agreements(self) -> dict[str, dict[str, Any]]:
+        """How the siblings whose answers are not withdrawn agree, by quantity."""
+        known = {**dict.fromkeys(MAIN), **{name: known.value for name, known in self.panel.of.known.items()}}
+        answers = {name: self.answers(name) for name in known}
+        return {
+            name: {"known": value, **compare_siblings(answers[name][answers[name]["withdrawn"] == 0], value)}
+            for name, value in known.items()
+        }
 
 
 def track_table(panels: Sequence[TrackPanel], command: str) -> Mapping[str, str]:
@@ -214,7 +218,7 @@ def method_rows(panel: TrackPanel) -> Rows:
         "verdicts": lambda fits: " / ".join(map(str, _verdicts(fits.made).values())),
         "without an answer": _failures,
     }
-    return listing(panel.by_method(), columns)
+    return listing(panel.by_method, columns)
 
 
 def _agreement(quantity: str) -> Columns[MethodFits]:
@@ -229,7 +233,7 @@ def _agreement(quantity: str) -> Columns[MethodFits]:
 
 
 def _cell(quantity: str, show: Callable[[Mapping[str, Any]], str], fits: MethodFits) -> str:
-    return show(fits.agreement(quantity))
+    return show(fits.agreements[quantity])
 
 
 def _beside_white(name: str, text: Callable[[float], str], agreed: Mapping[str, Any]) -> str:
@@ -250,7 +254,7 @@ def _pooled(quantity: str, fits: MethodFits) -> str:
 
 
 def _answer(quantity: str, what: str, text: str, fits: MethodFits) -> str:
-    agreed = fits.agreement(quantity)
+    agreed = fits.agreements[quantity]
     return text.format(agreed[what]) if agreed["n"] else "-"
 
 
