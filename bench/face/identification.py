@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -64,48 +64,39 @@ class Identification:
     @property
     def values(self) -> dict[str, float]:
         """Value of every quantity."""
-        return {name: found.value for name, found in self.estimates.items()}
+        return {name: interval.value for name, interval in self.estimates.items()}
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """95 % interval of every quantity."""
-        return {name: (found.low, found.high) for name, found in self.estimates.items()}
+        return {name: (interval.low, interval.high) for name, interval in self.estimates.items()}
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, ready for JSON: null stands for what is not finite."""
-        found: dict[str, Any] = nulls(self.plain())
-        return found
+        """Return all of it, ready for JSON: null stands for what is not finite."""
+        plain: dict[str, Any] = nulls(self.plain())
+        return plain
 
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, of which some may not be finite."""
-        named = ("method", "data", "samples", "status", "message", "wall_s", "trust")
-        r = self.residuals
-        return {
-            **{name: getattr(self, name) for name in named},
-            "reasons": list(self.reasons),
-            "notes": list(self.notes),
-            "estimates": {name: vars(found) for name, found in self.estimates.items()},
-            "withdrawn": {name: vars(found) for name, found in self.withdrawn.items()},
-            "modes": [vars(mode) for mode in self.modes],
-            "runs": {
-                name: {**vars(run), "estimates": {q: vars(own) for q, own in run.estimates.items()}}
-                for name, run in self.runs.items()
-            },
-            "residuals": None if r is None else {**vars(r), "values": r.values.tolist()},
-        }
+        plain = asdict(self)
+        del plain["scale_is_free"]
+        lists = {name: list(plain[name]) for name in ("reasons", "notes", "modes")}
+        if self.residuals is not None:
+            plain["residuals"]["values"] = self.residuals.values.tolist()
+        return plain | lists
 
     def __repr__(self) -> str:
         return record_page(self.plain(), self.scale_is_free)
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
+        """Return a notebook's table."""
         import pandas as pd
 
         shown = ["value", "low", "high", "unit"]
-        lines = {name: {key: getattr(found, key) for key in shown} for name, found in self.estimates.items()}
-        table = pd.DataFrame.from_dict(lines, orient="index").to_html(float_format="{:.4g}".format) if lines else ""
-        said = "; ".join(self.reasons)
-        return f"{table}<p>{self.method}: {self.samples} samples, {self.status}: {self.trust}. {said}</p>"
+        rows = pd.DataFrame.from_dict({name: vars(row) for name, row in self.estimates.items()}, orient="index")
+        table = rows[shown].to_html(float_format="{:.4g}".format) if self.estimates else ""
+        reasons = "; ".join(self.reasons)
+        return f"{table}<p>{self.method}: {self.samples} samples, {self.status}: {self.trust}. {reasons}</p>"
 
 
 def identify(
@@ -219,7 +210,7 @@ def _paths(
 
 
 def identified(finding: Finding) -> Identification:
-    """A finding as users get it."""
+    """Return a finding as users get it."""
     problem = finding.problem
     alone = [run.finding for run in finding.runs] or [finding]
     return Identification(

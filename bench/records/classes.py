@@ -20,7 +20,7 @@ from bench.records.colour import criterion_error
 from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerpt
 from bench.records.intervals import HALF
 from bench.records.linearised import at_theta
-from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity
+from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity, unit_over_mass
 from bench.records.problem import Measured, of_system, with_system
 from bench.systems import LENGTH, MEASURED
 from bench.systems.sums import Sum
@@ -73,12 +73,16 @@ def best_class(measured: Measured, comparison: ClassComparison | None) -> Measur
         note = "system=auto takes records of one degree of freedom: sdof is used"
         return replace(measured, notes=(*measured.notes, note))
     chosen = comparison.chosen
-    said = f"system=auto chose system={'+'.join(chosen.system.terms)}"
+    note = f"system=auto chose system={'+'.join(chosen.system.terms)}"
     tied = ", ".join(model.name for model in comparison.tied)
-    said += f"; as good: {tied}" if tied else ""
-    zeros = [f"{name}/m is 0, at most {most:.3g}" for name, most in chosen.zero.items() if np.isfinite(most)]
+    note += f"; as good: {tied}" if tied else ""
+    zeros = [
+        f"{name}/m is 0, at most {most:.3g} {unit_over_mass(name)}"
+        for name, most in chosen.zero.items()
+        if np.isfinite(most)
+    ]
     measured = with_system(measured, chosen.system)
-    return replace(measured, notes=(*measured.notes, said, *zeros), comparison=comparison)
+    return replace(measured, notes=(*measured.notes, note, *zeros), comparison=comparison)
 
 
 def class_fit(model_class: ModelClass, problem: Problem) -> Estimate | None:
@@ -181,7 +185,7 @@ def _model_class(
     """Describe a fitted class in SI units, by means over the records."""
     free = np.any([fit.free[case] for fit in fits], axis=0)
     each = [fit.in_si(fit.coefficients[case]) for fit in fits]
-    values = {key: float(np.mean([one[key] for one in each])) for key in each[0]}
+    values = {key: float(np.mean([si[key] for si in each])) for key in each[0]}
     terms = [term for key, term in TERM_OF.items() if free[COEFFICIENTS.index(key)]]
     if free[COEFFICIENTS.index("k3")]:
         terms.append("cubic" if values["k3"] > 0 else "softening")
@@ -195,9 +199,8 @@ def _model_class(
     parameters = {n: abs((values | known)[n]) * (1.0 if n == "m" else mass) for n in system.names if n != "m"}
     parameters |= {"m": mass} if measured.problem.forced else {}
     limits = [fit.limits_in_si(case) for fit in fits]
-    zero = {key: max(one[key] for one in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
-    held_out = float(np.mean([fit.held_out[case] for fit in fits]))
+    zero = {key: max(limit[key] for limit in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
     criterion, error, score, left = figures
     cut, (x, v) = fits[0].excerpt, fits[0].starts[case]
     start = float(x) * cut.size, float(v) * cut.size * cut.rate
-    return ModelClass(name, system, parameters, start, criterion, error, score, left, held_out, zero)
+    return ModelClass(name, system, parameters, start, criterion, error, score, left, zero)

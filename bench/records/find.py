@@ -69,7 +69,7 @@ def _without_needless_terms(job: Job, measured: Measured) -> Finding:
     finding = _answered(job, with_system(measured, without(system, most)))
     if finding.estimate.status is not Status.OK:
         return finding
-    units = {name: unit_over_mass(system, name) for name in most}
+    units = {name: unit_over_mass(name) for name in most}
     reasons = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
     zeros = {f"{n}_over_m": StatedInterval(0.0, *(0.0, limit) * 3, units[n], "at most") for n, limit in most.items()}
     return replace(

@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 
 from bench.records.strongest import strongest_frequency
 from bench.systems import System
-from bench.systems.sums import TERMS, Sum
+from bench.systems.sums import GROUPS, TERMS, Sum
 
 TIED = 10.0
 """Difference of scores below which a class is as good as the chosen one: evidence beyond it is very strong (R. E. Kass,
@@ -45,7 +45,6 @@ class ModelClass:
         criterion_error: Standard error of this difference.
         score: Evidence against the class, with the odds against further terms; the lowest is chosen.
         left: Residuals over the signal, root mean squares.
-        held_out: Fit of the last 40 % of the samples by those before (%).
         zero: The one-sided 95 % limit, over the mass, of each coefficient of damping that the class lacks.
         told_apart: Whether the records tell it from the chosen class.
     """
@@ -58,7 +57,6 @@ class ModelClass:
     criterion_error: float
     score: float
     left: float
-    held_out: float
     zero: Mapping[str, float]
     told_apart: bool = False
 
@@ -79,29 +77,19 @@ class ClassComparison:
         """Return the other classes that are as good."""
         return [model for model in self.classes[1:] if not model.told_apart]
 
-    def average(self, quantity: str) -> list[tuple[float, float]]:
-        """Return values and weights of a quantity in the chosen class, first, and in those as good that have it too.
-
-        Weights are posterior probabilities of the classes among these; they add up to one.
-        """
-        having = [model for model in (self.chosen, *self.tied) if quantity in _quantities(model.system)]
-        if not having or having[0] is not self.chosen:
-            return []
-        values = [model.system.quantity(quantity).value({"m": 1.0, **model.parameters}) for model in having]
-        weights = np.exp([(self.chosen.score - model.score) / 2.0 for model in having])
-        return list(zip(values, (weights / np.sum(weights)).tolist(), strict=True))
-
     def variance(self, quantity: str) -> float:
         """Return the mean square of a quantity's logarithm about the chosen class, over the classes that are as good.
 
-        J. A. Hoeting and others, Stat. Sci. 14:382, 1999, for the average over models.
+        Weights are posterior probabilities of the classes that have the quantity (J. A. Hoeting and others, Stat. Sci.
+        14:382, 1999); 0 where the chosen class has it not.
         """
-        average = [(value, weight) for value, weight in self.average(quantity) if value > 0]
-        return float(sum(weight * np.log(value / average[0][0]) ** 2 for value, weight in average))
-
-
-def _quantities(system: System) -> set[str]:
-    return {quantity.name for quantity in system.quantities}
+        having = [m for m in (self.chosen, *self.tied) if quantity in {q.name for q in m.system.quantities}]
+        if not having or having[0] is not self.chosen:
+            return 0.0
+        values = [float(m.system.quantity(quantity).value({"m": 1.0, **m.parameters})) for m in having]
+        weights = np.exp([(self.chosen.score - m.score) / 2.0 for m in having])
+        logs = np.log(np.maximum(values, 1e-300) / max(values[0], 1e-300))
+        return float(np.sum(weights * logs**2 * (np.array(values) > 0)) / np.sum(weights))
 
 
 def without(system: Sum, zero: Collection[str]) -> Sum:
@@ -110,10 +98,9 @@ def without(system: Sum, zero: Collection[str]) -> Sum:
     return Sum(kept or system.terms, system.smoothing_velocity, system.fixed, system.bias_sign)
 
 
-def unit_over_mass(system: System, name: str) -> str:
-    """Return the unit of a parameter over the mass, whether the system has its term or lacks it."""
-    systems = [system, *(Sum((term,)) for term in TERMS)]
-    return next((q.unit for any_system in systems for q in any_system.groups if q.name == f"{name}_over_m"), "")
+def unit_over_mass(name: str) -> str:
+    """Return the unit of a parameter of a sum over the mass."""
+    return next((group.unit for group in GROUPS if group.name == f"{name}_over_m"), "")
 
 
 def first_guess(system: System, rate: float, size: float, mass: float = 1.0) -> dict[str, float]:

@@ -128,8 +128,7 @@ def _class(model: ModelClass) -> dict[str, Any]:
         "criterion_difference_error": model.criterion_error,
         "told_apart": model.told_apart,
         "residual_pct": 100.0 * model.left,
-        "held_out_pct": model.held_out,
-        "zero": {name: {"most": most, "unit": unit_over_mass(model.system, name)} for name, most in model.zero.items()},
+        "zero": {name: {"most": most, "unit": unit_over_mass(name)} for name, most in model.zero.items()},
     }
 
 

@@ -48,9 +48,8 @@ def classes_grid(classes: Sequence[Mapping[str, Any]]) -> Grid:
         difference, error = model["criterion_difference"], HALF * model["criterion_difference_error"]
         digits = 1 if difference < 100 else 0
         text = f"{difference:.{digits}f}" + (f" ± {error:.{digits}f}" if round(error, digits) > 0 else "")
-        residual, fit = f"{model['residual_pct']:.2g}", fit_text(model["held_out_pct"])
-        rows.append((model["name"], text, residual, fit, "; ".join(limits)))
-    headers = ("Model", "ΔBIC", "Residual RMS (% of signal)", "Prediction FIT (%)", "Not needed, upper limit")
+        rows.append((model["name"], text, f"{model['residual_pct']:.2g}", "; ".join(limits)))
+    headers = ("Model", "ΔBIC", "Residual RMS (% of signal)", "Not needed, upper limit")
     return Grid(headers, tuple(rows), tuple("" if model["told_apart"] else "level" for model in classes))
 
 

@@ -119,7 +119,7 @@ def test_friction_is_chosen_by_any_sensor(measures: str) -> None:
     assert comparison.chosen.left == pytest.approx(10**-1.5, rel=0.35)  # dense samples are averaged
     viscous = next(model for model in comparison.classes if model.name == "viscous")
     assert viscous.told_apart
-    assert viscous.held_out < comparison.chosen.held_out
+    assert viscous.left > comparison.chosen.left
 
 
 def test_the_class_of_repeats_is_chosen_once_and_as_for_each_alone() -> None:
