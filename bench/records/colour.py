@@ -13,8 +13,6 @@ NEIGHBOURS = 3
 """Fourier frequencies to either side over which a periodogram is smoothed."""
 LEAST_SHARE = 0.2
 """Least part of the noise's power that counts as left by a fit near a frequency."""
-KS_95 = 1.358
-"""95 % point of the Kolmogorov statistic: half-width of the band of a cumulative periodogram times the root of n."""
 
 
 def local_spectrum(residuals: np.ndarray, slopes: np.ndarray, length: int) -> np.ndarray:
@@ -60,22 +58,6 @@ def criterion_error(first: np.ndarray, second: np.ndarray) -> float:
     for lag in range(1, reach + 1):
         variance += 2.0 * (1.0 - lag / (reach + 1.0)) * float(apart[lag:] @ apart[:-lag])
     return 2.0 * float(np.sqrt(max(variance, 0.0)))
-
-
-def periodogram(residuals: np.ndarray) -> np.ndarray:
-    """Power of residuals (n,) at their Fourier frequencies without zero, shape (n // 2,); they add up to one."""
-    power = np.abs(np.fft.rfft(residuals - np.mean(residuals))[1:]) ** 2
-    total = float(np.sum(power))
-    return power / total if total > 0 else power
-
-
-def cumulative_periodogram(residuals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Cumulative power, and the half-width of the 95 % band about the straight line that white noise gives.
-
-    M. S. Bartlett, An Introduction to Stochastic Processes, 1955, section 9.2.
-    """
-    power = np.cumsum(periodogram(residuals))
-    return power, KS_95 / np.sqrt(max(power.size, 1))
 
 
 def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from bench.contract.problem import Channel, Problem
 from bench.likelihood.autoregression import even_times
-from bench.likelihood.output_error import OutputError
-from bench.records.colour import autocorrelation, cumulative_periodogram
+from bench.records.colour import autocorrelation
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
-from bench.records.models import first_guess
 from bench.records.modes import Mode, alias_of, line, modes_of
 from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
@@ -60,7 +58,7 @@ START_UP, START_UP_SHARE = 3.0, 0.05
 LEVEL = 0.01
 """p-value below which residuals are not white; one in a hundred good records is said to be coloured."""
 TURNED = 0.5
-"""Residuals with the force turned round over those without, below which its sign is wrong."""
+"""What a linear equation of motion leaves over what the fit does, below which a negative force in it is believed."""
 PURE_SINE = 0.02
 """What a sine leaves of a force, over its root mean square, if the force is one: harmonics of 2 % tell nothing more."""
 SETTLED = 1.1
@@ -93,30 +91,23 @@ def diagnose(
     """
     if at is None:
         return Diagnosis((Reason(Trust.NO, "the answer's response is not finite"),))
-    several = _several_modes(at, problem)
-    reasons = [*several.reasons, *(reason for check in CHECKS for reason in check(at))]
-    if len(several.modes) < 2:
-        reasons += _start_up(at)
+    line_reasons, modes = _lines(at, problem)
+    reasons = [*line_reasons, *_of_fit(at), *([] if len(modes) > 1 else _start_up(at))]
     if sine := steady_sine(problem, part_of_signal(at)):
         reasons.insert(0, Reason(Trust.NO, sine))
     if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
-        reasons += _few(at)
-        reasons += [] if part_of_signal(at) < NOISE_FREE else _of_residuals(intervals, missing)
-        reasons += reasons_of_intervals(intervals)
+        n, unknowns = at.residuals.size, at.theta.size
+        texts = [f"{n} samples for {unknowns} unknowns"] if n < 2 * unknowns else []
+        if part_of_signal(at) >= NOISE_FREE and missing:
+            what = " and ".join(missing)
+            texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
+        colour = max((interval.colour for interval in intervals.values()), default=1.0)
+        if part_of_signal(at) >= NOISE_FREE and colour > STRETCHED:
+            texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
+        reasons += [*(Reason(Trust.CAUTION, text) for text in texts), *reasons_of_intervals(intervals)]
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
-    return Diagnosis(tuple(dict.fromkeys(reasons)), several.modes)
-
-
-def _of_residuals(intervals: Mapping[str, StatedInterval], missing: Sequence[str]) -> list[Reason]:
-    texts = []
-    if missing:
-        what = " and ".join(missing)
-        texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
-    colour = max((interval.colour for interval in intervals.values()), default=1.0)
-    if colour > STRETCHED:
-        texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
-    return [Reason(Trust.CAUTION, text) for text in texts]
+    return Diagnosis(tuple(dict.fromkeys(reasons)), modes)
 
 
 def reasons_of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason]:
@@ -126,12 +117,12 @@ def reasons_of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason
     if most is not None and most.unevenness > UNEVEN and not most.limit:
         said = f"{readable(uneven)} may differ by {100 * most.relative_error:.2g} %"
         texts.append(f"{said} within the record or between repeats: the interval takes it in")
-    limits = [name for name, interval in intervals.items() if interval.limit]
+    limits = [readable(name) for name, interval in intervals.items() if interval.limit]
     if limits:
-        texts.append(f"not determined, only limited to one side: {', '.join(map(readable, limits))}")
-    wide = [name for name, own in intervals.items() if not (own.limit or own.relative_error < WIDE)]
+        texts.append(f"not determined, only limited to one side: {', '.join(limits)}")
+    wide = [readable(name) for name, i in intervals.items() if not (i.limit or i.relative_error < WIDE)]
     if wide:
-        texts.append(f"known to an order of magnitude at most: {', '.join(map(readable, wide))}")
+        texts.append(f"known to an order of magnitude at most: {', '.join(wide)}")
     return [Reason(Trust.CAUTION, text) for text in texts]
 
 
@@ -140,124 +131,118 @@ def readable(name: str) -> str:
     return name.replace("_over_", "/").replace("_", " ")
 
 
-def _motion(at: Linearised) -> list[Reason]:
-    """Test whether the fit explains more than the best of the record's frequencies would explain of white noise."""
+def _of_fit(at: Linearised) -> Iterator[Reason]:
+    """Yield the reasons that record and residuals give, the gravest first."""
+    signals = [channel.values for _, channel in at.model.channels if channel.n > 3]
+    forced, free = at.model.problem.forced, not at.model.problem.forced
+    white, share = whiteness_level(at) > LEVEL, part_of_signal(at)
+    if (chance := _chance_of_noise(at, signals)) > FALSE_ALARM:
+        what = "the force explains nothing of the motion" if forced else "no vibration found"
+        yield Reason(Trust.NO, f"{what}: p = {chance:.2g} under noise alone")
+    if any(np.any(at_limit(values)) for values in signals):
+        yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")
+    forces = [force.values for record in at.model.problem.records for force in record.forces]
+    if (cut := sum(int(np.count_nonzero(at_limit(values))) for values in forces)) and not white:
+        said = f"the force sensor is saturated: {cut} samples stay at its largest or smallest value"
+        yield Reason(Trust.NO, said)
+    thirds = [[float(np.std(third)) for third in np.array_split(values, 3)] for values in signals]
+    growth = max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
+    if free and growth > GROWTH and at.model.system.name != "van_der_pol":  # which gains energy
+        yield Reason(Trust.NO, f"the motion grows {growth:.2g} times over the record, and no damping does that")
+    said = f"the residuals are {share:.0%} of the signal"
+    if share > MOST_LEFT:
+        grave, mild = f"{said} and not white: the model does not describe this record", f"{said}: much noise"
+        yield Reason(Trust.CAUTION, mild) if white else Reason(Trust.NO, grave)
+    elif share > MUCH_LEFT and not white:
+        yield Reason(Trust.CAUTION, f"{said} and not white")
+    cycles = _cycles(at)
+    if free and cycles < TOO_FEW_CYCLES:
+        yield Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two")
+    elif free and cycles < FEW_CYCLES:
+        yield Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles")
+    if share > MOST_LEFT and _force_is_turned(at):
+        yield Reason(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1")
+    outliers = _outliers(at)
+    if 0 < outliers <= MOST_OUTLIERS * at.residuals.size:
+        yield Reason(Trust.CAUTION, f"{outliers} {OUTLIERS}")
+
+
+def _chance_of_noise(at: Linearised, signals: Sequence[np.ndarray]) -> float:
+    """Return the chance that the best of the record's frequencies explains as much of white noise as the fit does."""
     from scipy.stats import f as f_distribution
 
     n, used = at.residuals.size, max(at.used, 1.0)
-    constants = sum(float(np.sum((values - np.mean(values)) ** 2)) for values in _values(at))
+    constants = sum(float(np.sum((values - np.mean(values)) ** 2)) for values in signals)
     left = float(at.residuals @ at.residuals)
     if n - used < 1 or left <= 0:
-        return []
+        return 0.0
     statistic = max(constants - left, 0.0) / used / (left / (n - used))
-    chance = min(1.0, n / 2.0 * float(f_distribution.sf(statistic, used, n - used)))
-    if chance <= FALSE_ALARM:
-        return []
-    what = "the force explains nothing of the motion" if at.model.problem.forced else "no vibration found"
-    return [Reason(Trust.NO, f"{what}: p = {chance:.2g} under noise alone")]
+    return min(1.0, n / 2.0 * float(f_distribution.sf(statistic, used, n - used)))
 
 
-def _residual(at: Linearised) -> list[Reason]:
-    share = part_of_signal(at)
-    if share <= MUCH_LEFT:
-        return []
-    white = whiteness_level(at) > LEVEL
-    said = f"the residuals are {share:.0%} of the signal"
-    if share > MOST_LEFT and not white:
-        return [Reason(Trust.NO, f"{said} and not white: the model does not describe this record")]
-    if share > MOST_LEFT:
-        return [Reason(Trust.CAUTION, f"{said}: much noise")]
-    return [] if white else [Reason(Trust.CAUTION, f"{said} and not white")]
-
-
-def _cycles(at: Linearised) -> list[Reason]:
+def _cycles(at: Linearised) -> float:
+    """Count the cycles in the first record, by the answer or by the fitted motion."""
     channel = at.model.channels[0][1]
-    if at.model.problem.forced or channel.n < 4:
-        return []
     fitted = at.model.data[: channel.n] - at.residuals[: channel.n]
-    cycles = at.model.problem.records[0].duration * (
-        natural_frequency(at) or strongest_frequency(channel.times, fitted)
-    )
-    if cycles < TOO_FEW_CYCLES:
-        return [Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two")]
-    return [Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles")] if cycles < FEW_CYCLES else []
+    return at.model.problem.records[0].duration * (natural_frequency(at) or strongest_frequency(channel.times, fitted))
 
 
-def _outliers(at: Linearised) -> list[Reason]:
-    found = 0
-    for own in at.channels:
-        r = at.residuals[own] - np.median(at.residuals[own])
-        scale = 1.4826 * float(np.median(np.abs(r)))
-        if scale > 0:
-            found += int(np.count_nonzero(np.abs(r) > OUTLIER * scale))
-    if not found or found > MOST_OUTLIERS * at.residuals.size:
-        return []
-    return [Reason(Trust.CAUTION, f"{found} {OUTLIERS}")]
+def _outliers(at: Linearised) -> int:
+    """Count the samples that are far off, by the median of their distance to the median."""
+    count = 0
+    for rows in at.channels:
+        distance = np.abs(at.residuals[rows] - np.median(at.residuals[rows]))
+        scale = 1.4826 * float(np.median(distance))
+        count += int(np.count_nonzero(distance > OUTLIER * scale)) if scale > 0 else 0
+    return count
 
 
-def _clipping(at: Linearised) -> list[Reason]:
-    """Find samples of a motion at the limit of its sensor, or of a force whose fit leaves coloured residuals."""
-    found = []
-    if any(np.any(at_limit(values)) for values in _values(at)):
-        found.append(Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value"))
-    forces = [force for record in at.model.problem.records for force in record.forces]
-    cut = sum(int(np.count_nonzero(at_limit(force.values))) for force in forces)
-    if cut and whiteness_level(at) <= LEVEL:
-        said = f"the force sensor is saturated: {cut} samples stay at its largest or smallest value"
-        found.append(Reason(Trust.NO, said))
-    return found
-
-
-def _several_modes(at: Linearised, problem: Problem) -> Diagnosis:
-    """Look for a line in the residuals of a free motion, or an alias of its frequency: then the modes are offered."""
-    if at.model.problem.forced:
-        return _line(at)
+def _lines(at: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Mode, ...]]:
+    """Look for a line in the residuals, or an alias of a free motion's frequency: then the modes are offered."""
     channel = problem.records[0].channels[0]
-    unexplained = _line(at)
-    frequency = (natural_frequency(at) or 0.0) / problem.natural_units().time
-    rate = (channel.n - 1) / float(np.ptp(channel.times))
-    if any(reason.text.endswith("a second mode") for reason in unexplained.reasons):
+    reasons, is_mode = _line(at)
+    if at.model.problem.forced:
+        return reasons, ()
+    if is_mode:
         modes = modes_of(channel.times, channel.values)
         if len(modes) < 2:
-            return unexplained
+            return reasons, ()
         first, second = modes[:2]
         ratio = max(first.frequency / second.frequency, second.frequency / first.frequency)
         if abs(ratio / round(ratio) - 1.0) < HARMONIC:
             said = f"{second.share:.0%} of the signal is a harmonic at {ratio:.3g} times the natural frequency"
-            return Diagnosis((Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear"),))
+            return [Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear")], ()
         names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
-        reason = unexplained.reasons[0]
-        return Diagnosis((replace(reason, text=f"the record holds modes at {names}; {reason.text}"),), modes)
+        return [Reason(reasons[0].verdict, f"the record holds modes at {names}; {reasons[0].text}")], modes
+    frequency = (natural_frequency(at) or 0.0) / problem.natural_units().time
+    rate = (channel.n - 1) / float(np.ptp(channel.times))
     if not rate / FEW_SAMPLES < frequency < rate or channel.n < 12:
-        return unexplained
+        return reasons, ()
     modes = modes_of(channel.times, channel.values, most=1)
     alias = alias_of(modes[0], channel.times) if modes else None
     if alias is None:
-        return unexplained
+        return reasons, ()
     per_cycle = rate / modes[0].frequency
     said = (
         f"{modes[0].frequency:.4g} Hz and {alias.frequency:.4g} Hz fit the samples alike ({per_cycle:.2g} samples per "
         f"cycle of the lower): only a sampling rate above {2 * alias.frequency:.3g} Hz excludes the alias"
     )
-    worst = Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION
-    return Diagnosis((*unexplained.reasons, Reason(worst, said)), (modes[0], alias))
+    return [*reasons, Reason(Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION, said)], (modes[0], alias)
 
 
-def _line(at: Linearised) -> Diagnosis:
-    """Look for a line in the spectrum of the residuals of each channel."""
-    for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
-        if not even_times(channel.times) or own.size < 16:
+def _line(at: Linearised) -> tuple[list[Reason], bool]:
+    """Look for a line in the spectrum of the residuals of each channel; return whether it may be a mode."""
+    for rows, (_, channel) in zip(at.channels, at.model.channels, strict=True):
+        if not even_times(channel.times) or rows.size < 16:
             continue
-        frequency, share = line(channel.times, at.residuals[own], at.model.data[own] - at.residuals[own])
-        strongest = natural_frequency(at) or strongest_frequency(channel.times, channel.values)
-        harmonic = frequency / strongest
+        frequency, share = line(channel.times, at.residuals[rows], at.model.data[rows] - at.residuals[rows])
+        harmonic = frequency / (natural_frequency(at) or strongest_frequency(channel.times, channel.values))
         if share > SECOND_MODE and abs(harmonic - 1.0) > SAME_LINE:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
-            worst = Trust.NO if share > MOST_LEFT else Trust.CAUTION
             slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
             source = "a second mode" if harmonic > SLOW else slow
-            return Diagnosis((Reason(worst, f"{said}: {source}"),))
-    return Diagnosis()
+            return [Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{said}: {source}")], harmonic > SLOW
+    return [], False
 
 
 def steady_sine(problem: Problem, left: float | None = None) -> str:
@@ -308,24 +293,6 @@ def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[comp
     return complex(sizes[0], -sizes[1]), values - basis @ sizes
 
 
-def _growth(at: Linearised) -> list[Reason]:
-    """Whether a free motion grows."""
-    if at.model.problem.forced:
-        return []
-    for values in _values(at):
-        thirds = np.array_split(values - np.mean(values), 3)
-        first, last = float(np.std(thirds[0])), float(np.std(thirds[2]))
-        if last > GROWTH * first and _decays(at):
-            said = f"the motion grows {last / (first or 1.0):.2g} times over the record, and no damping does that"
-            return [Reason(Trust.NO, said)]
-    return []
-
-
-def _decays(at: Linearised) -> bool:
-    """Whether the system can only lose energy; van der Pol's gains some."""
-    return at.model.system.name != "van_der_pol"
-
-
 def _start_up(at: Linearised) -> list[Reason]:
     """Residuals of the first part that are far larger than those of the rest."""
     for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
@@ -340,52 +307,29 @@ def _start_up(at: Linearised) -> list[Reason]:
     return []
 
 
-def _few(at: Linearised) -> list[Reason]:
-    n = at.residuals.size
-    if n >= 2 * at.theta.size:
-        return []
-    return [Reason(Trust.CAUTION, f"{n} samples for {at.theta.size} unknowns")]
+def _force_is_turned(at: Linearised) -> bool:
+    """Decide whether a linear equation of motion describes the first motion with a force of the opposite sign.
 
+    Integrated twice, ``x = -c/m I x - k/m I² x + 1/m I² f + a + b t + d t²``, with an offset of x, is linear in all
+    unknowns and hardly minds noise; of a velocity the force is integrated once, of an acceleration not at all.
+    """
+    record = at.model.problem.records[0]
+    if not record.forces or at.model.system.n_dof > 1:
+        return False
+    channel, force = record.channels[0], record.forces[0]
+    t, y = channel.times, channel.values - np.mean(channel.values)
 
-def _turned_force(at: Linearised) -> list[Reason]:
-    """Where a forced fit leaves most of the signal: whether the force turned round would leave much less."""
-    if not at.model.problem.forced or part_of_signal(at) <= MOST_LEFT:
-        return []
-    records = tuple(
-        replace(r, forces=tuple(replace(f, values=-f.values) for f in r.forces)) for r in at.model.problem.records
-    )
-    turned = replace(at.model, problem=replace(at.model.problem, records=records))
-    theta = min(turned.settle(_forced_starts(turned, at.theta), 2, 20), key=turned.profile)
-    left = turned.data - turned.predict(theta)
-    if not np.all(np.isfinite(left)) or np.std(left) > TURNED * np.std(at.residuals):
-        return []
-    return [Reason(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1")]
+    def integral(values: np.ndarray) -> np.ndarray:
+        return np.append(0.0, np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(t)))
 
-
-def _forced_starts(model: OutputError, theta: np.ndarray) -> np.ndarray:
-    """Vectors from which to search a forced motion: the given one, and at rest with natural frequencies on a grid."""
-    duration = max(record.duration for record in model.problem.records)
-    size, found = float(np.std(model.data)) or 1.0, [theta]
-    for cycles in np.geomspace(0.5, max(model.data.size / 4.0, 2.0), 16):
-        p = first_guess(model.system, 2 * np.pi * cycles / duration, size)
-        start = np.zeros(theta.size)
-        start[: len(model.free)] = np.log([p[name] for name in model.free])
-        heavier = float(np.std(model.predict(start))) / size
-        massive = [bool(q.dimension.mass) for q in model.system.parameters if q.name in model.free]
-        if np.isfinite(heavier) and heavier > 0:
-            start[: len(model.free)] += np.where(massive, np.log(heavier), 0.0)
-            found.append(start)
-    return np.stack(found)
-
-
-CHECKS: tuple[Callable[[Linearised], list[Reason]], ...] = (
-    _motion, _clipping, _growth, _residual, _cycles, _turned_force, _outliers,
-)  # fmt: skip
-"""Checks of record and residuals, the gravest first."""
-
-
-def _values(at: Linearised) -> list[np.ndarray]:
-    return [channel.values for _, channel in at.model.channels if channel.n > 3]
+    push = np.interp(t, force.times, force.values)
+    for _ in range({"displacement": 2, "velocity": 1, "acceleration": 0}[channel.measures]):
+        push = integral(push)
+    columns = np.column_stack([push, integral(y), integral(integral(y)), np.ones(t.size), t, t**2])
+    sizes = np.linalg.norm(columns, axis=0)
+    coefficients = np.linalg.lstsq(columns / np.where(sizes > 0, sizes, 1.0), y, rcond=None)[0]
+    left = y - columns @ (coefficients / np.where(sizes > 0, sizes, 1.0))
+    return bool(coefficients[0] < 0 and np.std(left) < TURNED * np.std(at.residuals[at.channels[0]]))
 
 
 def part_of_signal(at: Linearised) -> float:
@@ -399,19 +343,12 @@ def part_of_signal(at: Linearised) -> float:
 
 
 def whiteness_level(at: Linearised) -> float:
-    """The smallest p-value of the channels that their residuals are white: Ljung-Box, or the cumulative periodogram."""
+    """The smallest p-value of the channels that their residuals are white, by Ljung and Box."""
     levels = [1.0]
-    for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
-        if own.size < 12 or own.size <= at.theta.size + 2:
-            continue
-        r, tangents = at.residuals[own], at.slopes[own]
-        if own.size > 2000:  # the test draws white noise as long as the record
-            r, tangents = r[:2000], tangents[:2000]
-        levels.append(float(whiteness(r[None], tangents)[0]))
-        if even_times(channel.times):
-            power, band = cumulative_periodogram(at.residuals[own])
-            line = np.arange(1, power.size + 1) / power.size
-            levels.append(1.0 if np.max(np.abs(power - line)) <= band * 1.2 else 0.005)
+    for rows in at.channels:
+        if rows.size >= 12 and rows.size > at.theta.size + 2:
+            kept = rows[:2000]  # the test draws white noise as long as the record
+            levels.append(float(whiteness(at.residuals[kept][None], at.slopes[kept])[0]))
     return min(levels)
 
 
