@@ -130,7 +130,7 @@ def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: O
     from bench.isolation.machine import usable_cores
     from bench.reporting.frame import Result
     from bench.reporting.reproduction import all_cells, ratio_verdicts, verdicts
-    from bench.reporting.reproduction_page import files
+    from bench.reporting.reproduction_page import written
     from bench.reporting.whole_file import check_folder
 
     opened = named_store(store, archive, filled=True)
@@ -141,7 +141,7 @@ def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: O
     complete(list(wanted.values()), opened, Limits(usable_cores()))
     results = {identity: Result.of_cell(cell, opened.load(identity)) for identity, cell in wanted.items()}
     judged = {name: {place: results[cell.identity] for place, cell in own.items()} for name, own in cells.items()}
-    _write(files(verdicts(judged), ratio_verdicts(judged), next(iter(cells.values()))), out, out)
+    _write(written(verdicts(judged), ratio_verdicts(judged), next(iter(cells.values()))), out, out)
     return 0
 
 

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
 
+from bench.reporting.frame import Line
 from bench.reporting.labels import title
 from bench.reporting.paper import own_method, paper_value, printed
 from bench.reporting.reproduction import ASSUMPTIONS, WIDE_MASS, Place, judged_labels, simple
 from bench.reporting.rounding import number
 from bench.reporting.tables.paper_tables import HEADINGS
-from bench.reporting.tables.render import markdown_table
+from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
 from bench.scoring.statistics import LEVEL
 from bench.store.cell import Cell
 
+FIRST = next(iter(ASSUMPTIONS))
 WEIGHING = 1.96
 """An error of so many standard deviations of the weighing is exceeded in one case of twenty."""
 INTRODUCTION = """Each of the paper's 59 numbers (Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002) against the
@@ -40,10 +43,10 @@ errors without signs, so the error of a ratio lies between that of equal and tha
 *Open*: the two ends have different verdicts."""
 
 
-def page(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -> str:
-    """The page as Markdown."""
+def page(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -> list[str | Rows]:
+    """The parts of the page."""
     first, *others = ASSUMPTIONS
-    parts = [
+    return [
         "# Reproduction",
         INTRODUCTION.format(own=judged_labels()[own_method()]),
         "## In short",
@@ -55,16 +58,15 @@ def page(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -
         _moves(data, first, others),
         "## What the numbers imply of k/m and c/m",
         RATIOS,
-        _ratios(ratios, first),
+        listing(ratios.to_dict("records"), IMPLIED),
         "## The numbers",
-        _numbers(data, first),
+        listing(data.to_dict("records"), NUMBERS),
         "## The paper against itself",
         "Its PINN at 20 dB on the reference system has a mass error of 1.1, 2.6 and 3.9 % and an RMSE of 0.016 and "
         "0.021 m in its Tables 2, 3 and 5: what it calls one value spreads by a factor of three.",
         *_against_itself(base),
         "Regenerate: `python -m bench tables what=reproduction`, after the cells of Tables 2 to 5.",
     ]
-    return "\n\n".join(parts) + "\n"
 
 
 def _short(data: pd.DataFrame, ratios: pd.DataFrame, first: str) -> str:
@@ -101,7 +103,7 @@ def _ours(scenario: Scenario, data: pd.DataFrame) -> str:
     )  # fmt: skip
 
 
-def _against_itself(base: Mapping[Place, Cell]) -> list[str]:
+def _against_itself(base: Mapping[Place, Cell]) -> list[str | Rows]:
     """Whether each displacement error is one that the parameters' errors can give."""
     duration = next(iter(base.values())).scenario.duration
     text = (
@@ -112,7 +114,7 @@ def _against_itself(base: Mapping[Place, Cell]) -> list[str]:
     if not inconsistent:
         return [text + "Every printed RMSE lies within it: where errors of k and m cancel it can be next to nil."]
     headers = ["where", "errors of m / c / k (%)", "RMSE they imply (m)", "RMSE printed (m)"]
-    return [text + "Rows whose printed RMSE lies outside it:", markdown_table(inconsistent, headers)]
+    return [text + "Rows whose printed RMSE lies outside it:", (inconsistent, headers)]
 
 
 def implied_rmse(scenario: Scenario, errors: Sequence[float]) -> tuple[float, float]:
@@ -142,56 +144,47 @@ def consistency(base: Mapping[Place, Cell]) -> list[list[str]]:
     return rows
 
 
-def _moves(data: pd.DataFrame, first: str, others: Sequence[str]) -> str:
-    rows = []
-    for name in others:
-        cells = [name]
-        for method in judged_labels():
-            own = data[data.method == method]
-            ratio = float(np.nanmedian(own[f"{name}: median"] / own[f"{first}: median"]))
-            changed = int((own[name].map(simple) != own[first].map(simple)).sum())
-            cells.append(f"×{ratio:.2f}, {changed} of {len(own)}")
-        rows.append(cells)
-    headers = ["reading", *map(title, judged_labels().values())]
-    return markdown_table(rows, headers)
+def _moves(data: pd.DataFrame, first: str, others: Sequence[str]) -> Rows:
+    def moved(label: str, name: str) -> str:
+        own = data[data.method == label]
+        ratio = float(np.nanmedian(own[f"{name}: median"] / own[f"{first}: median"]))
+        return f"×{ratio:.2f}, {int((own[name].map(simple) != own[first].map(simple)).sum())} of {len(own)}"
+
+    return listing(
+        others, {"reading": str, **{title(own): partial(moved, label) for label, own in judged_labels().items()}}
+    )
 
 
-def _numbers(data: pd.DataFrame, first: str) -> str:
-    rows = []
-    for _, line in data.iterrows():
-        rows.append(
-            [
-                str(line.table), line.row, title(judged_labels()[line.method]), HEADINGS[line.metric],
-                number(line.paper), number(line[f"{first}: median"]), line[first], line["paper's training"] or "-",
-                _firm(line), f"{line['p (Holm)']:.2g}",
-            ]
-        )  # fmt: skip
-    headers = ["table", "row", "method", "metric", "paper", "ours, median", "verdict", "paper's training"]
-    return markdown_table(rows, [*headers, "firm", "p (Holm)"])
-
-
-def _ratios(ratios: pd.DataFrame, first: str) -> str:
-    rows = [
-        [
-            str(line.table), line.row, title(judged_labels()[line.method]), HEADINGS[line.metric], line.text,
-            number(line["median"]), line[first], _firm(line),
-        ]
-        for _, line in ratios.iterrows()
-    ]  # fmt: skip
-    headers = ["table", "row", "method", "metric", "paper implies", "ours, median", "verdict", "firm"]
-    return markdown_table(rows, headers)
-
-
-def _firm(line: pd.Series) -> str:
+def _firm(line: Line) -> str:
     """Yes, or the readings under which the verdict is another; a dash where nothing is decided."""
-    first = next(iter(ASSUMPTIONS))
-    changes = [name for name in ASSUMPTIONS if simple(line[name]) != simple(line[first])]
-    return "yes" if line.firm else "no: " + ", ".join(changes) if line.decided else "-"
+    changes = [name for name in ASSUMPTIONS if simple(line[name]) != simple(line[FIRST])]
+    return "yes" if line["firm"] else "no: " + ", ".join(changes) if line["decided"] else MISSING
 
 
-def files(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -> dict[str, str]:
+NAMED: Columns[Line] = {
+    "table": lambda line: str(line["table"]),
+    "row": lambda line: line["row"],
+    "method": lambda line: title(judged_labels()[line["method"]]),
+    "metric": lambda line: HEADINGS[line["metric"]],
+}
+NUMBERS: Columns[Line] = {
+    **NAMED,
+    "paper": lambda line: number(line["paper"]),
+    "ours, median": lambda line: number(line[f"{FIRST}: median"]),
+    "verdict": lambda line: line[FIRST],
+    "paper's training": lambda line: line["paper's training"] or MISSING,
+    "firm": _firm,
+    "p (Holm)": lambda line: f"{line['p (Holm)']:.2g}",
+}
+IMPLIED: Columns[Line] = {
+    **NAMED,
+    "paper implies": lambda line: line["text"],
+    "ours, median": lambda line: number(line["median"]),
+    "verdict": lambda line: line[FIRST],
+    "firm": _firm,
+}
+
+
+def written(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -> dict[str, str]:
     """The page and its numbers, by name."""
-    return {
-        "reproduction.md": page(data, ratios, base),
-        "reproduction.csv": data.to_csv(index=False, float_format="%.5g"),
-    }
+    return files("reproduction", page(data, ratios, base), data.to_dict("records"), digits=5)

@@ -18,7 +18,7 @@ from bench.reporting.reproduction import (
     simple,
     verdicts,
 )
-from bench.reporting.reproduction_page import consistency, files, implied_rmse
+from bench.reporting.reproduction_page import consistency, implied_rmse, written
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.stored import StoredCell
@@ -82,7 +82,7 @@ def test_verdicts_and_firmness_follow_from_the_replicates() -> None:
     assert not others.firm.any()
     assert set(others["records of 20 s"]) == {"ours better"}
     base = next(iter(cells.values()))
-    text = files(data, ratio_verdicts(found), base)["reproduction.md"]
+    text = written(data, ratio_verdicts(found), base)["reproduction.md"]
     assert "no: records of 20 s" in text
     assert f"{data.decided.sum()} of 59 numbers are decided, and 0 of these verdicts are firm" in text
     assert "6 of the 15 mass errors that it prints exceed 3.9 %" in text  # 18.2, 13.8, 9.4, 4.3, 7.1, 11.8
