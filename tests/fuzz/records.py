@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from malformed_files import FILES, mat, npy, parquet
 
 from bench.errors import InputError, line_of
-from bench.records.reading import Recording, read_recording
-from bench.records.reading.options import ReadOptions
+from bench.records.reading import ReadOptions, Recording, read_recording
 
 SEEDS = {
     "text": FILES["good.csv"](),

@@ -9,9 +9,8 @@ import numpy as np
 
 from bench.errors import InputError
 from bench.records.reading.headings import Column
-from bench.records.reading.options import LETTERS, ReadOptions, slot
-from bench.records.reading.table import Table
-from bench.records.reading.units import KNOWN, unit_of
+from bench.records.reading.table import ReadOptions, Table, slot
+from bench.records.reading.units import KNOWN, LETTERS, unit_of
 
 LETTER_OF: dict[str, str] = {quantity: letter for letter, quantity in LETTERS.items()}
 EXAMPLES: dict[str, str] = {"t": "s", "x": "mm", "v": "m/s", "a": "g", "f": "N"}
@@ -174,7 +173,7 @@ class _Columns:
             if named and self[i].label and self[i].unit is None:
                 letter = LETTER_OF[named]
                 remedy = f"column {self.shown(i)} is in no known unit; add units={letter}:… ({KNOWN[named]})"
-                raise self.error(f"{remedy}, or keep it as it is with {self.example(time, i, letter)}", listing=False)
+                raise self.error(f"{remedy}, or keep it as it is with {self.example(time, i, letter)}")
         remedy = "a column of displacement, velocity or acceleration is needed"
         if usable:
             example = self.example(time)

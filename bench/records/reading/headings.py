@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.records.reading.options import LETTERS
-from bench.records.reading.units import Quantity, Unit, unit_of
+from bench.records.reading.units import LETTERS, Quantity, Unit, unit_of
 
 Said = Quantity | Literal["other"] | None
 NAMES: dict[Quantity | Literal["other"], str] = {

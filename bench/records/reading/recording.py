@@ -12,19 +12,20 @@ from numpy.typing import ArrayLike
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
-from bench.records.reading.arrays import table_of
 from bench.records.reading.columns import columns_by_role
 from bench.records.reading.files import read_file
-from bench.records.reading.headings import Column
-from bench.records.reading.options import MEASURES, ReadOptions, slot
-from bench.records.reading.table import Recording, Signal, Table
+from bench.records.reading.headings import Column, column_of
+from bench.records.reading.table import ReadOptions, Recording, Signal, Table, check_size, slot
 from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
+from bench.records.reading.units import MEASURES
 
 NO_OPTIONS = ReadOptions()
 LARGEST, SMALLEST = 1e15, 1e-30
 """In SI units: squares of larger or smaller numbers leave the range of floating point."""
 LEAST_RUN = 10
 """Samples of a run; time that goes back sooner is out of order."""
+ARRAYS = {"times": "s", "displacement": "m", "force": "N"}
+"""Units of arrays from Python."""
 TRIALS = {"trial", "trials", "run", "experiment", "test"}
 """Headers of a column that counts the runs in a file."""
 
@@ -60,8 +61,58 @@ def of_arrays(
     options: ReadOptions = NO_OPTIONS,
 ) -> Recording:
     """Return the record in arrays of one length: times (s, or dates), m and N; raises InputError."""
-    table = table_of({"times": times, "displacement": displacement, "force": force})
+    table = _table_of({"times": times, "displacement": displacement, "force": force})
     return _only(_recordings(table, options, "arrays"))
+
+
+def _table_of(arrays: Mapping[str, ArrayLike | None]) -> Table:
+    """Return the table of arrays of one length (times, displacement, force) in SI units.
+
+    Times may be dates or differences of dates. A masked sample is missing, which is noted.
+
+    Raises:
+        InputError: an array is not one of real, finite numbers, or of another length than the times.
+    """
+    columns: list[Column] = []
+    notes: list[str] = []
+    for name, given in arrays.items():
+        if given is None:
+            continue
+        mask = np.ma.getmaskarray(given) if np.ma.isMaskedArray(given) else np.zeros(np.shape(given), dtype=bool)
+        values = _numbers(name, np.ma.getdata(given) if mask.any() else given, notes)
+        if values.ndim != 1 or (columns and values.size != columns[0].values.size):
+            raise InputError(name, f"array of shape {values.shape}", "one-dimensional, with a number for each time")
+        check_size(values.size, name)
+        bad = ~np.isfinite(values) & ~mask
+        if bad.any():
+            raise InputError(name, "array", f"sample {np.argmax(bad)} is not finite; leave it out")
+        if mask.any():
+            notes.append(f"{name}: {np.sum(mask)} of {mask.size} samples are masked and left out")
+        columns.append(column_of(name, np.where(mask, np.nan, values), ARRAYS[name]))
+    return Table(tuple(columns), tuple(notes))
+
+
+def _numbers(name: str, given: ArrayLike, notes: list[str]) -> np.ndarray:
+    """Return real numbers as they are, and dates as seconds since the first."""
+    try:
+        values = np.asarray(given)
+        first = values.flat[0] if values.size else None
+        moments = isinstance(first, np.datetime64) or hasattr(first, "year")
+        if moments or isinstance(first, np.timedelta64) or hasattr(first, "total_seconds"):
+            if name != "times":
+                raise InputError(name, "array", "dates are no samples; numbers are needed")
+            import pandas as pd  # slow to import, and few need it
+
+            dates = pd.to_datetime(values, utc=True) if moments else pd.to_timedelta(values)
+            notes.append(f"times are {'dates' if moments else 'time differences'}: they count in s from the first")
+            return np.asarray((dates - dates[0]) / pd.Timedelta(seconds=1), dtype=float)
+        if np.iscomplexobj(values) or (values.dtype == object and any(isinstance(v, complex) for v in values.flat)):
+            raise InputError(name, "array", "complex numbers are no samples; give their real or imaginary part")
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError, IndexError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(name, "array", "numbers are needed") from None
 
 
 def _only(recordings: Sequence[Recording]) -> Recording:
@@ -178,11 +229,10 @@ class _Run:
         if not kept.size:
             raise self._error("the column of the time holds no number; name another with columns=t:…")
         self._check_size("t", stamps[kept] * unit)
-        for i, before in zip(kept[1:], stamps[kept], strict=False):
-            if stamps[i] < before:
-                pair = f"{before:.10g} to {stamps[i]:.10g}"
-                remedy = "sort the rows, or keep one record in a file, or give rate= for the time"
-                raise self._error(f"time goes back from {pair}; {remedy}", int(i))
+        for i in np.flatnonzero(np.diff(stamps[kept]) < 0)[:1]:
+            pair = f"{stamps[kept[i]]:.10g} to {stamps[kept[i + 1]]:.10g}"
+            remedy = "sort the rows, or keep one record in a file, or give rate= for the time"
+            raise self._error(f"time goes back from {pair}; {remedy}", int(kept[i + 1]))
         kept = self._without_copies(stamps, kept, signals)
         clock = rebuilt(stamps[kept], unit)
         if clock.rate_error > UNDETERMINED:

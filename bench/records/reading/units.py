@@ -11,6 +11,9 @@ from typing import Literal, NamedTuple
 
 Measures = Literal["displacement", "velocity", "acceleration", "force"]
 Quantity = Literal["time", "displacement", "velocity", "acceleration", "force"]
+MEASURES: dict[str, Measures] = {"x": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
+LETTERS: dict[str, Quantity] = {"t": "time", **MEASURES}
+"""Roles of columns; all but the time's may have the number of a DOF."""
 
 
 class Unit(NamedTuple):

@@ -8,8 +8,7 @@ import pytest
 from fuzz.records import AS_SEEDS, OPTIONS, RECORDS, SEEDS, check_record
 from hypothesis import HealthCheck, given, settings
 
-from bench.records.reading import files, read_recording
-from bench.records.reading.options import ReadOptions
+from bench.records.reading import ReadOptions, files, read_recording
 
 
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
