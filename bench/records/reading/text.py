@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -11,7 +12,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from bench.errors import InputError
-from bench.records.reading.grid import LineAbove, RowShape, TableRow, bounds_of, make_table, row_of, shape_of
+from bench.records.reading.grid import Cell, LineAbove, RowShape, TableRow, bounds_of, make_table, row_of, shape_of
 from bench.records.reading.table import PREAMBLE, Table, check_size
 
 COMMENTS = ("#", "%", "!", "//")
@@ -47,8 +48,8 @@ class Format(NamedTuple):
             simple = '"' if "." in line or self.separator == "," else line.replace(",", ".")
         if not any(letter in simple for letter in '"_n'):  # fast, and of numbers alone
             with suppress(ValueError):
-                cells = [float(text) for text in simple.split(self.separator)]
-                return TableRow(number, [*cells], "n" * len(cells))
+                cells: list[Cell] = [float(text) for text in simple.split(self.separator)]
+                return TableRow(number, cells, sys.intern("n" * len(cells)))
         return row_of(number, self.fields(line), self.decimal)
 
 
