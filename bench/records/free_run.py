@@ -37,10 +37,10 @@ def free_runs(
     with the parameters that others have published; none with ``system=auto``, whose siblings may differ in class.
     Raises InputError.
     """
-    place = of.place(data_root)
-    if place is None or system == AUTO or not (of.tests and of.paths(data_root)):
+    paths = of.paths(data_root)
+    if system == AUTO or not (of.tests and paths):
         return
-    parts = [part_problem(of, system, part, place) for part in of.tests.values()]
+    parts = [part_problem(of, system, part, paths[0].parent) for part in of.tests.values()]
     names = list(parts[0][0].names)
     models = {}
     primary = fits[(fits["method"] == primary_method()) & fits["quantity"].notna() & (fits["withdrawn"] == 0)]

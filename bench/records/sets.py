@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from importlib.resources import files as resources
 from pathlib import Path
@@ -90,21 +88,14 @@ class MeasuredSet(BaseModel):
     unscored: int = 0
     quoted: list[Quoted] = []
 
-    def definition(self) -> str:
-        """Return a digest of what its fits depend on, beside the bytes of its files."""
-        stated = self.model_dump(mode="json", exclude=NOT_OF_FITS)
-        return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:16]
-
-    def place(self, data_root: Path | None) -> Path | None:
-        """Return the folder of its files: in the package, or below ``data_root``; None where that is not given."""
-        if self.packaged:
-            return Path(str(resources("bench").joinpath("data", GROUP, self.folder)))
-        return None if data_root is None else data_root / self.folder
+    def definition(self) -> dict[str, Any]:
+        """Return what its fits depend on, beside the bytes of its files, as JSON holds it."""
+        return self.model_dump(mode="json", exclude=NOT_OF_FITS)
 
     def paths(self, data_root: Path | None) -> tuple[Path, ...]:
-        """Return its files, all of them there, or none."""
-        place = self.place(data_root)
-        paths = () if place is None else tuple(place / name for name in self.files)
+        """Return its files in the package or below ``data_root``: all of them, or none where one is not there."""
+        root = Path(str(resources("bench").joinpath("data", GROUP))) if self.packaged else data_root
+        paths = () if root is None else tuple(root / self.folder / name for name in self.files)
         return paths if all(path.is_file() for path in paths) else ()
 
     def overrides(self, system: str, methods: Sequence[str], path: Path, timeout_s: float) -> dict[str, list[Any]]:

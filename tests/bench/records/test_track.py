@@ -142,9 +142,7 @@ def test_sets_are_whole(name: str) -> None:
     if not of.packaged:
         assert list(tasks(name, of, ["ls"], None, 60.0)) == []
         return
-    place = of.place(None)
-    assert place is not None
-    assert (place / "PROVENANCE.md").is_file()
+    assert (of.paths(None)[0].parent / "PROVENANCE.md").is_file()
     every = list(tasks(name, of, ["ls"], None, 60.0))
     assert len(every) == len(of.files) * of.parts * len(of.systems)
     assert len({task.key for task in every}) == len(every)
@@ -152,9 +150,8 @@ def test_sets_are_whole(name: str) -> None:
 
 
 def test_packaged_records_are_small() -> None:
-    place = measured_set("mgh17").place(None)
-    assert place is not None
-    assert sum(path.stat().st_size for path in place.parent.rglob("*")) < 500_000
+    folder = measured_set("mgh17").paths(None)[0].parents[1]
+    assert sum(path.stat().st_size for path in folder.rglob("*")) < 500_000
 
 
 def test_an_unknown_set_is_said() -> None:
