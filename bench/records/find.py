@@ -117,6 +117,7 @@ def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = 
         rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
         intervals = stated_intervals(scaled, likelihood, parts, rate_error, measured.comparison)
     intervals |= _with_mass(intervals, measured)
+    intervals = {name: replace(own, unit=measured.unit_of(own.unit)) for name, own in intervals.items()}
     diagnosis = diagnose(likelihood, problem, intervals, missing, estimate.message)
     return Finding(method, measured, estimate, wall_s, intervals, diagnosis.reasons, likelihood, diagnosis.modes)
 

@@ -44,7 +44,7 @@ class ModelClass:
         criterion: Information criterion less that of the best class.
         criterion_error: Standard error of this difference.
         score: Evidence against the class, with the odds against further terms; the lowest is chosen.
-        left: Residuals over the signal, root mean squares.
+        left: Root mean square of the residuals over the amplitude, which is half the range of the samples.
         zero: The one-sided 95 % limit, over the mass, of each coefficient of damping that the class lacks.
         told_apart: Whether the records tell it from the chosen class.
     """

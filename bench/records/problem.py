@@ -50,6 +50,13 @@ class Measured:
         """Whether it is turned, not moved."""
         return self.unit.startswith(ANGLE)
 
+    def unit_of(self, unit: str) -> str:
+        """Return the unit of a quantity for what is measured: where it turns, of angles, torques and inertia.
+
+        ``N·s/m`` is then ``N·m·s/rad``, and ``kg`` is ``kg·m²``.
+        """
+        return unit.replace("m", "rad").replace("N", "N·m").replace("kg", "kg·m²") if self.angle else unit
+
 
 def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Measured:
     """The records of a request, read from its files unless they are given; raises InputError."""

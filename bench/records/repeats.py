@@ -113,7 +113,7 @@ def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system:
         math.exp(mean + sign * half) for half in (repeat, together, white) for sign in (-1.0, 1.0)
     )
     interval = StatedInterval(
-        math.exp(mean), low, high, record_low, record_high, white_low, white_high, quantity.unit, "", uneven
+        math.exp(mean), low, high, record_low, record_high, white_low, white_high, stated[0].unit, "", uneven
     )
     if repeat > WIDEST:
         interval = replace(interval, low=0.0, limit="at most")

@@ -20,6 +20,7 @@ from bench.records.diagnostics import natural_frequency, part_of_signal
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
 from bench.records.models import ModelClass, unit_over_mass
+from bench.records.problem import Measured
 from bench.records.response import file_unit, residuals_of
 from bench.records.verdict import Trust
 from bench.reporting.answer import answer
@@ -57,7 +58,7 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         },
         "residuals": _residuals(primary),
         "prediction": _prediction(certificate),
-        "classes": [_class(model) for model in certificate.classes],
+        "classes": [_class(model, certificate.measured) for model in certificate.classes],
         "compared": names,
         "methods": [_method(finding, primary, names) for finding in certificate.findings],
         "replicas": [asdict(line) for line in certificate.replicas],
@@ -121,14 +122,16 @@ def _prediction(certificate: Certificate) -> dict[str, float] | None:
     return None if math.isnan(percent) else {"split": split, "fit_pct": percent}
 
 
-def _class(model: ModelClass) -> dict[str, Any]:
+def _class(model: ModelClass, measured: Measured) -> dict[str, Any]:
     return {
         "name": model.name,
         "criterion_difference": model.criterion,
         "criterion_difference_error": model.criterion_error,
         "told_apart": model.told_apart,
         "residual_pct": 100.0 * model.left,
-        "zero": {name: {"most": most, "unit": unit_over_mass(name)} for name, most in model.zero.items()},
+        "zero": {
+            name: {"most": most, "unit": measured.unit_of(unit_over_mass(name))} for name, most in model.zero.items()
+        },
     }
 
 

@@ -49,7 +49,7 @@ def classes_grid(classes: Sequence[Mapping[str, Any]]) -> Grid:
         digits = 1 if difference < 100 else 0
         text = f"{difference:.{digits}f}" + (f" ± {error:.{digits}f}" if round(error, digits) > 0 else "")
         rows.append((model["name"], text, f"{model['residual_pct']:.2g}", "; ".join(limits)))
-    headers = ("Model", "ΔBIC", "Residual RMS (% of signal)", "Not needed, upper limit")
+    headers = ("Model", "ΔBIC", "Residual RMS (% of amplitude)", "Not needed, upper limit")
     return Grid(headers, tuple(rows), tuple("" if model["told_apart"] else "level" for model in classes))
 
 

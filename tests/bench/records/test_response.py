@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,18 @@ def test_what_is_shown_is_in_the_unit_of_the_file(tmp_path: Path) -> None:
     assert response.fit.residuals.unit == "mm"
     assert response.fit.residuals.rms == pytest.approx(1e3 * NOISE, rel=0.35)
     assert response.fit.residuals.offset == pytest.approx(100.0, abs=10.0)
+
+
+def test_quantities_of_what_turns_have_its_units() -> None:
+    times = np.arange(0.0, 5.0, 0.05)
+    request = request_of({"data": ["arrays"], "method": ["shooting"]})
+    measured = read_measured(request, (of_arrays(times, decay(times)),))
+    units = {"m/s²": "rad/s²", "1/(m²·s²)": "1/(rad²·s²)", "N·s/m": "N·m·s/rad", "kg": "kg·m²", "Hz": "Hz"}
+    channel = replace(measured.problem.records[0].channels[0], unit="rad")
+    record = replace(measured.problem.records[0], channels=(channel,))
+    turned = replace(measured, problem=replace(measured.problem, records=(record,)))
+    assert {unit: turned.unit_of(unit) for unit in units} == units
+    assert {unit: measured.unit_of(unit) for unit in units} == {unit: unit for unit in units}
 
 
 def test_the_best_is_trusted_most_then_leaves_least(findings: list[Finding]) -> None:
