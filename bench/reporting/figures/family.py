@@ -14,7 +14,8 @@ from bench.reporting.figures.beside import LINE, spread
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.figures.style import MORE_COLOURS, SMALL, panels, plain_logarithmic, wrapped
 from bench.reporting.frame import ERROR, Frame, Result, experiment_frame, table_experiments
-from bench.reporting.tables.family_numbers import GROUP, PLACE, moment_score, rms
+from bench.reporting.tables.family_numbers import GROUP, PLACE, moment_score
+from bench.reporting.tables.pooling import root_mean_square
 from bench.scoring.traces import MOMENTS
 
 PANELS = (("optimizer", 0), ("optimizer", 1), ("weighting", 0), ("architecture", 0))
@@ -103,7 +104,7 @@ def errors(one: Result, n: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     With ``n``, of the first n replicates alone.
     """
     bound, ok = one.bound(GROUP + ERROR), one.ok[:n]
-    values = np.array([rms(one.scores(moment_score(moment))[:n][ok]) / bound for moment in MOMENTS])
+    values = np.array([root_mean_square(one.scores(moment_score(moment))[:n][ok]) / bound for moment in MOMENTS])
     known = np.isfinite(values) & (values > 0)
     return np.array(MOMENTS)[known], values[known]
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from bench.reporting.family import Place
 from bench.reporting.frame import ERROR, Result
-from bench.reporting.rounding import excess_text, number
+from bench.reporting.rounding import excess_text, number, percent
+from bench.reporting.tables.pooling import root_mean_square
 from bench.scoring.traces import MOMENTS
 
 PLACE: Place = (20.0, "known")
@@ -42,9 +43,9 @@ def accuracy(one: Result, n: int | None = None) -> dict[str, float]:
     """
     hits = one.successful(f"{GROUP}_coverage_95", n)
     return {
-        "k_over_m_excess": rms(one.successful(GROUP + ERROR, n)) / one.bound(GROUP + ERROR),
-        "c_over_m_excess": rms(one.successful(OTHER + ERROR, n)) / one.bound(OTHER + ERROR),
-        "displacement_excess": rms(one.successful("rmse", n)) / one.bound("rmse"),
+        "k_over_m_excess": root_mean_square(one.successful(GROUP + ERROR, n)) / one.bound(GROUP + ERROR),
+        "c_over_m_excess": root_mean_square(one.successful(OTHER + ERROR, n)) / one.bound(OTHER + ERROR),
+        "displacement_excess": root_mean_square(one.successful("rmse", n)) / one.bound("rmse"),
         "k_over_m_coverage_95": float(np.mean(hits)) if hits.size else math.nan,
     }
 
@@ -73,7 +74,8 @@ def at_minimum(one: Result, n: int | None = None) -> tuple[float, float]:
     With ``n``, of the first n replicates alone.
     """
     first, second = (
-        rms(one.successful(f"{group}_off_pct_at_minimum", n)) / one.bound(group + ERROR) for group in (GROUP, OTHER)
+        root_mean_square(one.successful(f"{group}_off_pct_at_minimum", n)) / one.bound(group + ERROR)
+        for group in (GROUP, OTHER)
     )
     return first, second
 
@@ -95,10 +97,10 @@ def oracle_seconds(one: Result, oracle: Result | None) -> float:
         return math.nan
     n = min(one.n, oracle.n)
     both = one.ok[:n] & oracle.ok[:n]
-    limit = NEAR * rms(oracle.scores(GROUP + ERROR)[:n][both])
+    limit = NEAR * root_mean_square(oracle.scores(GROUP + ERROR)[:n][both])
     first = math.inf
     for moment in reversed(MOMENTS):
-        if not rms(one.scores(moment_score(moment))[:n][both]) <= limit:
+        if not root_mean_square(one.scores(moment_score(moment))[:n][both]) <= limit:
             break
         first = moment
     return first
@@ -107,11 +109,6 @@ def oracle_seconds(one: Result, oracle: Result | None) -> float:
 def moment_score(moment: float) -> str:
     """The score that has the error at a moment (s) of a training."""
     return f"{GROUP}_off_pct_at_{moment:g}s"
-
-
-def rms(values: np.ndarray) -> float:
-    """The root mean square; NaN of nothing, and where any is NaN."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def median(values: np.ndarray) -> float:
@@ -125,7 +122,7 @@ def text(quantity: str, value: float) -> str:
     if quantity in ("arrival_s", "oracle_s") and math.isinf(value):
         return "never"
     if quantity.startswith("k_over_m_coverage"):
-        return "-" if math.isnan(value) else f"{100 * value:.0f}"
+        return percent(value)
     if "excess" in quantity:
         return excess_text(value)
     if quantity == "peak_memory_mb":
