@@ -20,6 +20,8 @@ from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
 from bench.records.reading.units import MEASURES
 
 NO_OPTIONS = ReadOptions()
+Clocked = tuple[np.ndarray, np.ndarray, float]
+"""The samples that are kept, their times (s), and the relative error of their rate."""
 LARGEST, SMALLEST = 1e15, 1e-30
 """In SI units: squares of larger or smaller numbers leave the range of floating point."""
 LEAST_RUN = 10
@@ -164,16 +166,6 @@ def _starts(table: Table, columns: Mapping[str, Column], n: int, source: str) ->
 
 
 @dataclass(frozen=True, eq=False)
-class _SampleTimes:
-    """Stamps (s) as the record has them, the times that are meant, the samples they belong to, their rate's error."""
-
-    stamps: np.ndarray
-    times: np.ndarray
-    kept: np.ndarray
-    rate_error: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
 class _Run:
     """Columns of one record by role, in SI but for the times; ``notes`` grow with what is done to them."""
 
@@ -192,12 +184,13 @@ class _Run:
             shared = self._times(time.values, time.unit.size, list(measured.values()))
         signals = []
         for role, column in measured.items():
-            clock = shared or self._own_times(column)
-            values, times = self._kept(role, column.values, clock)
+            samples, times, error = shared or self._own_times(column)
+            there = self._there(role, column.values[samples])
+            values, times = column.values[samples][there], times[there]
             size = 1.0 if column.unit is None else column.unit.size
             measures, dof = MEASURES[role[0]], slot(role)[1]
             signals.append(Signal(role, measures, dof, values, column.label, times, column.written, size))
-            rate_error = max(rate_error, clock.rate_error)
+            rate_error = max(rate_error, error)
         start = min(float(signal.times[0]) for signal in signals)
         signals = [replace(signal, times=signal.times - start) for signal in signals]
         return Recording(tuple(signals), tuple(dict.fromkeys(self.notes)), self.source, sha256, rate_error)
@@ -213,15 +206,16 @@ class _Run:
             allowed = f"from {SMALLEST:g} to {LARGEST:g}, see units="
             raise self._error(f"{name} is up to {largest:.3g} in SI units; {allowed}")
 
-    def _own_times(self, column: Column) -> _SampleTimes:
+    def _own_times(self, column: Column) -> Clocked:
         """Return the times of a signal where no column has them: by rate=, or as the file gives them."""
         if self.options.rate is not None:
-            numbers = np.arange(column.values.size)
-            return _SampleTimes(numbers / self.options.rate, numbers / self.options.rate, numbers)
+            times = np.arange(column.values.size) / self.options.rate
+            inside = self._inside(times)
+            return inside, times[inside], 0.0
         assert column.times is not None
         return self._times(column.times, 1.0, [column])
 
-    def _times(self, stamps: np.ndarray, unit: float, signals: Sequence[Column]) -> _SampleTimes:
+    def _times(self, stamps: np.ndarray, unit: float, signals: Sequence[Column]) -> Clocked:
         """Return times from stamps in a unit of so many seconds; raises InputError where they do not grow."""
         kept = np.flatnonzero(np.isfinite(stamps))
         if kept.size < stamps.size:
@@ -243,7 +237,8 @@ class _Run:
         for i in kept[1:][np.diff(clock.times) <= 0]:
             remedy = "repeats and no even sampling explains it; give rate= in place of the time"
             raise self._error(f"time {stamps[i]:.10g} {remedy}", int(i))
-        return _SampleTimes(stamps[kept] * unit, clock.times, kept, clock.rate_error)
+        inside = self._inside(stamps[kept] * unit)
+        return kept[inside], clock.times[inside], clock.rate_error
 
     def _without_copies(self, stamps: np.ndarray, kept: np.ndarray, signals: Sequence[Column]) -> np.ndarray:
         """Return samples without those that repeat the row before them, where all stamps that repeat are such rows."""
@@ -254,21 +249,23 @@ class _Run:
         self.notes.append(f"rows that repeat the row before them are left out: {again.size} of {kept.size}")
         return np.delete(kept, again)
 
-    def _kept(self, role: str, samples: np.ndarray, clock: _SampleTimes) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and times (s) of the part from ``from`` to ``to``, without missing values."""
-        first, last = float(clock.stamps[0]), float(clock.stamps[-1])
+    def _inside(self, stamps: np.ndarray) -> np.ndarray:
+        """Return the numbers of the stamps (s) from ``from`` to ``to``."""
+        first, last = float(stamps[0]), float(stamps[-1])
         room = 1e-9 * max(abs(first), abs(last))
-        inside = np.ones(clock.stamps.size, dtype=bool)
-        for name, value, sign in (("from", self.options.start, 1.0), ("to", self.options.end, -1.0)):
-            if value is not None:
-                if not first - room <= value <= last + room:
-                    raise InputError(name, value, f"{self.source} runs from {first:.6g} to {last:.6g} s")
-                inside &= sign * (clock.stamps - value) >= -room
-        values, times = samples[clock.kept][inside], clock.times[inside]
+        for name, value in (("from", self.options.start), ("to", self.options.end)):
+            if value is not None and not first - room <= value <= last + room:
+                raise InputError(name, value, f"{self.source} runs from {first:.6g} to {last:.6g} s")
+        start = first if self.options.start is None else self.options.start
+        end = last if self.options.end is None else self.options.end
+        return np.flatnonzero((stamps >= start - room) & (stamps <= end + room))
+
+    def _there(self, role: str, values: np.ndarray) -> np.ndarray:
+        """Return which values are not missing; raises InputError for too few, and for none that can be squared."""
         there = np.isfinite(values)
         if not there.all():
             self.notes.append(f"{role}: {np.sum(~there)} of {there.size} values are missing and left out")
         if np.sum(there) < MIN_SAMPLES:
             raise self._error(f"{np.sum(there)} samples of {role}; at least {MIN_SAMPLES} are needed")
         self._check_size(role, values[there])
-        return values[there], times[there]
+        return there
