@@ -65,7 +65,7 @@ def prepare(
         runs = [recording]
         if free and not known_state:
             recording = _released(recording) if begun is None else recording
-            runs = _runs(recording, begun is not None) if n_dof == 1 else [recording]
+            runs = [_stopped(run) for run in (_runs(recording, begun is not None) if n_dof == 1 else [recording])]
         for run in runs:
             if options.detrend or (free and options.detrend is None):
                 run = _each_motion(run, partial(_straightened, wanted=bool(options.detrend), source=run.source))
@@ -184,13 +184,28 @@ def _noise(first: Signal, second: Signal) -> tuple[float, tuple[float, float]]:
 # ------------------------------------------------------------------------------- where the free motion goes on
 
 
+def _silences(recording: Recording, direction: int = 1) -> list[float]:
+    """Return when (s) each motion is released, or stops with ``direction`` -1; none if a sensor shows no silence."""
+    motions = [(direction * s.times[::direction], s.values[::direction]) for s in _motions(recording)]
+    times = [time for motion in motions if (time := silence(*motion)) is not None]
+    return [direction * time for time in times] if len(times) == len(motions) else []
+
+
 def _released(recording: Recording) -> Recording:
     """Return the recording from its release on, where all its sensors show a constant before."""
-    times = [time for signal in _motions(recording) if (time := silence(signal.times, signal.values)) is not None]
-    if not times or len(times) < len(_motions(recording)):
+    times = _silences(recording)
+    if not times:
         return recording
     said = f"nothing moves in the first {min(times):.3g} s: the record begins at the release"
     return _said(_between(recording, min(times), np.inf), said)
+
+
+def _stopped(recording: Recording) -> Recording:
+    """Say where all sensors show a constant at the end, as after a stop by friction; the samples stay."""
+    times = _silences(recording, -1)
+    return (
+        _said(recording, f"nothing moves after {max(times):.3g} s: the motion has ended there") if times else recording
+    )
 
 
 def _runs(recording: Recording, begun: bool) -> list[Recording]:

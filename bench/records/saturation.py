@@ -17,8 +17,6 @@ OTHERS = 2.0
 """Least samples in the first step over any other near the limit: a motion sampled in step with itself has as many."""
 COARSEST = 0.05
 """Largest width of a step over the range."""
-LEAST = 8
-"""Least samples at a limit."""
 APART = 0.25
 """Part of the range that the values leave a limit by, before and after it, so that it is no rest and no hold."""
 BETWEEN = 0.2
@@ -42,7 +40,7 @@ def _at_top(values: np.ndarray) -> np.ndarray:
     for step in sorted({max(width * size, 1.001 * resolution) for width in STEPS}, reverse=True):
         below = np.round((top - values) / step)
         counts = np.bincount(below[inner].astype(int), minlength=4)
-        least = max(LEAST, PILED * (np.mean(counts[1:4]) + 1.0), OTHERS * np.max(counts[1:]))
+        least = max(PILED * (np.mean(counts[1:4]) + 1.0), OTHERS * np.max(counts[1:]))
         if step <= COARSEST * size and counts[0] >= least:
             return np.asarray(below == 0)
     return nowhere

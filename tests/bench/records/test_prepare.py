@@ -154,6 +154,22 @@ def test_a_stop_by_friction_and_a_pendulum_at_large_angles_are_no_change() -> No
     assert not run.notes
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_a_standstill_is_said_and_kept(offset: float) -> None:
+    """Where dry friction holds a mass, away from its rest too; a decay into noise is said only where it is long."""
+    times = np.arange(0.0, 20 * PERIOD, PERIOD / 30)
+    swinging = times < 4 * PERIOD
+    motion = np.where(swinging, (1.0 - times / (4 * PERIOD)) * np.cos(OMEGA * times), offset) + noise(
+        times.size, 0, 0.003
+    )
+    (run,) = runs(times, motion)
+    assert run.signals[0].values.size == times.size
+    (said,) = [float(note.split()[3]) for note in run.notes if note.startswith("nothing moves after")]
+    assert said == pytest.approx(4 * PERIOD, abs=0.3 * PERIOD)
+    (run,) = runs(times, decay(times) + noise(times.size, 0))
+    assert "nothing moves" not in notes((run,))
+
+
 # what is no second measurement
 
 
