@@ -27,25 +27,23 @@ UNEVEN = 0.01
 
 
 def decimated(recording: Recording, factor: int) -> Recording:
-    """Every ``factor``-th sample of the filtered signals, from a common start at time 0; the notes say what was done.
+    """Keep every ``factor``-th sample of the filtered signals, from a common start at time 0, and say what was done.
 
     Raises:
-        InputError: uneven samples, too few of them, or a vibration that the filter would take away.
+        InputError: Samples are uneven or too few, or the filter would take the vibration away.
     """
     if factor == 1:
         return recording
-    path = recording.source
-    made, notes = zip(*(_decimated(signal, factor, path) for signal in recording.signals), strict=True)
-    first = max(float(signal.times[0]) for signal in made)
-    last = min(float(signal.times[-1]) for signal in made)
-    room = 1e-9 * (last - first)
-    found = []
-    for signal in made:
+    pairs = [_decimated(signal, factor, recording.source) for signal in recording.signals]
+    first, last = max(signal.times[0] for signal, _ in pairs), min(signal.times[-1] for signal, _ in pairs)
+    room, signals = 1e-9 * (last - first), []
+    for signal, _ in pairs:
         kept = (signal.times >= first - room) & (signal.times <= last + room)
         if np.sum(kept) < MIN_SAMPLES:
-            raise InputError("decimate", factor, f"{path} keeps {np.sum(kept)} samples of {signal.role}; a smaller one")
-        found.append(replace(signal, times=signal.times[kept] - first, values=signal.values[kept]))
-    return replace(recording, signals=tuple(found), notes=(*recording.notes, *notes))
+            remedy = f"{recording.source} keeps {np.sum(kept)} samples of {signal.role}; a smaller one"
+            raise InputError("decimate", factor, remedy)
+        signals.append(replace(signal, times=signal.times[kept] - first, values=signal.values[kept]))
+    return replace(recording, signals=tuple(signals), notes=(*recording.notes, *(said for _, said in pairs)))
 
 
 def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
@@ -72,7 +70,7 @@ def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
 
 
 def _power_above(values: np.ndarray, part: float) -> float:
-    """Share of the power of values (n,) without a mean above a part of their Nyquist frequency."""
+    """Return the share of the power of values (n,) of mean zero above a part of their Nyquist frequency."""
     power = np.abs(np.fft.rfft(values)) ** 2
     total = float(np.sum(power))
     return float(np.sum(power[int(part * (power.size - 1)) + 1 :])) / total if total > 0 else 0.0

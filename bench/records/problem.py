@@ -1,4 +1,4 @@
-"""Measured records as a Problem: their signals, the system that was asked for, and what is told of it."""
+"""The problem of measured records: their signals, the system that was asked for, and what the user knows of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.errors import InputError
 from bench.records.decimation import decimated
 from bench.records.models import ClassComparison, smoothing_velocity
 from bench.records.prepare import prepare
-from bench.records.reading import Recording, Signal, read_recordings
+from bench.records.reading import Recording, read_recordings
 from bench.records.request import AUTO, Request
 from bench.records.strongest import strongest_frequency
 from bench.systems import System, make_system
@@ -31,7 +31,7 @@ CYCLE_SAMPLES, FEWEST = 10, 200
 class Measured:
     """Recordings and the problem that they pose; ``notes`` say what was done to them.
 
-    ``told`` values, of parameters that the data cannot tell and the user has told, scale what is found.
+    ``told_mass``: the mass (kg) that the user knows, which scales the ratios where the data leave it open.
     """
 
     recordings: tuple[Recording, ...]
@@ -42,12 +42,12 @@ class Measured:
 
     @property
     def unit(self) -> str:
-        """Of the first channel."""
+        """Unit of the first channel."""
         return self.problem.records[0].channels[0].unit
 
     @property
     def angle(self) -> bool:
-        """Whether it is turned, not moved."""
+        """Whether the first channel is of a rotation."""
         return self.unit.startswith(ANGLE)
 
     def unit_of(self, unit: str) -> str:
@@ -59,12 +59,10 @@ class Measured:
 
 
 def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Measured:
-    """The records of a request, read from its files unless they are given; raises InputError."""
+    """Make the problem of a request from its files, or from what was read of them before; raises InputError."""
     if not recordings:
         recordings = [recording for path in request.files for recording in read_recordings(path, request.options)]
-    recordings = tuple(recordings)
-    job = request.job
-    start, n_dof = _start(job), _system(request, recordings[0]).n_dof
+    job, start, n_dof = request.job, _start(request.job), _system(request, recordings[0]).n_dof
     recordings = prepare(recordings, request.options, known_state=start is not None, n_dof=n_dof)
     system = _system(request, recordings[0])
     records = tuple(_record(recording, system, start, job) for recording in recordings)
@@ -77,43 +75,45 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     except InputError as error:
         raise InputError("data", f"{names} ({error.field} {error.value})", error.remedy) from None
     mass = job.config.fixed.get("m")
-    _check_scale(problem, mass)
-    notes = tuple(dict.fromkeys(note for recording in recordings for note in recording.notes))
-    return Measured(recordings, problem, notes, mass)
+    if mass is not None and mass <= 0:
+        raise InputError("fixed.m", mass, "a positive mass (kg)")
+    if mass is not None and (problem.prior is not None or problem.scale_told):
+        raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
+    return Measured(recordings, problem, _notes(recordings), mass)
+
+
+def _notes(recordings: Sequence[Recording], before: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the notes of recordings after others, each of them once."""
+    return tuple(dict.fromkeys([*before, *(note for recording in recordings for note in recording.notes)]))
 
 
 def _system(request: Request, recording: Recording) -> System:
-    """The system that was asked for, with what is told of it; a pendulum's length is 1 where angles are measured."""
-    job, motion = request.job, _motion(recording)
+    """Make the system that was asked for, with the parameters that are known.
+
+    A pendulum's length is 1 where angles are measured.
+    """
+    job = request.job
     fixed = {name: value for name, value in job.config.fixed.items() if name != "m"}
+    if fixed and request.system == AUTO:
+        raise InputError("fixed", fixed, "with system=auto nothing is told; name the system")
+    if fixed and "system" in job.explicit:
+        raise InputError("fixed", fixed, "it is for sums of terms, as system=sdof+coulomb fixed.k=0")
     if request.system == AUTO:
-        if fixed:
-            raise InputError("fixed", fixed, "with system=auto nothing is told; name the system")
         return sum_from("sdof")
     if "system" in job.explicit:
-        if fixed:
-            raise InputError("fixed", fixed, "it is for sums of terms, as system=sdof+coulomb fixed.k=0")
-        physics = job.config.system
-        return make_system(physics["kind"], physics["options"])
-    velocity = 0.01
-    if motion is not None:
-        velocity = smoothing_velocity(motion.times, motion.values, motion.measures)
-    words = request.system.split("+")
-    if motion is not None and motion.unit.startswith(ANGLE) and "pendulum" in words and "l" not in fixed:
-        fixed["l"] = 1.0
+        return make_system(job.config.system["kind"], job.config.system["options"])
+    motions = [signal for signal in recording.signals if signal.measures != "force"]
+    motion = min(motions, key=lambda signal: signal.measures != "displacement", default=None)
+    velocity = 0.01 if motion is None else smoothing_velocity(motion.times, motion.values, motion.measures)
+    if motion is not None and motion.unit.startswith(ANGLE) and "pendulum" in request.system.split("+"):
+        fixed.setdefault("l", 1.0)
     try:
         system = sum_from(request.system, smoothing_velocity=velocity, fixed=tuple(fixed.items()))
     except InputError as error:
         raise InputError(error.field.removeprefix("system.options."), error.value, error.remedy) from None
-    if system.needs_scale and not any(s.measures == "force" for s in recording.signals) and "prior" not in job.explicit:
+    if system.needs_scale and len(motions) == len(recording.signals) and "prior" not in job.explicit:
         raise InputError("fixed", fixed, "without a force or a prior only ratios to the mass can be told; give one")
     return system
-
-
-def _motion(recording: Recording) -> Signal | None:
-    """The first displacement of a recording, or else its first signal of a motion."""
-    motions = [signal for signal in recording.signals if signal.measures != "force"]
-    return min(motions, key=lambda signal: signal.measures != "displacement", default=None)
 
 
 def _record(recording: Recording, system: System, start: InitialState | None, job: Job) -> Record:
@@ -168,17 +168,8 @@ def _prior(job: Job, system: System) -> Prior | None:
     )
 
 
-def _check_scale(problem: Problem, mass: float | None) -> None:
-    if mass is None:
-        return
-    if mass <= 0:
-        raise InputError("fixed.m", mass, "a positive mass (kg)")
-    if problem.prior is not None or problem.scale_told:
-        raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
-
-
 def spare_factor(problem: Problem) -> int:
-    """By how much the samples of every channel can be decimated and still describe its motion; 1: not at all."""
+    """Compute by how much samples can be decimated that still describe the motion of every channel; 1: not at all."""
     factors = []
     for channel in (channel for record in problem.records for channel in record.channels):
         per_cycle = (channel.n - 1) / float(np.ptp(channel.times)) / strongest_frequency(channel.times, channel.values)
@@ -187,23 +178,22 @@ def spare_factor(problem: Problem) -> int:
 
 
 def with_fewer_samples(measured: Measured, factor: int, job: Job) -> Measured:
-    """The same records decimated, with what was done as a note; raises InputError where that cannot be."""
+    """Decimate the records, with what was done as a note; raises InputError where that cannot be."""
     if any(record.initial_state is not None for record in measured.problem.records):
         raise InputError("decimate", factor, "the start is told, and decimation leaves the first samples out")
     recordings = tuple(decimated(recording, factor) for recording in measured.recordings)
-    system = measured.problem.system
-    records = tuple(_record(recording, system, None, job) for recording in recordings)
-    notes = (*measured.notes, *(note for r in recordings for note in r.notes if note not in measured.notes))
-    return replace(measured, recordings=recordings, problem=replace(measured.problem, records=records), notes=notes)
+    records = tuple(_record(recording, measured.problem.system, None, job) for recording in recordings)
+    problem = replace(measured.problem, records=records)
+    return replace(measured, recordings=recordings, problem=problem, notes=_notes(recordings, measured.notes))
 
 
 def with_system(measured: Measured, system: Sum) -> Measured:
-    """The same records, of another system."""
+    """Pose the problem of the records with another system."""
     return replace(measured, problem=of_system(measured.problem, system))
 
 
 def of_system(problem: Problem, system: Sum) -> Problem:
-    """The problem with another system; an offset that it cannot tell from the motion is estimated no more."""
+    """Pose a problem with another system; an offset that it cannot distinguish from the motion is not estimated."""
     records = tuple(
         replace(r, channels=tuple(replace(c, offset=c.offset and system.tells_offset) for c in r.channels))
         for r in problem.records
