@@ -51,8 +51,6 @@ FIRST_CYCLES, GROWTH = 1.5, 2.5
 ITERATIONS, LAST_ITERATIONS, COLOURED_ITERATIONS = 8, 15, 4
 TOLERANCE = 1e-4
 """A search ends where a step would lower the squares by less than this part of the noise's variance at its start."""
-HOPELESS = 5.0
-"""Residuals over those of the best class, from which one without further damping is not improved by any."""
 NOISE_FLOOR = 1e-4
 """Least noise over the signal: that of the steps and of digits."""
 ONE_SIDED = float(standard_quantile(0.95, None))
@@ -252,7 +250,6 @@ class LawFitter:
         self.size = self.law + self.states + len(excerpt.offsets)
         self.whole = float(np.max(excerpt.places * excerpt.weight))
         self.counts = np.sum(excerpt.weight, axis=1).astype(int)
-        self.using = np.ones(len(free), bool)
 
     @property
     def open(self) -> np.ndarray:
@@ -280,33 +277,31 @@ class LawFitter:
         return left, slopes
 
     def search(self, theta: np.ndarray, iterations: int, weight: np.ndarray, noises: Noises | None = None) -> Searched:
-        """Lower the squares of the classes in use over the weighted samples, whitened where the noise is given.
+        """Lower the squares of all classes over the weighted samples, whitened where the noise is given.
 
         Returns:
-            The unknowns (C, size) and the sums of squares (C,), infinite for classes not in use.
+            The unknowns (C, size) and the sums of squares (C,).
         """
-        every, used = theta.copy(), self.open
-        using = np.flatnonzero(self.using)
+        trial, free, scale = theta.copy(), self.open, np.ones(len(theta))
         length = float(np.max(self.excerpt.places * (weight > 0)))
 
-        def evaluate(cases: np.ndarray, trial: np.ndarray) -> Linearisation:
-            every[using[cases]] = trial
+        def evaluate(cases: np.ndarray, unknowns: np.ndarray) -> Linearisation:
+            trial[cases] = unknowns
             with np.errstate(all="ignore"):
-                left, slopes = self.evaluate(every, length)
-            left, slopes = left * weight, slopes * (weight[..., None] * used[:, None, None, :])
+                left, slopes = self.evaluate(trial, length)
+            left, slopes = left * weight, slopes * (weight[..., None] * free[:, None, None, :])
             if noises is not None:
                 left, slopes = self.whitened(noises, left, slopes)
-            left, slopes, n = left[using[cases]], slopes[using[cases]], cases.size
+            left, slopes, n = left[cases], slopes[cases], cases.size
             left, slopes = left.reshape(n, -1) * scale[cases, None], slopes.reshape(n, -1, self.size)
-            return Linearisation.of(trial, left, slopes * scale[cases, None, None])
+            return Linearisation.of(unknowns, left, slopes * scale[cases, None, None])
 
-        scale, every_case = np.ones(using.size), np.arange(using.size)
-        cost = evaluate(every_case, theta[using]).cost
-        scale = np.sqrt(SETTLED / TOLERANCE * np.sum(weight > 0) / np.where(np.isfinite(cost) & (cost > 0), cost, 1.0))
-        reached = minimise(evaluate, evaluate(every_case, theta[using]), iterations).at
-        theta, cost = theta.copy(), np.full(len(theta), np.inf)
-        theta[using], cost[using] = reached.unknowns, reached.cost / scale**2
-        return theta, cost
+        start = evaluate(np.arange(len(theta)), theta)
+        cost = np.where(np.isfinite(start.cost) & (start.cost > 0), start.cost, 1.0)
+        scale = np.sqrt(SETTLED / TOLERANCE * np.sum(weight > 0) / cost)
+        start = Linearisation.of(theta, start.residuals * scale[:, None], start.slopes * scale[:, None, None])
+        reached = minimise(evaluate, start, iterations).at
+        return reached.unknowns, reached.cost / scale**2
 
     def whitened(self, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whiten residuals and derivatives of each class by its noise."""
@@ -329,14 +324,13 @@ class LawFitter:
         while length < self.whole:
             theta, _ = self.search(theta, ITERATIONS, e.weight * (e.places <= length))
             length *= GROWTH
-        theta, cost = self.search(theta, LAST_ITERATIONS, e.weight)
-        near = cost <= HOPELESS**2 * np.min(cost)
-        self.free, self.using = np.where(near[:, None], wanted, self.free), near
+        theta, _ = self.search(theta, LAST_ITERATIONS, e.weight)
+        self.free = wanted
         theta[:, : self.law] += LITTLE * (self.free & FURTHER)
         while True:
             theta, cost = self.search(theta, LAST_ITERATIONS, e.weight)
-            for case in np.flatnonzero(near):  # a class is no worse than one that it contains
-                inside = [i for i in np.flatnonzero(near) if np.all(self.free[i] <= self.free[case])]
+            for case in range(len(theta)):  # a class is no worse than one that it contains
+                inside = [i for i in range(len(theta)) if np.all(self.free[i] <= self.free[case])]
                 theta[case] = theta[min(inside, key=lambda i: cost[i])]
             negative = (theta[:, : self.law] < 0) & self.free & POSITIVE
             if not np.any(negative):
