@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from bench.config.schema import Job
@@ -87,8 +88,9 @@ def certify(
         measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
         answer, findings = _answers(request, measured, workers, on_look)
         if answer[0].estimate.status is not Status.OK and comparison is not None and auto:
-            by_class = workers.submit(CLASSES_SECONDS, _of_class, answer[0], comparison.chosen, measured).result()
-            answer, findings = (by_class, [answer[0], *findings]) if by_class else (answer, findings)
+            with suppress(Died):  # then the answer stays the failed one
+                by_class = workers.submit(CLASSES_SECONDS, _of_class, answer[0], comparison.chosen, measured).result()
+                answer, findings = (by_class, [answer[0], *findings]) if by_class else (answer, findings)
         primary = with_reasons(answer[0], findings, missing)
         drawn = _replicas(primary, request.job, replicas, workers, on_look, say, missing)
     _, prediction, changes = answer
