@@ -1,4 +1,4 @@
-"""The colour of residuals: their spectrum, whether they are white, and a criterion for models that leave them.
+"""The colour of residuals: their spectrum, and a criterion for models that leave them.
 
 The residuals of a real record are seldom white: the model class is not quite right, the sensor drifts, the floor moves.
 """
@@ -16,7 +16,7 @@ LEAST_SHARE = 0.2
 
 
 def local_spectrum(residuals: np.ndarray, slopes: np.ndarray, length: int) -> np.ndarray:
-    """The spectrum (length // 2 + 1,) of noise by the periodogram of the residuals (n,) that a fit has left of it.
+    """Compute the spectrum (length // 2 + 1,) of noise by the periodogram of the residuals (n,) that a fit has left.
 
     A fit takes away the noise's share along its derivatives (n, p), which lie at the natural frequency, where the
     noise matters most: the mean over neighbours of the periodogram is over the mean of the share that it leaves of each
@@ -36,7 +36,7 @@ def local_spectrum(residuals: np.ndarray, slopes: np.ndarray, length: int) -> np
 
 
 def information_criterion(residuals: np.ndarray, unknowns: int) -> float:
-    """The Bayesian information criterion of residuals (n,) that a fit of so many unknowns left, coloured as they are.
+    """Compute the Bayesian information criterion of the coloured residuals (n,) that a fit of so many unknowns left.
 
     The terms of the autoregression count as unknowns too.
     """
@@ -61,7 +61,7 @@ def criterion_error(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:
-    """At lags 0 to ``lags``, of even residuals (n,)."""
+    """Compute the autocorrelation at lags 0 to ``lags`` of even residuals (n,)."""
     centred = residuals - np.mean(residuals)
     total = float(centred @ centred)
     if total == 0:

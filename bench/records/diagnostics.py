@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,49 +64,41 @@ SETTLED = 1.1
 """What a sine leaves of the motion over what the fit leaves, up to which the motion has settled."""
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """Reasons for caution, and the modes that the user may choose from where the system describes none or only one."""
-
-    reasons: tuple[Reason, ...] = ()
-    modes: tuple[Mode, ...] = ()
-
-
 def diagnose(
-    at: Linearised | None,
+    fit: Linearised | None,
     problem: Problem,
     intervals: Mapping[str, StatedInterval],
     missing: Sequence[str],
     message: str,
-) -> Diagnosis:
-    """Diagnose an answer.
+) -> tuple[tuple[Reason, ...], tuple[Mode, ...]]:
+    """Return reasons for caution, and modes to choose from where the system describes none or only one of them.
 
     Args:
-        at: The likelihood of the records at the answer; None where the answer has no finite response.
+        fit: The likelihood of the records at the answer; None where the answer has no finite response.
         problem: The records, in the user's units.
         intervals: Stated intervals.
         missing: Forces that the model lacks.
         message: The method's own message.
     """
-    if at is None:
-        return Diagnosis((Reason(Trust.NO, "the answer's response is not finite"),))
-    line_reasons, modes = _lines(at, problem)
-    reasons = [*line_reasons, *_of_fit(at), *([] if len(modes) > 1 else _start_up(at))]
-    if sine := steady_sine(problem, part_of_signal(at)):
+    if fit is None:
+        return (Reason(Trust.NO, "the answer's response is not finite"),), ()
+    line_reasons, modes = _lines(fit, problem)
+    reasons = [*line_reasons, *_of_fit(fit), *([] if len(modes) > 1 else _start_up(fit))]
+    if sine := steady_sine(problem, part_of_signal(fit)):
         reasons.insert(0, Reason(Trust.NO, sine))
     if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
-        n, unknowns = at.residuals.size, at.theta.size
+        n, unknowns = fit.residuals.size, fit.theta.size
         texts = [f"{n} samples for {unknowns} unknowns"] if n < 2 * unknowns else []
-        if part_of_signal(at) >= NOISE_FREE and missing:
+        if part_of_signal(fit) >= NOISE_FREE and missing:
             what = " and ".join(missing)
             texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
         colour = max((interval.colour for interval in intervals.values()), default=1.0)
-        if part_of_signal(at) >= NOISE_FREE and colour > STRETCHED:
+        if part_of_signal(fit) >= NOISE_FREE and colour > STRETCHED:
             texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
         reasons += [*(Reason(Trust.CAUTION, text) for text in texts), *reasons_of_intervals(intervals)]
     if message:
         reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
-    return Diagnosis(tuple(dict.fromkeys(reasons)), modes)
+    return tuple(dict.fromkeys(reasons)), modes
 
 
 def reasons_of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason]:
@@ -131,23 +122,23 @@ def readable(name: str) -> str:
     return name.replace("_over_", "/").replace("_", " ")
 
 
-def _of_fit(at: Linearised) -> Iterator[Reason]:
+def _of_fit(fit: Linearised) -> Iterator[Reason]:
     """Yield the reasons that record and residuals give, the gravest first."""
-    signals = [channel.values for _, channel in at.model.channels if channel.n > 3]
-    forced, free = at.model.problem.forced, not at.model.problem.forced
-    white, share = whiteness_level(at) > LEVEL, part_of_signal(at)
-    if (chance := _chance_of_noise(at, signals)) > FALSE_ALARM:
+    signals = [channel.values for _, channel in fit.model.channels if channel.n > 3]
+    forced, free = fit.model.problem.forced, not fit.model.problem.forced
+    white, share = whiteness_level(fit) > LEVEL, part_of_signal(fit)
+    if (chance := _chance_of_noise(fit, signals)) > FALSE_ALARM:
         what = "the force explains nothing of the motion" if forced else "no vibration found"
         yield Reason(Trust.NO, f"{what}: p = {chance:.2g} under noise alone")
     if any(np.any(at_limit(values)) for values in signals):
         yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")
-    forces = [force.values for record in at.model.problem.records for force in record.forces]
+    forces = [force.values for record in fit.model.problem.records for force in record.forces]
     if (cut := sum(int(np.count_nonzero(at_limit(values))) for values in forces)) and not white:
         said = f"the force sensor is saturated: {cut} samples stay at its largest or smallest value"
         yield Reason(Trust.NO, said)
     thirds = [[float(np.std(third)) for third in np.array_split(values, 3)] for values in signals]
     growth = max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
-    if free and growth > GROWTH and at.model.system.name != "van_der_pol":  # which gains energy
+    if free and growth > GROWTH and fit.model.system.name != "van_der_pol":  # which gains energy
         yield Reason(Trust.NO, f"the motion grows {growth:.2g} times over the record, and no damping does that")
     said = f"the residuals are {share:.0%} of the signal"
     if share > MOST_LEFT:
@@ -155,53 +146,55 @@ def _of_fit(at: Linearised) -> Iterator[Reason]:
         yield Reason(Trust.CAUTION, mild) if white else Reason(Trust.NO, grave)
     elif share > MUCH_LEFT and not white:
         yield Reason(Trust.CAUTION, f"{said} and not white")
-    cycles = _cycles(at)
+    cycles = _cycles(fit)
     if free and cycles < TOO_FEW_CYCLES:
         yield Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two")
     elif free and cycles < FEW_CYCLES:
         yield Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles")
-    if share > MOST_LEFT and _force_is_turned(at):
+    if share > MOST_LEFT and _force_is_turned(fit):
         yield Reason(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1")
-    outliers = _outliers(at)
-    if 0 < outliers <= MOST_OUTLIERS * at.residuals.size:
+    outliers = _outliers(fit)
+    if 0 < outliers <= MOST_OUTLIERS * fit.residuals.size:
         yield Reason(Trust.CAUTION, f"{outliers} {OUTLIERS}")
 
 
-def _chance_of_noise(at: Linearised, signals: Sequence[np.ndarray]) -> float:
+def _chance_of_noise(fit: Linearised, signals: Sequence[np.ndarray]) -> float:
     """Return the chance that the best of the record's frequencies explains as much of white noise as the fit does."""
     from scipy.stats import f as f_distribution
 
-    n, used = at.residuals.size, max(at.used, 1.0)
+    n, used = fit.residuals.size, max(fit.used, 1.0)
     constants = sum(float(np.sum((values - np.mean(values)) ** 2)) for values in signals)
-    left = float(at.residuals @ at.residuals)
+    left = float(fit.residuals @ fit.residuals)
     if n - used < 1 or left <= 0:
         return 0.0
     statistic = max(constants - left, 0.0) / used / (left / (n - used))
     return min(1.0, n / 2.0 * float(f_distribution.sf(statistic, used, n - used)))
 
 
-def _cycles(at: Linearised) -> float:
+def _cycles(fit: Linearised) -> float:
     """Count the cycles in the first record, by the answer or by the fitted motion."""
-    channel = at.model.channels[0][1]
-    fitted = at.model.data[: channel.n] - at.residuals[: channel.n]
-    return at.model.problem.records[0].duration * (natural_frequency(at) or strongest_frequency(channel.times, fitted))
+    channel = fit.model.channels[0][1]
+    fitted = fit.model.data[: channel.n] - fit.residuals[: channel.n]
+    return fit.model.problem.records[0].duration * (
+        natural_frequency(fit) or strongest_frequency(channel.times, fitted)
+    )
 
 
-def _outliers(at: Linearised) -> int:
+def _outliers(fit: Linearised) -> int:
     """Count the samples that are far off, by the median of their distance to the median."""
     count = 0
-    for rows in at.channels:
-        distance = np.abs(at.residuals[rows] - np.median(at.residuals[rows]))
+    for rows in fit.channels:
+        distance = np.abs(fit.residuals[rows] - np.median(fit.residuals[rows]))
         scale = 1.4826 * float(np.median(distance))
         count += int(np.count_nonzero(distance > OUTLIER * scale)) if scale > 0 else 0
     return count
 
 
-def _lines(at: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Mode, ...]]:
+def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Mode, ...]]:
     """Look for a line in the residuals, or an alias of a free motion's frequency: then the modes are offered."""
     channel = problem.records[0].channels[0]
-    reasons, is_mode = _line(at)
-    if at.model.problem.forced:
+    reasons, is_mode = _line(fit)
+    if fit.model.problem.forced:
         return reasons, ()
     if is_mode:
         modes = modes_of(channel.times, channel.values)
@@ -214,7 +207,7 @@ def _lines(at: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Mode, 
             return [Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear")], ()
         names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
         return [Reason(reasons[0].verdict, f"the record holds modes at {names}; {reasons[0].text}")], modes
-    frequency = (natural_frequency(at) or 0.0) / problem.natural_units().time
+    frequency = (natural_frequency(fit) or 0.0) / problem.natural_units().time
     rate = (channel.n - 1) / float(np.ptp(channel.times))
     if not rate / FEW_SAMPLES < frequency < rate or channel.n < 12:
         return reasons, ()
@@ -230,13 +223,13 @@ def _lines(at: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Mode, 
     return [*reasons, Reason(Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION, said)], (modes[0], alias)
 
 
-def _line(at: Linearised) -> tuple[list[Reason], bool]:
+def _line(fit: Linearised) -> tuple[list[Reason], bool]:
     """Look for a line in the spectrum of the residuals of each channel; return whether it may be a mode."""
-    for rows, (_, channel) in zip(at.channels, at.model.channels, strict=True):
+    for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
         if not even_times(channel.times) or rows.size < 16:
             continue
-        frequency, share = line(channel.times, at.residuals[rows], at.model.data[rows] - at.residuals[rows])
-        harmonic = frequency / (natural_frequency(at) or strongest_frequency(channel.times, channel.values))
+        frequency, share = line(channel.times, fit.residuals[rows], fit.model.data[rows] - fit.residuals[rows])
+        harmonic = frequency / (natural_frequency(fit) or strongest_frequency(channel.times, channel.values))
         if share > SECOND_MODE and abs(harmonic - 1.0) > SAME_LINE:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
             slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
@@ -293,13 +286,13 @@ def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[comp
     return complex(sizes[0], -sizes[1]), values - basis @ sizes
 
 
-def _start_up(at: Linearised) -> list[Reason]:
-    """Residuals of the first part that are far larger than those of the rest."""
-    for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
-        n = max(own.size // 10, 5)
-        if own.size < 4 * n:
+def _start_up(fit: Linearised) -> list[Reason]:
+    """Find residuals of the first part that are far larger than those of the rest."""
+    for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
+        n = max(rows.size // 10, 5)
+        if rows.size < 4 * n:
             continue
-        early, rest = np.std(at.residuals[own[:n]]), np.std(at.residuals[own[n:]])
+        early, rest = np.std(fit.residuals[rows[:n]]), np.std(fit.residuals[rows[n:]])
         share = early / (np.std(channel.values) or 1.0)
         if early > START_UP * rest and share > START_UP_SHARE:
             said = f"the first tenth of the record fits {early / (rest or 1.0):.2g} times worse than the rest"
@@ -307,14 +300,14 @@ def _start_up(at: Linearised) -> list[Reason]:
     return []
 
 
-def _force_is_turned(at: Linearised) -> bool:
+def _force_is_turned(fit: Linearised) -> bool:
     """Decide whether a linear equation of motion describes the first motion with a force of the opposite sign.
 
     Integrated twice, ``x = -c/m I x - k/m I² x + 1/m I² f + a + b t + d t²``, with an offset of x, is linear in all
     unknowns and hardly minds noise; of a velocity the force is integrated once, of an acceleration not at all.
     """
-    record = at.model.problem.records[0]
-    if not record.forces or at.model.system.n_dof > 1:
+    record = fit.model.problem.records[0]
+    if not record.forces or fit.model.system.n_dof > 1:
         return False
     channel, force = record.channels[0], record.forces[0]
     t, y = channel.times, channel.values - np.mean(channel.values)
@@ -329,37 +322,37 @@ def _force_is_turned(at: Linearised) -> bool:
     sizes = np.linalg.norm(columns, axis=0)
     coefficients = np.linalg.lstsq(columns / np.where(sizes > 0, sizes, 1.0), y, rcond=None)[0]
     left = y - columns @ (coefficients / np.where(sizes > 0, sizes, 1.0))
-    return bool(coefficients[0] < 0 and np.std(left) < TURNED * np.std(at.residuals[at.channels[0]]))
+    return bool(coefficients[0] < 0 and np.std(left) < TURNED * np.std(fit.residuals[fit.channels[0]]))
 
 
-def part_of_signal(at: Linearised) -> float:
-    """Root mean square of the residuals over that of the signal about its mean, over all channels."""
+def part_of_signal(fit: Linearised) -> float:
+    """Compute the root mean square of the residuals over that of the signal about its mean, over all channels."""
     total, left = 0.0, 0.0
-    for own, (_, channel) in zip(at.channels, at.model.channels, strict=True):
+    for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
         size = float(np.std(channel.values)) or 1.0
-        total += own.size
-        left += float(np.sum((at.residuals[own] / size) ** 2))
+        total += rows.size
+        left += float(np.sum((fit.residuals[rows] / size) ** 2))
     return float(np.sqrt(left / total))
 
 
-def whiteness_level(at: Linearised) -> float:
-    """The smallest p-value of the channels that their residuals are white, by Ljung and Box."""
+def whiteness_level(fit: Linearised) -> float:
+    """Compute the smallest p-value of the channels that their residuals are white, by Ljung and Box."""
     levels = [1.0]
-    for rows in at.channels:
-        if rows.size >= 12 and rows.size > at.theta.size + 2:
+    for rows in fit.channels:
+        if rows.size >= 12 and rows.size > fit.theta.size + 2:
             kept = rows[:2000]  # the test draws white noise as long as the record
-            levels.append(float(whiteness(at.residuals[kept][None], at.slopes[kept])[0]))
+            levels.append(float(whiteness(fit.residuals[kept][None], fit.slopes[kept])[0]))
     return min(levels)
 
 
-def lag_one(at: Linearised) -> float:
-    """Autocorrelation of the first channel's residuals at one sample."""
-    return float(autocorrelation(at.residuals[at.channels[0]], 1)[1])
+def lag_one(fit: Linearised) -> float:
+    """Compute the autocorrelation of the first channel's residuals at one sample."""
+    return float(autocorrelation(fit.residuals[fit.channels[0]], 1)[1])
 
 
-def natural_frequency(at: Linearised) -> float | None:
-    """By the answer's own k/m, cycles per unit of its time; None for a system without them."""
-    p = at.model.parameters(at.theta)
+def natural_frequency(fit: Linearised) -> float | None:
+    """Compute the frequency by the answer's own k/m, in cycles per unit of its time; None for a system without them."""
+    p = fit.model.parameters(fit.theta)
     if not {"k", "m"} <= set(p):
         return None
     return float(np.sqrt(p["k"] / p["m"]) / (2 * np.pi))

@@ -118,8 +118,8 @@ def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = 
         intervals = stated_intervals(scaled, likelihood, parts, rate_error, measured.comparison)
     intervals |= _with_mass(intervals, measured)
     intervals = {name: replace(own, unit=measured.unit_of(own.unit)) for name, own in intervals.items()}
-    diagnosis = diagnose(likelihood, problem, intervals, missing, estimate.message)
-    return Finding(method, measured, estimate, wall_s, intervals, diagnosis.reasons, likelihood, diagnosis.modes)
+    reasons, modes = diagnose(likelihood, problem, intervals, missing, estimate.message)
+    return Finding(method, measured, estimate, wall_s, intervals, reasons, likelihood, modes)
 
 
 def _frequency(likelihood: Linearised) -> float:

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class Trust(StrEnum):
-    """How far an answer can be trusted; the value is what is printed."""
+    """How far an answer can be trusted; the value is what is printed, the gravest last."""
 
     TRUST = "trust"
     CAUTION = "use with caution"
@@ -25,5 +25,4 @@ class Reason:
 
 def verdict(reasons: Sequence[Reason]) -> Trust:
     """Return the worst verdict that the reasons ask for; trust without any."""
-    verdicts = {reason.verdict for reason in reasons}
-    return Trust.NO if Trust.NO in verdicts else Trust.CAUTION if Trust.CAUTION in verdicts else Trust.TRUST
+    return max((reason.verdict for reason in reasons), key=list(Trust).index, default=Trust.TRUST)
