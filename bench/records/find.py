@@ -87,7 +87,10 @@ def _leaves_open(finding: Finding) -> bool:
 
 
 def _answered(job: Job, measured: Measured) -> Finding:
-    """Fit and judge; where samples are far off, with errors that expect outliers if the method has them."""
+    """Fit and judge; where samples are far off, again with errors that expect outliers if the method has them.
+
+    The second answer is taken where it lies outside of an interval that the first states of this record.
+    """
     if sine := steady_sine(measured.problem):
         estimate = Estimate.failed(measured.problem.system, Status.UNSUPPORTED, sine)
         return Finding(job.label, measured, estimate, reasons=(Reason(Trust.NO, sine),))
@@ -97,10 +100,12 @@ def _answered(job: Job, measured: Measured) -> Finding:
     if not (outliers and settings) or "method.likelihood" in job.explicit:
         return finding
     estimate, wall_s = fit(job, measured.problem, {**job.settings(), **settings})
-    if estimate.status is not Status.OK:
-        return finding
     note = "samples are far off: fitted with errors of Student's t, which expects outliers"
-    return judged(job.label, replace(measured, notes=(*measured.notes, note)), estimate, wall_s)
+    robust = judged(job.label, replace(measured, notes=(*measured.notes, note)), estimate, wall_s)
+    pairs = [
+        (interval, robust.stated[name].value) for name, interval in finding.stated.items() if name in robust.stated
+    ]
+    return finding if all(interval.record_low <= value <= interval.record_high for interval, value in pairs) else robust
 
 
 def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = math.nan) -> Finding:
