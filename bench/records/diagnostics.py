@@ -92,8 +92,9 @@ def diagnose(
         if part_of_signal(fit) >= NOISE_FREE and missing:
             what = " and ".join(missing)
             texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
+        coloured = any(noise is None or noise.order for noise in fit.noises)
         colour = max((interval.colour for interval in intervals.values()), default=1.0)
-        if part_of_signal(fit) >= NOISE_FREE and colour > STRETCHED:
+        if coloured and part_of_signal(fit) >= NOISE_FREE and colour > STRETCHED:
             texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
         reasons += [*(Reason(Trust.CAUTION, text) for text in texts), *reasons_of_intervals(intervals)]
     if message:

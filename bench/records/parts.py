@@ -24,6 +24,9 @@ CYCLES, MEAN_CYCLES = 2.0, 3.0
 SAMPLES_PER_UNKNOWN = 4
 LARGEST_CHANGE = 0.7
 """A part whose stiffness differs by more than a factor of two from the whole's follows something else."""
+LARGEST_SPREAD = 1.0
+"""Standard deviation, before the data, of a part's log-parameter about the whole's: one that the part leaves open stays
+where the derivatives hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +68,12 @@ def _fitted(
         return None
     slopes, p = slopes[:, unknowns], int(np.count_nonzero(unknowns))
     weights = 1.0 / whole.sigma[channel_of]
-    norms = np.linalg.norm(slopes * weights[:, None], axis=0)
-    change = np.linalg.lstsq(slopes * weights[:, None] / norms, whole.residuals[rows] * weights, rcond=None)[0] / norms
+    prior = np.eye(k, p) / LARGEST_SPREAD
+    matrix = np.concatenate([slopes * weights[:, None], prior])
+    norms, left = np.linalg.norm(matrix, axis=0), np.append(whole.residuals[rows] * weights, np.zeros(k))
+    change = np.linalg.lstsq(matrix / norms, left, rcond=None)[0] / norms
     left = whole.residuals[rows] - slopes @ change
-    middle, sigma = np.zeros((p, p)), np.zeros(n)
+    middle, sigma = prior.T @ prior, np.zeros(n)
     for i in np.unique(channel_of):
         inside = channel_of == i
         r, j, t = left[inside], slopes[inside], times[inside]
@@ -78,7 +83,7 @@ def _fitted(
         noise = autoregression(r, p / n * r.size) if even else None
         scores = uneven_scores(j, r, t, CORRELATED_CYCLES / frequency) if noise is None else even_scores(j, r, noise)
         middle += scores / variance**2
-    white = covariances((slopes / sigma[:, None])[None])[0]
+    white = covariances(np.concatenate([slopes / sigma[:, None], prior])[None])[0]
     kinds = {parameter.name: parameter.kind for parameter in model.system.parameters}
     stiffness = [i for i, name in enumerate(model.free) if kinds[name] == "stiffness"]
     if white is None or np.any(np.abs(change[stiffness]) > LARGEST_CHANGE):
