@@ -20,6 +20,7 @@ from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.engine.launch import complete
 from bench.engine.pool import Limits
+from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.exchange import merging
 from bench.exchange.merging import draw
@@ -32,6 +33,7 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 
 N = 12
+TODAY = load_method("ls").version
 Change = Callable[[StoredCell], StoredCell]
 
 
@@ -244,7 +246,7 @@ def test_rows_made_better_are_found_and_nothing_is_added(
 @pytest.mark.parametrize(
     ("change", "facts", "words"),
     [
-        (other_code, {}, "method version 99, today 1; install"),
+        (other_code, {}, f"method version 99, today {TODAY}; install"),
         (fewer_rows, {}, "lacks some of its 12 rows"),
         (a_reference, {}, "is of oracle, the submission of ls"),
         (another_question, {}, "means nothing here: cell="),
@@ -304,7 +306,7 @@ def test_of_two_answers_the_present_codes_is_kept_and_then_the_one_with_more_fit
     for store, stored in ((stale, other_code(first)), (short, replace(first, rows=failed))):
         store.prepare()
         store.save(stored)
-    for source, version, n_ok in ((stale, 99, N), (short, 1, 0), (computed, 1, N), (stale, 1, N)):
+    for source, version, n_ok in ((stale, 99, N), (short, TODAY, 0), (computed, TODAY, N), (stale, TODAY, N)):
         assert merge(source.folder)[0] == 0
         found = into.load(first.identity)
         assert found is not None

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from stored import VERSION, described, save, scored
+from stored import described, save, scored
 
 from bench import scoring
 from bench.commands.status import standings, store_page
@@ -47,15 +47,17 @@ def test_each_number_makes_stale_and_is_named(number: str, monkeypatch: pytest.M
     for method in ("ls", "shooting"):
         save(store, described(method), scored(method, 3))
     assert [state for _, state, _ in standings(store)] == ["done", "done"]
+    stored = cell_version("ls", "sdof").as_json()
+    today = stored[number] + 1
     owner = {"method": load_method("ls"), "system": load_system("sdof"), "scoring": scoring}[number]
-    monkeypatch.setattr(owner, "VERSION" if number == "scoring" else "version", 2, raising=True)
+    monkeypatch.setattr(owner, "VERSION" if number == "scoring" else "version", today, raising=True)
     cell_version.cache_clear()
     by_label = {head.label: (state, why) for head, state, why in standings(store)}
-    expected = ("stale", f"{number} version 1, today 2")
+    expected = ("stale", f"{number} version {stored[number]}, today {today}")
     assert by_label["ls"] == expected
     assert by_label["shooting"] == (("done", "") if number == "method" else expected)
-    assert f"x {number} version 1, today 2" in store_page(store)
-    assert cell_version("ls", "sdof").is_that_of({**VERSION, number: 2})
+    assert f"x {number} version {stored[number]}, today {today}" in store_page(store)
+    assert cell_version("ls", "sdof").is_that_of({**stored, number: today})
     assert (bound_version("sdof") == [1, 1]) == (number == "method")
 
 
@@ -67,5 +69,5 @@ def test_a_cell_without_numbers_is_stale_and_one_of_a_foreign_method_is_said_to_
     save(store, described("nobody"), scored("nobody", 3))
     found = {head.label: (state, why) for head, state, why in standings(store)}
     assert found["ls"][0] == "stale"
-    assert "method version not stated, today 1" in found["ls"][1]
+    assert f"method version not stated, today {load_method('ls').version}" in found["ls"][1]
     assert found["nobody"] == ("foreign", "no method nobody is installed here")

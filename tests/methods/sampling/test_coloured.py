@@ -9,7 +9,6 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-import bench
 from bench import Channel, Problem, Record
 from bench.contract.estimate import Estimate, Status
 from bench.systems.sums import sum_from
@@ -89,17 +88,3 @@ def test_each_problem_keeps_its_own_colour_in_company() -> None:
         assert both[0] is not None
         assert both[1] is not None
         assert both[0].value == pytest.approx(both[1].value, rel=1e-9)
-
-
-def test_a_measured_record_is_drawn_from_the_likelihood_of_its_own_colour() -> None:
-    """Unless the user says which likelihood; the interval of white noise stands beside it."""
-    x = response(TRUTH) + coloured_noise(1)
-    found = bench.identify(T, x, method="mcmc").estimates["c_over_m"]
-    white = bench.identify(T, x, method="mcmc", settings={"method.likelihood": "normal"}).estimates["c_over_m"]
-    own = sample(1, "autoregressive").marginal(SYSTEM.quantity("c_over_m"))
-    assert own is not None
-    assert found.value == pytest.approx(own.value, rel=0.01)
-    assert (found.white_low, found.white_high) == pytest.approx((white.white_low, white.white_high), rel=1e-6)
-    low, high = own.interval(0.95)
-    assert found.high - found.low > 0.99 * (high - low)
-    assert found.colour == pytest.approx((high - low) / (found.white_high - found.white_low), rel=0.25)
