@@ -604,8 +604,10 @@ def test_tables_of_a_store(folder: Path) -> None:
 
 REWORDED = {
     "calibration.csv", "calibration.md", "sbc.md", "efficiency.md", "table7.md", "table8.md", "table9.md",
+    "pinn_family.md",
 }  # fmt: skip
-"""Written anew at the next release: intervals of few replicates are counted, and shares of the prior stated."""
+"""Written anew at the next release: intervals of few replicates are counted, shares of the prior stated, and no
+sentences stand above the family."""
 
 
 @pytest.mark.slow

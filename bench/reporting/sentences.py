@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from bench.errors import InputError
+from bench.scoring.comparison import Comparison, Errors, adjusted, compare
 
 K, C, PRIMARY = "k_over_m_error_pct", "c_over_m_error_pct", ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
 ON_BOUND = ("shooting", "mcmc", "pinn", "collocation")
@@ -633,6 +634,9 @@ def pinn_family(r: Published, f: Facts) -> None:
         [lines(STATING, "k_over_m_coverage_95", base=OURS), lines("Reference rows", "k_over_m_coverage_95")]
     )
     nuts = lines(STATING, "k_over_m_excess", base=OURS).value[STATED["nuts"]]
+    compared, sets = trainings_compared(r)
+    better, worse = ([not c.tie and (c.ratio < 1) == less for c in compared] for less in (True, False))
+    f.say(trainings_n=len(compared), trainings_worse=sum(worse), trainings_sets=sets)
     for name, row in {**STATED, "mcmc": "Bayesian MCMC"}.items():
         f.say(**{f"stated_{name}": f"{percent(held.value[row])} % of {held.n[row]:.0f}"})
     f.say(fold, stated_nuts_off=nuts)
@@ -644,7 +648,32 @@ def pinn_family(r: Published, f: Facts) -> None:
         the_linearisation_holds_its_level=held.value[STATED["laplace"]] > 0.89,
         these_three_do_not=held.value[[STATED[key] for key in ("variational", "ensemble", "dropout")]] < 0.5,
         nuts_is_far_off=nuts > 1.5,
+        no_training_beats_levenberg_marquardt=[not any(better), len(compared) > 50],
     )
+
+
+def trainings_compared(r: Published) -> tuple[list[Comparison], list[int]]:
+    """Compare the errors of every training with those of Levenberg-Marquardt on our loss, on common data sets.
+
+    Also returns how many data sets each has in common with it.
+    """
+    place, of_settings = ["snr_db", "initial_state"], ("method", "settings")
+    bounds = r.table("archive/summaries.parquet").pivot_table("bound", "identity", "metric")
+    fits = r.fits(("pinn",), [K, C])
+    errors = [fits[name] / fits.identity.map(bounds[name]) for name in (K, C)]
+    fits["error"] = np.hypot(*errors).fillna(np.inf)
+    fits["training"] = [json.dumps([json.loads(text)[name] for name in of_settings]) for text in fits.description]
+    base = fits.training[fits.label == "pinn_family"].iloc[0]
+    trainings = fits[fits.label.str.match("pinn_family|rival_")]
+    by_training = trainings.pivot_table("error", [*place, "replicate"], "training", "first")
+    comparisons, sets = [], []
+    for name in by_training.columns.drop(base):
+        both = by_training[[name, base]].dropna()
+        both = both.groupby(place).head(both.groupby(place).size().min())
+        errors_of = Errors({each: both[each].to_numpy() for each in both}, both.groupby(place).ngroup().to_numpy())
+        comparisons += compare(errors_of, [(name, base)])
+        sets.append(len(both))
+    return adjusted(comparisons), sets
 
 
 # ---- thresholds: the atlases

@@ -27,7 +27,6 @@ from bench.reporting.tables.family_numbers import (
     text,
     training,
 )
-from bench.reporting.tables.family_sentences import sentences
 from bench.reporting.tables.family_sources import sources
 from bench.reporting.tables.render import Columns, Rows, failure_notes, files, listing, panel
 from bench.scoring.traces import MOMENTS
@@ -67,7 +66,6 @@ def family_table(frame: Frame) -> Mapping[str, str]:
     notes = failure_notes(every)
     parts: list[str | Rows] = [
         f"# {frame.title}",
-        "\n".join(f"- {sentence}" for sentence in sentences(family, PLACE)),
         _legend(family),
         f"Regenerate: `python -m bench -m experiment={frame.experiment}`, then `python -m bench tables`.",
         *(part for section in family.every for part in _section(family, section)),

@@ -21,7 +21,6 @@ from bench.reporting.family import Family, family_of
 from bench.reporting.frame import Frame, Result, experiment_frame
 from bench.reporting.tables.family import family_table
 from bench.reporting.tables.family_numbers import arrival, oracle_seconds, training
-from bench.reporting.tables.family_sentences import errors, optimisers, weightings
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
@@ -234,60 +233,6 @@ def test_what_is_not_stored_stands_there_as_not_computed(place: Scenario) -> Non
     assert "SOAP" in files[f"{FAMILY}.tex"]
     lines = [one for one in csv.DictReader(io.StringIO(files[f"{FAMILY}.csv"])) if one["row"] == "SOAP"]
     assert {(one["n"], one["value"]) for one in lines} == {("0", "")}
-
-
-# ---- sentences
-
-
-def test_the_sentence_on_optimisers_follows_the_numbers(place: Scenario) -> None:
-    def said(seconds: float, arrives: float = 1.0) -> str:
-        rows = trained(2, lambda t: 0.5, seconds, **({} if arrives else {"arrival_s": np.nan}))
-        papers = cell(place, rows, PAPERS, FAMILY)
-        own = [cell(place, trained(2, lambda t: 0.5, 0.1), kind, FAMILY) for kind in (LM, {"weighting": "paper"})]
-        return optimisers(family_of(frame(*own, cell(place, None, {"optimizer": "soap"}, FAMILY), papers)), PLACE)
-
-    text = said(20.0)
-    assert "On our base 1 of 1 optimisers" in text
-    assert "1 of 2 rows are not computed" in text
-    assert "in 20 s: 200 times as long as Levenberg-Marquardt on our base" in text
-    assert "in 30 s: 300 times" in said(30.0)
-    assert "In no fit does the paper's base itself" in said(20.0, 0.0)
-
-
-def test_the_sentence_on_weightings_names_the_one_whose_minimum_is_nearest_the_bound(place: Scenario) -> None:
-    def said(error: float) -> str:
-        own = cell(place, trained(2, lambda t: 0.6), LM, FAMILY)
-        return weightings(family_of(frame(own, cell(place, steady(error), {"weighting": "causal"}, FAMILY))), PLACE)
-
-    assert "nearest the bound is by the estimated noise (1.20, 1.00); then causal (3.00, 1.00)" in said(1.5)
-    assert "nearest the bound is causal (1.10, 1.00); then by the estimated noise" in said(0.55)
-    assert "50 %" in said(0.55)  # 1 / sqrt(2 n) of two data sets
-
-
-def test_the_sentence_on_errors_finds_a_winner_only_beyond_chance(place: Scenario) -> None:
-    def said(factor: float, n: int = 30) -> str:
-        usual = np.abs(np.random.default_rng(1).normal(0.0, 0.5, n))
-        own = cell(place, drawn(usual, 3.5), LM, FAMILY)
-        other = cell(place, drawn(factor * usual, factor * 3.5), {"optimizer": "soap"}, FAMILY)
-        return errors(family_of(frame(own, other)))
-
-    assert said(0.5).startswith(
-        "1 of 1 rows beat Levenberg-Marquardt (our base) in the errors of k/m and c/m together beyond chance: "
-        "SOAP (median ratio of errors 0.50)"
-    )
-    assert "30 common data sets" in said(0.5)
-    assert "Worse beyond chance: 1" in said(2.0)
-    assert said(1.0).startswith("None of 1 rows beats")
-    assert said(0.5, 3).startswith("None of 1 rows beats")  # three pairs tell nothing
-
-
-def test_sentences_say_what_cannot_be_said(place: Scenario) -> None:
-    kinds = (LM, PAPERS, {"optimizer": "soap"}, {"weighting": "paper"}, {"weighting": "causal"})
-    family = family_of(frame(*(cell(place, None, kind, FAMILY) for kind in kinds)))
-    assert "Which optimisers reach the minimum on our base is not known. 2 of 2 rows" in optimisers(family, PLACE)
-    assert "How long the paper's base itself (Adam, then L-BFGS) takes is not known" in optimisers(family, PLACE)
-    assert weightings(family, PLACE).startswith("Which weighting's own minimum is nearest the bound is not known.")
-    assert errors(family).startswith("Whether any row beats Levenberg-Marquardt (our base) in error is not known.")
 
 
 # ---- the picture
