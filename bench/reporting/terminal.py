@@ -1,6 +1,6 @@
 """What a terminal shows: tables and sentences that are no wider than it, whatever script their names are in.
 
-Widths are those on a screen, where a letter of some scripts takes two places and an accent none (package wcwidth).
+Widths are those on a screen, where a letter of some scripts takes two places and an accent none.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import sys
 from collections.abc import Collection, Sequence
 
 import wcwidth
-from tabulate import tabulate
 
 WIDTH, NARROWEST = 80, 40
 """Places of sentences at most, for longer lines are hard to read; and of any line at least."""
-LEAST_COLUMN, WHOLE_WORD = 6, 16
-"""Places of a column of words at least, and of a word that is broken last."""
+LEAST_COLUMN = 6
+"""Places of a column of words at least."""
 GAP = 2
 COLOURS = {"green": 32, "yellow": 33}
 """Numbers of ECMA-48's select graphic rendition."""
@@ -80,48 +79,45 @@ def clipped(text: str) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Collection[int] = (0,)) -> str:
-    """A table no wider than the terminal: ``words`` are the columns of words, the others hold numbers.
+    """Return a table no wider than the terminal: ``words`` are the columns of words, the others hold numbers.
 
     Words stand on the left, and on several lines where the table would be too wide, as headings do; numbers stand on
     the right and are never broken. Where so many numbers do not fit side by side, each row is a list of its own.
     """
-    lines = [list(headers), *(list(row) for row in rows)]
-    widths = _widths(lines, words)
-    if sum(widths) + GAP * (len(widths) - 1) > columns():
-        return "\n".join(_listed(row, headers) for row in rows)
-    lines = [[_cell(text, widths[i]) for i, text in enumerate(line)] for line in lines]
-    sides = ["left" if i in words else "right" for i in range(len(headers))]
-    text = tabulate(lines, tablefmt="plain", disable_numparse=True, colalign=sides)
-    shown = [line.rstrip() for line in text.splitlines()]
-    height = max(cell.count("\n") for cell in lines[0]) + 1
-    broad = [max(width(part) for line in lines for part in line[i].split("\n")) for i in range(len(headers))]
-    rule = (" " * GAP).join("-" * places for places in broad)
-    return "\n".join([*shown[:height], rule, *shown[height:]])
+    from rich.console import Console
+    from rich.rule import Rule
+    from rich.table import Table
+    from rich.text import Text
+
+    numbers = [max((width(row[i]) for row in rows), default=0) for i in range(len(headers))]
+    if _fill([max(width(heading), numbers[i]) for i, heading in enumerate(headers)]) > columns():
+        headers = [heading if i in words else _narrowed(heading, numbers[i]) for i, heading in enumerate(headers)]
+        narrow = [max(numbers[i], *map(width, heading.split("\n"))) for i, heading in enumerate(headers)]
+        if _fill([LEAST_COLUMN if i in words else places for i, places in enumerate(narrow)]) > columns():
+            return "\n".join(_listed(row, headers) for row in rows)
+    shown = Table(box=None, padding=(0, GAP, 0, 0), pad_edge=False)
+    for i, heading in enumerate(headers):
+        shown.add_column(
+            Text(heading), justify="left" if i in words else "right", no_wrap=i not in words, overflow="fold"
+        )
+    shown.add_row(*[Rule(characters="-", style="")] * len(headers))
+    for row in rows:
+        shown.add_row(*map(Text, row))
+    # without a height, rich takes a dumb terminal for 80 places wide
+    console = Console(width=columns(), height=1, color_system=None, force_jupyter=False)
+    with console.capture() as capture:
+        console.print(shown)
+    return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
-def _cell(text: str, places: int) -> str:
-    return "\n".join(wcwidth.wrap(text, places)) if width(text) > places else text
+def _fill(widths: Sequence[int]) -> int:
+    """Return the places that columns of these widths fill side by side."""
+    return sum(widths) + GAP * (len(widths) - 1)
 
 
-def _widths(lines: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
-    """Places of every column; of a table too wide, headings of numbers give way first, then the widest words."""
-    every = range(len(lines[0]))
-    widths = [max(width(line[i]) for line in lines) for i in every]
-    numbers = [max((width(line[i]) for line in lines[1:]), default=0) for i in every]
-    longest = [max((width(word) for word in text.split()), default=0) for text in lines[0]]
-    least = [max(numbers[i], longest[i]) for i in every]
-    over = sum(widths) + GAP * (len(widths) - 1) - columns()
-    whole = [max((width(word) for line in lines for word in line[i].split()), default=0) for i in every]
-    steps = (
-        {i: least[i] for i in every if i not in words},
-        {i: max(LEAST_COLUMN, min(WHOLE_WORD, whole[i])) for i in every if i in words},
-        {i: LEAST_COLUMN for i in every if i in words},
-    )
-    for ends in steps:
-        while over > 0 and any(widths[i] > end for i, end in ends.items()):
-            widths[max((i for i, end in ends.items() if widths[i] > end), key=lambda i: widths[i])] -= 1
-            over -= 1
-    return widths
+def _narrowed(heading: str, least: int) -> str:
+    """Break a heading between words, at least so many places wide."""
+    return "\n".join(wcwidth.wrap(heading, max([least, *map(width, heading.split())]))) if heading else heading
 
 
 def _listed(row: Sequence[str], headers: Sequence[str]) -> str:
