@@ -10,7 +10,6 @@ import numpy as np
 
 from bench.dynamics.modal import Modes, agreement, modes, modes_of_all
 from bench.reporting.frame import ERROR, Result
-from bench.scenario.scenario import Scenario
 from bench.scoring.statistics import wilson_interval
 from bench.systems import System
 
@@ -22,9 +21,8 @@ MODAL = {
 """Metrics computed here from the identified parameters: where they stand in an Agreement, and what a failure has."""
 
 
-def pooled_quantities(scenario: Scenario, identifiable: Mapping[str, bool]) -> tuple[str, ...]:
+def pooled_quantities(system: System, identifiable: Mapping[str, bool]) -> tuple[str, ...]:
     """The quantities that the data tell: all parameters, else the groups; where neither is told, all parameters."""
-    system = scenario.make_system()
     groups = tuple(group.name for group in system.groups)
     for names in (system.names, groups):
         if all(identifiable.get(name, False) for name in names):

@@ -69,7 +69,7 @@ def panels(results: Sequence[Result]) -> list[list[Result]]:
 
 def told_quantities(result: Result) -> tuple[str, ...]:
     """The quantities that the data tell."""
-    return pooled_quantities(result.scenario, result.identifiable)
+    return pooled_quantities(result.model, result.identifiable)
 
 
 def any_stored(results: Sequence[Result]) -> dict[float, Result]:

@@ -71,7 +71,7 @@ def test_coverage_is_pooled_over_quantities_and_replicates():
 
 def test_what_the_data_tell_is_pooled():
     """With a force every parameter; in free vibration the ratios to the mass."""
-    forced, free = _cell("system=sdof_forced").scenario, _cell("system=duffing").scenario
+    forced, free = (_cell(f"system={name}").scenario.make_system() for name in ("sdof_forced", "duffing"))
     assert pooled_quantities(forced, dict.fromkeys(["m", "c", "k", "k_over_m", "c_over_m"], True)) == ("m", "c", "k")
     told = dict.fromkeys(["k_over_m", "c_over_m", "k3_over_m"], True)
     assert pooled_quantities(free, {**told, "m": False, "c": False, "k": False, "k3": False}) == tuple(told)
