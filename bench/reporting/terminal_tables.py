@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
 from statistics import median_high
 
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.entrants.reference import REFERENCES
-from bench.reporting.rounding import excess_text, number, readable, rounded
+from bench.reporting.frame import ERROR, Line, Result, group
+from bench.reporting.rounding import answered, excess_text, number, readable, rounded
 from bench.reporting.terminal import coloured, table, wrapped
 from bench.reporting.verdict import good, verdict
 from bench.scenario.scenario import Scenario
@@ -23,8 +23,8 @@ MOST_LISTED = 100
 """Cells of a sweep that are listed one by one."""
 RMSES = {"rmse": "displacement RMSE m", "rmse_simulated": "simulated RMSE m", "rmse_forecast": "forecast RMSE m"}
 MARK = "+"
-COLUMNS = ("method", "system", "dB", "start", "disturbance")
-"""What a line of a sweep's table is about; what all lines share is said once above."""
+COLUMNS = ("system", "dB", "start", "disturbance")
+"""What a line of a sweep's table is about, beside its method."""
 
 
 def disturbance_of(scenario: Scenario) -> str:
@@ -90,120 +90,108 @@ def _searched(stored: StoredCell) -> list[str]:
     return sentences
 
 
-def _failures(stored: StoredCell) -> dict[tuple[str, str], int]:
-    counts: dict[tuple[str, str], int] = {}
-    for row in stored.rows:
-        if row.status is not Status.OK:
-            key = (row.status.value, row.message[:120])
-            counts[key] = counts.get(key, 0) + 1
-    return counts
+def _failures(stored: StoredCell) -> Counter[tuple[str, str]]:
+    return Counter((row.status.value, row.message[:120]) for row in stored.rows if row.status is not Status.OK)
 
 
 class Closing:
-    """What is said at the end of a sweep, gathered cell by cell so that no more than a line of each is held.
+    """The end of a sweep, gathered cell by cell so that no more than a line of each is held.
 
-    Up to :data:`MOST_LISTED` cells are listed, and the best method of each scenario is marked with all that cannot be
-    told from it; of more, one line stands for all that differ by seed or settings only, with the medians over them.
+    Up to :data:`MOST_LISTED` cells are listed, and the best method of each scenario is marked with all that are tied
+    with it; of more, one line stands for all that differ by seed or settings only, with the medians over them.
     """
 
     def __init__(self, n: int) -> None:
         self.listed = n <= MOST_LISTED
-        self.lines: dict[tuple[str, ...], list[tuple[int, int, list[dict[str, float]]]]] = {}
+        self.lines: list[Line] = []
         self.kinds: dict[tuple[str, str, str], tuple[int, str]] = {}
         self.seen: set[str] = set()
         self.lost = 0
-        self.groups: dict[tuple[str, ...], str] = {}
-        self.contests: dict[str, dict[tuple[str, ...], list[np.ndarray]]] = {}
 
     def add(self, cell: Cell, stored: StoredCell | None) -> None:
-        """One cell's result; None where there is none."""
+        """Take in one cell's result; None where there is none."""
         self.seen.add(cell.identity)
         if stored is None:
             self.lost += 1
             return
-        scenario = cell.scenario
-        group = scenario.make_system().groups[0].name
-        metrics = (f"{group}_error_pct", "rmse")
-        key: tuple[str, ...] = (
-            cell.label,
-            scenario.label,
-            f"{scenario.snr_db:g}",
-            scenario.initial_state,
-            disturbance_of(scenario),
-        )
-        key = (*key, cell.identity) if self.listed else key
-        self.groups[key] = readable(group)
-        found = [dict(stored.summary.get(metric, {})) for metric in metrics]
-        self.lines.setdefault(key, []).append((stored.n_ok, len(stored.rows), found))
-        if self.listed and cell.method not in REFERENCES:
-            what = json.dumps([scenario.data_identity(), scenario.told_identity(), cell.seed], default=str)
-            scores = [stored.columns.scores(metric) for metric in metrics]
-            errors = [np.where(np.isnan(values), math.inf, values) for values in scores]
-            self.contests.setdefault(what, {})[key] = errors
+        scenario, result = cell.scenario, Result.of_cell(cell, stored)
+        quantity = scenario.make_system().groups[0].name
+        metrics = (quantity + ERROR, "rmse")
+        ranked = self.listed and not result.is_reference
+        self.lines.append(
+            {
+                "method": cell.label, "system": scenario.label, "dB": f"{scenario.snr_db:g}",
+                "start": scenario.initial_state, "disturbance": disturbance_of(scenario), "group": readable(quantity),
+                "identity": cell.identity, "n_ok": stored.n_ok, "n": len(stored.rows),
+                "statistics": [stored.summary.get(metric, {}) for metric in metrics],
+                "errors": [result.errors(metric) for metric in metrics] if ranked else [], "question": result.question,
+            }
+        )  # fmt: skip
         for (status, message), n in _failures(stored).items():
             kind = (cell.label, status, message)
             before, identity = self.kinds.get(kind, (0, stored.identity if stored.tracebacks else ""))
             self.kinds[kind] = before + n, identity
 
     def table(self) -> str:
-        """The sweep as a table."""
-        marks = [self._leading(i) for i in range(2)]
-        names = sorted(set(self.groups.values()))
-        varying = [i for i in range(1, 5) if len({key[i] for key in self.lines}) > 1]
-        by_group = len(names) > 1
+        """Return the sweep as a table; what all lines share is said once above it."""
+        names = sorted({line["group"] for line in self.lines})
+        varying = [name for name in COLUMNS if len({line[name] for line in self.lines}) > 1]
+        first = ["method", *varying, *(["group"] if len(names) > 1 else [])]
+        titles = ("error %" if len(names) > 1 else f"{''.join(names)} %", "RMSE m")
+        best = [self._best(i) for i in range(len(titles))]
         rows = []
-        for key, own in self.lines.items():
-            ok = f"{sum(n_ok for n_ok, _, _ in own)}/{sum(n for _, n, _ in own)}"
-            head = [key[0], *(key[i] for i in varying), *([self.groups[key]] if by_group else [])]
-            scores = [_median_and_excess([found[i] for _, _, found in own]) for i in range(2)]
-            cells = [_beside(*scores[i], key in marks[i], bool(marks[i])) for i in range(2)]
-            rows.append([*head, *([] if self.listed else [str(len(own))]), ok, *cells[0], *cells[1]])
-        first = ["method", *(COLUMNS[i] for i in varying), *(["group"] if by_group else [])]
-        many = [] if self.listed else ["cells"]
-        titles = ("error %" if by_group else f"{''.join(names)} %", "RMSE m")
-        metrics = [_beside(title, "excess", False, bool(marks[i])) for i, title in enumerate(titles)]
-        headers = [*first, *many, "ok", *metrics[0], *metrics[1]]
-        text = table(rows, headers, [i for i, name in enumerate(first) if name != "dB"])
-        shared = [f"{COLUMNS[i]} {key[i]}" for key in list(self.lines)[:1] for i in range(1, 5) if i not in varying]
-        if shared:
-            text = wrapped(f"every cell: {', '.join(shared)}") + "\n\n" + text
-        if any(marks):
-            legend = "least median error on the same data, or not told from it (Wilcoxon, Holm, 5 %; or 2 % apart)"
-            text += "\n\n" + wrapped(f"{MARK} {legend}")
-        return text
+        for lines in group(self.lines, self._row).values():
+            cells = [lines[0][name] for name in first] + ([] if self.listed else [str(len(lines))])
+            cells.append(answered(*(sum(line[name] for line in lines) for name in ("n_ok", "n"))))
+            for i, identities in enumerate(best):
+                median, excess = _median_and_excess([line["statistics"][i] for line in lines])
+                mark = MARK if lines[0]["identity"] in identities else ""
+                cells += [median, *([mark] if identities else []), excess]
+            rows.append(cells)
+        headers = [*first, *([] if self.listed else ["cells"]), "ok"]
+        for title, identities in zip(titles, best, strict=True):
+            headers += [title, *([""] if identities else []), "excess"]
+        shared = [f"{name} {line[name]}" for line in self.lines[:1] for name in COLUMNS if name not in varying]
+        legend = "least median error on the same data, or tied with it (Wilcoxon, Holm, 5 %; or 2 % apart)"
+        parts = [
+            wrapped(f"every cell: {', '.join(shared)}") if shared else "",
+            table(rows, headers, [i for i, name in enumerate(first) if name != "dB"]),
+            wrapped(f"{MARK} {legend}") if any(best) else "",
+        ]
+        return "\n\n".join(part for part in parts if part)
 
-    def _leading(self, i: int) -> set[tuple[str, ...]]:
-        """Of the i-th metric, the best methods of all scenarios that several methods were fitted to."""
+    def _row(self, line: Line) -> Hashable:
+        return line["identity"] if self.listed else tuple(line[name] for name in ("method", *COLUMNS))
+
+    def _best(self, i: int) -> set[str]:
+        """Find the best cells by the i-th metric of all scenarios that several methods were fitted to."""
         from bench.scoring.comparison import standing
 
-        found: set[tuple[str, ...]] = set()
-        for contest in self.contests.values():
-            values = {str(n): errors[i] for n, errors in enumerate(contest.values())}
-            if all(np.isinf(own).any() and np.isinf(np.median(own)) for own in values.values()):
+        best: set[str] = set()
+        for lines in group((line for line in self.lines if line["errors"]), lambda line: line["question"]).values():
+            errors = {line["identity"]: line["errors"][i] for line in lines}
+            if all(np.isinf(np.median(own)) for own in errors.values()):
                 continue
-            excess = {str(n): self.lines[key][0][2][i].get("excess", math.nan) for n, key in enumerate(contest)}
-            bounds = [self.lines[key][0][2][i].get("bound", math.nan) for key in contest]
-            ranking = standing(values, excess, bounds[0])
-            found |= {key for n, key in enumerate(contest) if ranking and str(n) in ranking.level}
-        return found
+            excess, bounds = (
+                {line["identity"]: line["statistics"][i].get(name, math.nan) for line in lines}
+                for name in ("excess", "bound")
+            )
+            ranking = standing(errors, excess, next(iter(bounds.values())))
+            best |= set(ranking.level) if ranking else set()
+        return best
 
     def said_of_failures(self) -> int:
         """Say on the error stream what failed, once a kind, and where a traceback is; the exit status, 0 or 1.
 
         1 where a cell is not there at all: what ran elsewhere may be lost with its node.
         """
-        if len(self.lines) > 1:
+        if len({self._row(line) for line in self.lines}) > 1:
             for (label, status, message), (n, identity) in self.kinds.items():
                 where = f" (traceback: python -m bench status cell={identity})" if identity else ""
                 print(f"bench: {label}: {n} x {status}: {message}{where}", file=sys.stderr)
         if self.lost:
             print(f"bench: {self.lost} cells were not computed; the same command computes them", file=sys.stderr)
         return 1 if self.lost else 0
-
-
-def _beside(median: str, excess: str, marked: bool, any_marked: bool) -> list[str]:
-    """A metric's columns: its mark, where any row has one, stands between median and excess."""
-    return [median, *([MARK if marked else ""] if any_marked else []), excess]
 
 
 def _excess(value: float) -> str:
