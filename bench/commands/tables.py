@@ -24,7 +24,7 @@ def tables(
     out: Out = RESULTS,
     tex: Annotated[Path, "folder of the LaTeX tables"] = TEX,
 ) -> int:
-    """Write the tables of all experiments as Markdown, CSV and LaTeX; what=figures, claims, reproduction or all.
+    """Write the tables of all experiments as Markdown, CSV and LaTeX; what=frame, figures, claims, ...
 
     From stored cells alone: a table is what its experiment in conf describes, and a missing cell is a row that says so.
     A submitted method appears in the tables of which it has every scenario, and is marked.
@@ -51,6 +51,26 @@ def tables(
     written += _write(leaderboard(pooled, drawn), out, tex)
     if not written:
         raise InputError("store", store, "none of its cells is in a table; see python -m bench status")
+    return 0
+
+
+def frame(
+    store: StoreFolder = OWN,
+    archive: ArchiveFolder = None,
+    out: Annotated[Path, "file of the frame (Parquet)"] = Path("build/frame.parquet"),
+) -> int:
+    """Write one frame of everything that tables show: a line a cell and metric, with ties, verdicts and what is stale.
+
+    pandas.read_parquet reads it.
+    """
+    from bench.reporting.frame import experiment_frame, table_experiments
+    from bench.reporting.tables.tidy import tidy_frame
+
+    opened = named_store(store, archive, filled=True)
+    data = tidy_frame(experiment_frame(name, opened) for name in table_experiments())
+    out.parent.mkdir(parents=True, exist_ok=True)
+    data.to_parquet(out, index=False)
+    print(f"{out}: {len(data)} lines")
     return 0
 
 
@@ -154,8 +174,8 @@ def everything(store: StoreFolder = OWN, archive: ArchiveFolder = None) -> int:
 
 
 VARIANTS = {
-    "what=tables": tables, "what=figures": figures, "what=claims": claims, "what=reproduction": reproduction,
-    "what=all": everything,
+    "what=tables": tables, "what=frame": frame, "what=figures": figures, "what=claims": claims,
+    "what=reproduction": reproduction, "what=all": everything,
 }  # fmt: skip
 
 
@@ -173,8 +193,9 @@ def _write(files: Mapping[str, str], out: Path, tex: Path) -> int:
 def _warn_if_stale(frame: Frame) -> None:
     """Print a line on the error stream where a table rests on cells of another version."""
     unique = {result.identity: result for result in frame}.values()
-    stale = [(one.cell.version, one.stored.version) for one in unique if one.cell and one.stored]
-    stale = [(now, then) for now, then in stale if not now.is_that_of(then)]
+    stale = [
+        (one.cell.version, one.stored.version) for one in unique if one.state == "stale" and one.cell and one.stored
+    ]
     if stale:
         now, then = stale[0]
         cells = f"{len(stale)} of {len(unique)} cells are stale ({now.changed_since(then)[:100]})"

@@ -233,6 +233,13 @@ class Result:
         return self.statuses.count(Status.OK)
 
     @property
+    def state(self) -> str:
+        """``current``, ``stale`` where other versions computed an experiment's cell, or ``missing``."""
+        if self.cell is None or self.stored is None:
+            return "missing" if self.stored is None else ""
+        return "current" if self.cell.version.is_that_of(self.stored.version) else "stale"
+
+    @property
     def status(self) -> Status:
         """``ok`` where any replicate succeeded, else the most frequent failure."""
         assert self.stored is not None
@@ -383,6 +390,7 @@ VALUES: Mapping[str, Callable[[Result, str], Any]] = {
     "high_95": lambda result, metric: result.coverage(quantity(metric))[2],
     "n_ok": lambda result, metric: result.n_ok,
     "n": lambda result, metric: result.n,
+    "state": lambda result, metric: result.state,
 }
 """By column of a tidy table, what stands there for a result and a metric; the columns of all tables mean the same."""
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from bench.reporting.frame import Result
 from bench.reporting.paper import own_method, printed, printed_estimate
-from bench.reporting.tables.paper_tables import judged
+from bench.reporting.tables.tidy import judged
 from bench.scoring.verdict import Verdict, between
 
 RATIOS = {"k_over_m_error_pct": "k", "c_over_m_error_pct": "c"}

@@ -20,7 +20,7 @@ from bench.reporting.frame import Result
 from bench.reporting.labels import beside_paper, in_order
 from bench.reporting.paper import Printed, printed, row_name
 from bench.reporting.ratios import Bracket, brackets, judged_bracket
-from bench.reporting.tables.paper_tables import judged
+from bench.reporting.tables.tidy import judged
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scoring.statistics import holm
 from bench.scoring.verdict import decided, mean_p_value

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from bench.reporting.bias import bias_share
 from bench.reporting.frame import Frame, Line, Result, group, line, quantity
 from bench.reporting.labels import title, told
-from bench.reporting.paper import paper_value, row_name
+from bench.reporting.paper import paper_value
 from bench.reporting.rounding import answered, number, percent, with_excess
 from bench.reporting.tables.render import MISSING, PRIMARY, Columns, Rows, bold, ending, files, listing, ranked, texts
+from bench.reporting.tables.tidy import printed, row_of
 from bench.scoring.comparison import ScenarioRanking
-from bench.scoring.verdict import Verdict, judge
 
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
@@ -45,18 +45,6 @@ mean error, what more replicates would not average out (less what chance makes o
 ok: fits that gave an answer, of all."""
 
 
-def judged(paper: float, result: Result, oracle: Result, metric: str) -> Verdict:
-    """The verdict of a cell on a printed number."""
-    # the prior's part of this method's own mean square error: a method that is far off is so for other reasons
-    share = result.prior_share.get(quantity(metric), 0.0) / max(result.excess(metric) ** 2, 1.0)
-    return judge(paper, result.errors(metric), oracle.errors(metric), share)
-
-
-def row_of(table: int, result: Result) -> str:
-    """The name of the row that a result stands in."""
-    return row_name(table, result.system, result.snr_db)
-
-
 # ---- the tidy table
 
 
@@ -75,20 +63,10 @@ def lines(table: int, results: Sequence[Result]) -> list[Line]:
             found += [{**head, **line(result, metric, columns), "method": "bound"} for metric in bounded]
         for metric in result.summary if result.stored else HEADINGS:
             if metric != "realised_snr_db":
-                paper = paper_value(table, place[1], result.label, metric)
-                said = _verdict(paper, result, oracles.get(place), metric)
                 # the prior's share of the bound stands in the bound's line
                 own = {**line(result, metric, COLUMNS), "prior_share": math.nan}
-                found.append({**head, **own, "paper": paper, "verdict": said})
+                found.append({**head, **own, **printed(table, result, oracles.get(place), metric)})
     return found
-
-
-def _verdict(paper: float, result: Result, oracle: Result | None, metric: str) -> str:
-    if not result.stored:
-        return "not run"
-    if math.isnan(paper):
-        return ""
-    return judged(paper, result, oracle, metric).text if oracle else "no oracle stored"
 
 
 # ---- for reading
@@ -184,7 +162,7 @@ def paper_table(frame: Frame) -> Mapping[str, str]:
     places = group(frame, lambda result: (result.initial_state, row_of(table, result)))
     standings = {(*place, metric): ranked(own, metric) for place, own in places.items() for metric in PRIMARY}
     data = lines(table, frame.results)
-    printed = [one for one in data if one["initial_state"] == "known" and one.get("paper", math.nan) > 0]
+    beside = [one for one in data if one["initial_state"] == "known" and one.get("paper", math.nan) > 0]
     parts: list[str | Rows] = [f"# {frame.heading}", LEGEND]
     captioned = []
     for start, own in group(frame, lambda result: result.initial_state).items():
@@ -192,5 +170,5 @@ def paper_table(frame: Frame) -> Mapping[str, str]:
         parts += [f"## Initial state {start}", panel, _resolved(standings, start)]
         said = "Median, and root mean square error over the Cramér-Rao bound."
         captioned.append((f"{frame.title} (initial state {start}). {said}", panel))
-    parts += ["## The paper's numbers", _paper_legend(frame.results), listing(printed, PRINTED)]
+    parts += ["## The paper's numbers", _paper_legend(frame.results), listing(beside, PRINTED)]
     return files(frame.name, [*parts, *ending(frame)], data, COLUMNS, latex=captioned)

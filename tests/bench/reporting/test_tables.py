@@ -22,6 +22,7 @@ from bench.information.fisher import Bound
 from bench.reporting.frame import Frame, Result
 from bench.reporting.paper import paper_value, printed
 from bench.reporting.tables.paper_tables import COLUMNS, HEADINGS, paper_table
+from bench.reporting.tables.tidy import tidy_frame
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
@@ -279,3 +280,18 @@ def test_one_scenario_at_two_starts_has_two_bounds(reference: Scenario) -> None:
     data = tidy([known, Result.of_cell(cell, stored(cell))])
     bounds = data[(data.method == "bound") & (data.metric == "rmse")]
     assert list(bounds.initial_state) == ["known", "unknown"]
+
+
+def test_the_frame_of_everything_holds_ties_verdicts_and_states() -> None:
+    """The best by errors ten times smaller stands alone, and the oracle competes with nobody."""
+    cells = [cell for cell in Experiment("table3").cells() if cell.scenario.initial_state == "known"]
+    scale = {"ls": 0.1, "rls": 1.0, "oracle": 0.01}
+    results = [Result.of_cell(cell, stored(cell, scale[cell.label]) if cell.label in scale else None) for cell in cells]
+    frame = tidy_frame([Frame("table3", "Comparison", {"number": 3}, tuple(results))])
+    lines = frame.set_index(["method", "metric"])
+    assert [bool(lines.tied[name, "k_over_m_error_pct"]) for name in ("ls", "rls", "oracle")] == [True, False, False]
+    assert lines.paper["rls", "m_error_pct"] == 13.8
+    assert lines.verdict["rls", "m_error_pct"] == "not decidable (100 % prior)"
+    assert lines.state["pinn", ""] == "missing"
+    assert lines.state["ls", "rmse"] == "stale"  # its cell says nothing of versions
+    assert lines.excess["ls", "rmse"] == pytest.approx(results[[c.label for c in cells].index("ls")].excess("rmse"))
