@@ -31,13 +31,12 @@ def tables(
     """
     from bench.reporting.frame import experiment_frame, submitted_results, table_experiments, with_submitted
     from bench.reporting.tables.forms import table_files
-    from bench.reporting.tables.leaderboard import EXPERIMENTS, leaderboard
     from bench.reporting.whole_file import check_folder
 
     opened = named_store(store, archive, filled=True)
     check_folder(out)
     check_folder(tex, "tex")
-    pooled, drawn, submitted, written = [], None, submitted_results(opened), 0
+    submitted, written = submitted_results(opened), 0
     for name in table_experiments():
         frame = with_submitted(experiment_frame(name, opened), submitted)
         files = table_files(frame, opened)
@@ -46,9 +45,6 @@ def tables(
         else:
             print(f"{name}: no cells stored; run python -m bench -m experiment={name}", file=sys.stderr)
         written += _write(files, out, tex)
-        pooled += [frame] if name in EXPERIMENTS else []
-        drawn = frame if frame.table.get("form") == "open" else drawn
-    written += _write(leaderboard(pooled, drawn), out, tex)
     if not written:
         raise InputError("store", store, "none of its cells is in a table; see python -m bench status")
     return 0

@@ -31,7 +31,7 @@ from bench.scoring.row import Row
 from bench.scoring.statistics import wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import MARK, StoredCell
+from bench.store.stored import MARK, SUBMITTED, StoredCell
 from bench.store.version import settings_version
 from bench.systems import System, make_system
 
@@ -249,6 +249,16 @@ class Result:
     def ok(self) -> np.ndarray:
         """Which replicates succeeded, booleans (n,)."""
         return np.array([status is Status.OK for status in self.statuses], bool)
+
+    @property
+    def verification(self) -> str:
+        """What was verified of a submitted cell when it was merged, in words; empty for one's own."""
+        facts = self.stored.provenance.get(SUBMITTED) if self.stored else None
+        if facts is None:
+            return ""
+        compared, rows = facts.get("rows_compared", 0), facts.get("of_rows", "unknown")
+        by = f"submitted by {facts.get('by') or 'unknown'}"
+        return f"{by}; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
 
     @property
     def summary(self) -> Mapping[str, Mapping[str, float]]:

@@ -29,6 +29,7 @@ from bench.reporting.labels import in_order
 from bench.reporting.tables.pooling import pooled_quantities
 from bench.scoring.comparison import GROSS, MARGIN
 from bench.scoring.statistics import counts, middle_95
+from bench.scoring.summary import below_chance
 from bench.store.cell import stored_as_cell
 
 CAP = 10.0
@@ -49,7 +50,7 @@ class Ranked:
     ``tier`` counts from 1; 0 stands beside the tiers, and serves ``served`` of the ``scenarios`` only. ``typical`` is
     the exponential of its loss, a geometric mean of errors over bounds, with its 95 % interval ``low`` to ``high``;
     ``first_tier`` is that of the first tier on the scenarios that the method serves. ``lost`` of its ``fits`` are
-    outliers, failures or refusals.
+    outliers, failures or refusals. ``too_good``: its errors are smaller than the bound allows by chance.
     """
 
     label: str
@@ -62,6 +63,7 @@ class Ranked:
     first_tier: float
     lost: int
     fits: int
+    too_good: bool
 
 
 def ranking(results: Iterable[Result]) -> list[Ranked]:
@@ -153,6 +155,7 @@ def ranked(fits: Fits) -> list[Ranked]:
                 float(np.exp(np.mean(means[label][those]))), math.exp(low), math.exp(high),
                 math.nan if first is None else float(np.exp(np.mean(first[those]))),
                 int(np.sum(every == LOST)), every.size,
+                below_chance(float(np.sqrt(np.mean(np.exp(2.0 * every)))), 0.0, every.size),
             )
         )  # fmt: skip
     return rows

@@ -175,18 +175,6 @@ def standing(values: Mapping[str, np.ndarray], excess: Mapping[str, float], boun
     return ScenarioRanking(best, tuple(others), frozenset(level), p_gross)
 
 
-def profile(errors: Errors, factors: Sequence[float]) -> dict[str, np.ndarray]:
-    """Return performance profiles: the share of data sets on which a method's error is within each factor of the least.
-
-    E. D. Dolan, J. J. Moré, Math. Program. 91:201, 2002; a failure is within no factor.
-    """
-    least = np.min(np.stack(list(errors.values.values())), axis=0)
-    return {
-        method: np.array([np.mean(np.isfinite(values) & (values <= factor * least)) for factor in factors])
-        for method, values in errors.values.items()
-    }
-
-
 def _median(values: np.ndarray) -> float:
     """Return the median of values (n,), some perhaps infinite: where n is even the lower of the middle two."""
     return float(np.sort(values)[(values.size - 1) // 2])

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from bench.reporting.frame import Frame
 from bench.reporting.tables.calibration import calibration_table
 from bench.reporting.tables.family import family_table
+from bench.reporting.tables.leaderboard import leaderboard
 from bench.reporting.tables.misspecified import misspecified_table
 from bench.reporting.tables.open_split import open_table
 from bench.reporting.tables.paper_tables import paper_table
@@ -26,4 +27,5 @@ def table_files(frame: Frame, store: Store) -> Mapping[str, str]:
     ``store`` is for what stands beside a table's own cells: the undisturbed ones of a disturbed cell.
     """
     form = str(frame.table.get("form", "paper"))
-    return robustness_table(frame, store) if form == "robustness" else FORMS[form](frame)
+    ranking = leaderboard(frame) if form == "open" else {}
+    return robustness_table(frame, store) if form == "robustness" else {**FORMS[form](frame), **ranking}

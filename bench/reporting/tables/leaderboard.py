@@ -1,151 +1,92 @@
-"""All scenarios of Tables 4 and 5 together: how much worse each method is than the best, and how sure that is.
-
-First, where it has run, the open split, on which nothing was tuned (:mod:`bench.reporting.tables.open_split`).
-Every method is compared with the best one on the same data sets, over scenarios as clusters
-(:mod:`bench.scoring.comparison`); performance profiles say on what share of the data sets it is within a factor of the
-least error.
-"""
+"""The leaderboard: the one ranking (:mod:`bench.reporting.ranking`) on the open split, on which nothing was tuned."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-
-import numpy as np
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 from bench.reporting.frame import Frame, Line, Result, group
 from bench.reporting.labels import title
-from bench.reporting.rounding import excess_text, number, percent
-from bench.reporting.tables.open_split import bounds_of, over_bounds
-from bench.reporting.tables.pooling import root_mean_square
-from bench.reporting.tables.render import MISSING, PRIMARY, Columns, Rows, bold, files, listing
-from bench.reporting.verdict import below, suspicious
-from bench.scoring.comparison import GROSS, STEADY, Errors, compare, gross, profile, steady
+from bench.reporting.ranking import CAP, ranking
+from bench.reporting.tables.open_split import median_time
+from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
+from bench.reporting.verdict import below
+from bench.scoring.comparison import GROSS
 
 COLUMNS = (
-    "initial_state", "metric", "open_median", "open_gross", "open_n", "method", "ratio", "low", "high", "p_holm", "tie",
-    "gross", "within_1.1", "within_1.5", "within_2", "within_5",
+    "part", "method", "tier", "served", "scenarios", "typical", "low", "high", "first_tier", "lost", "fits",
+    "median_cpu_s",
 )  # fmt: skip
-EXPERIMENTS = ("table4", "table5")
-FACTORS = (1.1, 1.5, 2.0, 5.0)
-NAMES = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
-LEGEND = """Over the scenarios of Tables 4 and 5, on the first {n} replicates of each, which every method was given.
-Ratio: median over the data sets of a method's error over that of the best, with its 95 % interval from a bootstrap that
-resamples scenarios as clusters and replicates within them; a failed fit is infinitely bad. The best has the least
-median of error over bound of the methods that do not run away: whose excess is within {steady:g} times the least, and
-whose errors are gross (beyond {gross:g} times the bound, or failures) no more often than those of the method that makes
-fewest (exact test, 5 %). Bold: cannot be told from the best (Wilcoxon's signed-rank test over the data sets, Holm's
-adjustment, 5 %), or less than 2 % from it, and does not run away. Within: share of the data sets on which the error is
-within so many times the least of all methods (performance profile); near-ties make small factors a lottery."""
+PARTS = ("below Nyquist", "beyond Nyquist")
+LEGEND = """On the [open split](open.md): scenarios drawn at random, on which nothing was tuned, one data set each, the
+same for all. **Error over bound**: of each fit the root mean square, over the quantities that its data determine, of
+error over Cramér-Rao bound, at most {cap:g} and at least {least:g}; {cap:g} for an outlier fit (a quantity beyond
+{gross:g} times its bound), for no answer, and for a refusal of what the method says it serves. Shown is the geometric
+mean over the scenarios with its 95 % bootstrap interval; of normal errors on the bound it is about 0.75 (exp(-γ/2), of
+two quantities). **Tier**: the first is the method of the least mean with all that these scenarios cannot tell from it
+(the 95 % interval of the mean difference of logarithms, scenarios resampled, reaches 0, or 2 %); the second is found
+likewise among the rest, and so on. A tier has no winner: its methods stand in a fixed order. **Lost**: fits that count
+as {cap:g}. A method that does not serve every scenario stands beside the tiers, with the error of the first tier on the
+scenarios that it serves. Nyquist: two samples a natural period, on average. Time: processor time of the median fit that
+gave an answer."""
 
 
-def collected(results: Iterable[Result], metric: str) -> tuple[Errors, np.ndarray] | None:
-    """The errors of every method on the replicates that all were given, and the bound of each data set (n,).
-
-    None where a cell is missing. A method that is asked for some of the scenarios only is left out. Where there is no
-    bound, 1 stands for it.
-    """
-    # by identity: the reference system at 20 dB stands in two tables
-    own = {result.identity: result for result in results if not result.is_reference}
-    asked = group(own.values(), lambda result: result.label)
-    most = max(map(len, asked.values()), default=0)
-    by_method = {method: its for method, its in asked.items() if len(its) == most}
-    if not by_method or not all(result.stored for its in by_method.values() for result in its):
-        return None
-    fewest = min(result.n for its in by_method.values() for result in its)
-    joined = {m: np.concatenate([one.errors(metric)[:fewest] for one in its]) for m, its in by_method.items()}
-    bounds = [one.bound(metric) for one in next(iter(by_method.values()))]
-    sizes = [bound if 0 < bound < math.inf else 1.0 for bound in bounds]
-    return Errors(joined, np.repeat(np.arange(len(sizes)), fewest)), np.repeat(sizes, fewest)
+def parts(results: Sequence[Result]) -> dict[str, list[Result]]:
+    """Return the scenarios with more than two samples a cycle, on average, and the others."""
+    split: dict[str, list[Result]] = {name: [] for name in PARTS}
+    for result in results:
+        split[PARTS[beyond_nyquist(result)]].append(result)
+    return split
 
 
-OPEN_LEGEND = """Open: on the scenarios of the [open split](open.md) with that initial state, drawn at random and used
-for no setting, the median of error over bound, and the share of gross errors (beyond five times the bound, failures
-included). A dash: the method is not asked there."""
+def beyond_nyquist(result: Result) -> bool:
+    """Return whether one mass is sampled no more than twice a natural period on average."""
+    p = result.parameters
+    return result.samples / result.duration <= math.sqrt(p["k"] / p["m"]) / math.pi
 
 
-def on_open_split(results: Iterable[Result], metric: str) -> dict[str, Line]:
-    """By method, its errors over bounds on the scenarios of the open split; none where it has not run."""
-    own = list(results)
-    bounds = bounds_of(own, metric)
-    found = {name: over_bounds(its, metric, bounds) for name, its in group(own, lambda result: result.label).items()}
-    return {name: one for name, one in found.items() if one["n"]}
+def lines(results: Sequence[Result]) -> list[Line]:
+    """Return one line a part and method, the first tier first; those that stand beside the tiers come last."""
+    return [
+        {"part": part, **asdict(row), "method": row.label, "median_cpu_s": median_time(by_method[row.label])}
+        for part, its in parts(results).items()
+        for by_method in [group(its, lambda result: result.label)]
+        for row in ranking(its)
+    ]
 
 
-def lines(errors: Errors, bounds: np.ndarray) -> list[Line]:
-    """One line a method, best first."""
-    over = {method: own / bounds for method, own in errors.values.items()}
-    excess = {method: root_mean_square(ratios[np.isfinite(ratios)]) for method, ratios in over.items()}
-    sure, _ = steady(over, excess, 1.0)
-    best = min(sure, key=lambda method: float(np.median(over[method])))
-    within = profile(errors, FACTORS)
-    found = {c.a: c for c in compare(errors, [(method, best) for method in over if method != best])}
-    rows = [
-        {
-            "method": method, "ratio": 1.0, "tie": (not (c := found.get(method)) or c.tie) and method in sure,
-            **({"ratio": c.ratio, "low": c.low, "high": c.high, "p_holm": c.adjusted} if c else {}),
-            "gross": float(np.mean(gross(over[method], 1.0))),
-            **{f"within_{factor:g}": share for factor, share in zip(FACTORS, within[method], strict=True)},
-        }
-        for method in over
-    ]  # fmt: skip
-    return sorted(rows, key=lambda row: float(row["ratio"]))
+def leaderboard(frame: Frame) -> Mapping[str, str]:
+    """Return the files by name, from the frame of the open split; none where the store holds no cell of it."""
+    if not frame.any_stored:
+        return {}
+    data = lines(frame.results)
+    shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, least=1 / CAP, gross=GROSS)]
+    for part in PARTS:
+        own = [line for line in data if line["part"] == part]
+        tiers, beside = [line for line in own if line["tier"]], [line for line in own if not line["tier"]]
+        shown += [f"## {part[0].upper()}{part[1:]}: {max((line['scenarios'] for line in own), default=0)} scenarios"]
+        shown += [listing(tiers, {**TIER, **NAMED, **NUMBERS}) if tiers else ""]
+        shown += ["Beside the tiers:", listing(beside, {**NAMED, **SERVED, **NUMBERS})] if beside else []
+    too_good = sorted({title(line["method"]) for line in data if line["too_good"]})
+    shown += [f"Errors are {below(too_good)}." if too_good else "", verifications(frame.results)]
+    return files("leaderboard", [*shown, f"Regenerate: `{frame.command}`"], data, COLUMNS, 5)
 
 
-def leaderboard(frames: Sequence[Frame], open_split: Frame | None = None) -> Mapping[str, str]:
-    """The files by name, from the frames of :data:`EXPERIMENTS`; none where a cell of theirs is missing.
-
-    ``open_split``: the frame of the open split, for the first columns; None where there is none.
-    """
-    results = [result for frame in frames for result in frame]
-    drawn = list(open_split) if open_split and open_split.any_stored else []
-    parts: list[str | Rows] = ["# Leaderboard", "", OPEN_LEGEND if drawn else ""]
-    data: list[Line] = []
-    for start in ("unknown", "known"):
-        for metric in PRIMARY:
-            found = collected([result for result in results if result.initial_state == start], metric)
-            if found is None:
-                return {}
-            first = on_open_split([result for result in drawn if result.initial_state == start], metric)
-            place = {"initial_state": start, "metric": metric}
-            own = [{**place, **_open(first.get(one["method"])), **one} for one in lines(*found)]
-            data += own
-            parts[1] = LEGEND.format(n=int(np.sum(found[0].scenario == 0)), steady=STEADY, gross=GROSS)
-            columns = {**NAMED, **(ON_OPEN_SPLIT if drawn else {}), **ON_TABLES}
-            parts += [f"## Error of {NAMES[metric]}, initial state {start}", listing(own, columns)]
-    small = {title(r.label) for r in results if not r.is_reference and r.stored and suspicious(r.stored)}
-    parts += [f"Errors are {below(sorted(small))}." if small else ""]
-    parts.append("Regenerate: `python -m bench -m experiment=table4,table5 && python -m bench tables`")
-    return files("leaderboard", parts, data, COLUMNS, 5)
+def verifications(results: Sequence[Result]) -> str:
+    """Return what was verified of each method that somebody submitted, as a list; empty without one."""
+    said = {result.label: result.verification for result in results if result.verification}
+    return "\n".join(f"- {title(label)}: {text}" for label, text in said.items())
 
 
-def _open(found: Line | None) -> Line:
-    if found is None:
-        return {"open_n": 0}
-    return {"open_median": found["median_over_bound"], "open_gross": found["gross"], "open_n": found["n"]}
-
-
-def _within(factor: float) -> Callable[[Line], str]:
-    return lambda one: f"{percent(one[f'within_{factor:g}'])} %"
-
-
-NAMED: Columns[Line] = {"method": lambda one: bold(title(one["method"]), one["tie"])}
-ON_OPEN_SPLIT: Columns[Line] = {
-    "open: error over bound": lambda one: _times(one["open_median"]) if one["open_n"] else MISSING,
-    "open: gross": lambda one: f"{percent(one['open_gross'])} % of {one['open_n']}" if one["open_n"] else MISSING,
+TIER: Columns[Line] = {"tier": lambda line: str(line["tier"])}
+NAMED: Columns[Line] = {"method": lambda line: title(line["method"])}
+SERVED: Columns[Line] = {
+    "serves": lambda line: f"{line['served']} of {line['scenarios']}",
+    "first tier there": lambda line: f"{line['first_tier']:.2f}",
 }
-ON_TABLES: Columns[Line] = {
-    "error over the best's": lambda one: f"×{one['ratio']:.3g}{_interval(one)}",
-    "p (Holm)": lambda one: f"{one['p_holm']:.2g}" if "p_holm" in one else "",
-    "gross": lambda one: f"{percent(one['gross'], 1)} %",
-    **{f"within ×{factor:g}": _within(factor) for factor in FACTORS},
+NUMBERS: Columns[Line] = {
+    "error over bound": lambda line: f"{line['typical']:.2f} ({line['low']:.2f} to {line['high']:.2f})",
+    "lost": lambda line: f"{line['lost']} of {line['fits']}",
+    "time (s)": lambda line: MISSING if math.isnan(line["median_cpu_s"]) else f"{line['median_cpu_s']:.2g}",
 }
-
-
-def _interval(one: Line) -> str:
-    known = not math.isnan(one.get("low", math.nan))
-    return f" ({number(one['low'])} to {number(one['high'])})" if known else ""
-
-
-def _times(value: float) -> str:
-    return f"×{excess_text(value)}" if math.isfinite(value) else "failed"

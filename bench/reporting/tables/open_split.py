@@ -87,7 +87,7 @@ def lines(results: Sequence[Result]) -> list[Line]:
     return [
         {
             "part": part, "method": method, "metric": metric, "results": by_method[method],
-            "median_cpu_s": _median_time(by_method[method]), **over_bounds(by_method[method], metric, bounds[metric]),
+            "median_cpu_s": median_time(by_method[method]), **over_bounds(by_method[method], metric, bounds[metric]),
         }
         for part, own in parts(results).items()
         for by_method in [group(own, lambda result: result.label)]
@@ -96,7 +96,8 @@ def lines(results: Sequence[Result]) -> list[Line]:
     ]  # fmt: skip
 
 
-def _median_time(results: Iterable[Result]) -> float:
+def median_time(results: Iterable[Result]) -> float:
+    """The median processor time (s) of the fits that gave an answer; NaN without any."""
     times = np.concatenate([np.empty(0), *(result.cpu_s[result.ok] for result in results if result.stored)])
     return float(np.median(times)) if times.size else math.nan
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bench.contract.estimate import Status
-from bench.reporting.frame import Result
+from bench.reporting.frame import Frame, Result
 from bench.reporting.ranking import LOST, Ranked, fits_of, ranked, ranking, tiers
+from bench.reporting.tables.leaderboard import leaderboard
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
@@ -34,7 +36,7 @@ def result(scenario: Scenario, method: str, *ratios: float, status: Status = Sta
         rows = [Row(0, status, "no")]
     cell = Cell(scenario, method, {}, len(rows), 0, method)
     summary = {metric: {"bound": bound} for metric, bound in bounds.items()}
-    return Result.of_cell(cell, StoredCell(cell.identity, {}, tuple(rows), summary, {}, TOLD, 0.0))
+    return Result.of_cell(cell, StoredCell(cell.identity, {"label": method}, tuple(rows), summary, {}, TOLD, 0.0))
 
 
 def fits(**means: np.ndarray) -> dict[str, list[np.ndarray]]:
@@ -137,7 +139,59 @@ def test_what_stands_beside_is_compared_on_the_same_scenarios() -> None:
     assert rows[0].low < rows[0].typical < rows[0].high
 
 
+def test_errors_that_no_honest_method_has_are_said(reference: Scenario) -> None:
+    """Forty fits at a fifth of the bound: chi-square of 40 is below 1.6 once in 10^30."""
+    rng = np.random.default_rng(6)
+    cheat, honest = (result(reference, name, *size) for name, size in
+                     (("ls", np.full(40, 0.2)), ("shooting", abs(rng.standard_normal(40)))))  # fmt: skip
+    assert {row.label: row.too_good for row in ranking([cheat, honest])} == {"ls": True, "shooting": False}
+    assert "LS, finite differences" in leaderboard(Frame("open", "", {}, (cheat, honest)))["leaderboard.md"]
+
+
 def test_references_compete_with_nobody_and_a_merged_method_keeps_its_mark(reference: Scenario) -> None:
     merged = replace(result(reference, "ls", 1.0), label="ls (submitted)")
     rows = ranking([result(reference, "oracle", 0.5), result(reference, "shooting", 1.0), merged])
     assert [row.label for row in rows] == ["shooting", "ls (submitted)"]
+
+
+def drawn(scenario: Scenario, n: int) -> list[Scenario]:
+    """Scenarios with 25 samples in 10 s at 0.25 Hz to 1 Hz, and as many with three in 10 s: beyond Nyquist."""
+    stiffness = (2 * math.pi * np.linspace(0.25, 1.0, n)) ** 2
+    made = [replace(scenario, parameters={"m": 1.0, "c": 0.1, "k": float(k)}) for k in stiffness]
+    return [*made, *(replace(one, samples=3) for one in made)]
+
+
+def test_the_leaderboard_has_tiers_apart_below_and_beyond_nyquist(reference: Scenario) -> None:
+    """Shooting and the filter alike below, least squares three times worse; beyond all are lost but the filter."""
+    rng = np.random.default_rng(7)
+    results = []
+    for scenario in drawn(reference, 30):
+        sparse, size = scenario.samples == 3, float(np.exp(0.3 * rng.standard_normal()))
+        results.append(result(scenario, "shooting", math.nan if sparse else size))
+        results.append(result(scenario, "ekf", size * float(np.exp(0.02 * rng.standard_normal()))))
+        results.append(result(scenario, "ls", math.nan if sparse else 3.0 * size))
+        results.append(result(scenario, "oracle", 0.1))
+    merged = result(drawn(reference, 30)[0], "rls", 1.0)
+    assert merged.stored
+    marked = merged.stored.marked({"by": "somebody", "rows_compared": 5, "of_rows": 24})
+    results.append(replace(merged, label="rls (submitted)", stored=marked))
+    files = leaderboard(Frame("open", "Open split", {}, tuple(results)))
+    below, beyond = files["leaderboard.md"].split("## Below Nyquist: 30 scenarios")[1].split("## Beyond Nyquist: 30")
+    rows = re.findall(r"^\| (\d) +\| ([^|]+?) +\| ([\d.]+)", below, re.MULTILINE)
+    assert [(tier, name) for tier, name, _ in rows] == [
+        ("1", "Multiple shooting"), ("1", "Extended Kalman filter"), ("2", "LS, finite differences"),
+    ]  # fmt: skip
+    assert float(rows[2][2]) / float(rows[0][2]) == pytest.approx(3.0, rel=0.02)
+    assert re.search(r"RLS \(submitted\) +\| 1 of 30", below.split("Beside the tiers")[1])
+    assert "submitted by somebody; 5 of its 24 rows were computed again" in files["leaderboard.md"]
+    assert re.findall(r"^\| (\d) +\| (\w+)", beyond, re.MULTILINE) == [
+        ("1", "Extended"),
+        ("2", "Multiple"),
+        ("2", "LS"),
+    ]
+    assert "oracle" not in files["leaderboard.md"].lower()
+
+
+def test_a_store_without_the_open_split_has_no_leaderboard(reference: Scenario) -> None:
+    cell = Cell(reference, "ls", {}, 1, 0, "ls")
+    assert leaderboard(Frame("open", "", {}, (Result.of_cell(cell, None),))) == {}

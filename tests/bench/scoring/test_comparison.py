@@ -13,7 +13,6 @@ from bench.scoring.comparison import (
     compare,
     differences,
     log_ratios,
-    profile,
     standing,
 )
 from bench.scoring.statistics import LEVEL, holm, more_often
@@ -123,13 +122,6 @@ def test_holm_by_hand() -> None:
     """Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1, made monotone: 0.04, 0.06, 0.06, 0.06."""
     np.testing.assert_allclose(holm([0.03, 0.01, 0.04, 0.02]), [0.06, 0.04, 0.06, 0.06])
     np.testing.assert_allclose(holm([0.9, 0.8]), [1.0, 1.0])
-
-
-def test_profile_by_hand() -> None:
-    errors = Errors({"a": np.array([1.0, 2.0, np.inf]), "b": np.array([2.0, 1.0, 3.0])}, np.zeros(3, int))
-    found = profile(errors, [1.0, 2.0])
-    np.testing.assert_allclose(found["a"], [1 / 3, 2 / 3])
-    np.testing.assert_allclose(found["b"], [2 / 3, 1.0])
 
 
 def test_scenarios_of_unequal_sizes_are_refused() -> None:
