@@ -74,7 +74,9 @@ def figures(
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
     out: Out = FIGURES,
-    svg: Annotated[Path | None, "folder of the same figures as SVG [none]"] = None,
+    svg: Annotated[
+        Path | None, "folder of the same figures as SVG and, of charts, the interactive specification [none]"
+    ] = None,
 ) -> int:
     """Draw the figures as PNG files with captions; a figure that lacks its cells is left out, with the reason."""
     from bench.reporting.whole_file import check_folder
@@ -97,9 +99,9 @@ def figures(
             drawn += 1
             print(*paths, sep="\n")
     except ImportError as error:
-        if "matplotlib" not in str(error):
+        if error.name not in ("altair", "matplotlib", "vl_convert"):
             raise
-        raise InputError("package", "matplotlib", "missing: pip install 'vibration-bench[figures]'") from None
+        raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None
     if not drawn:
         raise InputError("store", store, "no cell there has what a picture needs; run experiment=table5")
     return 0

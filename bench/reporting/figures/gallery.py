@@ -29,11 +29,15 @@ class Nothing(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure of matplotlib's and the text that says what to see in it; ``name``: of its files, if not its own."""
+    """A chart of Altair's, or a figure of matplotlib's, and the text that says what to see in it.
+
+    ``name`` is that of its files, if not its own; ``half``: a chart half as wide as a page.
+    """
 
     figure: Any
     caption: str
     name: str = ""
+    half: bool = False
 
 
 class Gallery:
@@ -58,6 +62,10 @@ class Gallery:
             best.values(), key=lambda one: (order[one.label], one.series, -one.snr_db, one.initial_state)
         )
         self.looks: dict[str, Look] = looks(order)
+
+    def name(self, label: str) -> str:
+        """What a chart calls a method."""
+        return self.looks[label].title.replace(r"\$", "$")
 
     def arrays(self, cell: Result) -> dict[str, np.ndarray]:
         """The arrays kept of a cell's replicate 0, as double precision; none where they are missing."""

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 from bench.reporting.figures.band import draw_band
 from bench.reporting.figures.basin import draw_basin
 from bench.reporting.figures.coverage import draw_coverage
 from bench.reporting.figures.failures import draw_failures
 from bench.reporting.figures.family import draw_family
-from bench.reporting.figures.forest import draw_forest
 from bench.reporting.figures.gallery import Gallery, Picture
 from bench.reporting.figures.noise import draw_displacement, draw_noise
-from bench.reporting.figures.profiles import draw_profiles
 from bench.reporting.figures.response import draw_reconstruction, draw_record
 from bench.reporting.figures.scatter import draw_scatter
 from bench.reporting.figures.style import save_figure
-from bench.reporting.figures.time import draw_time
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import draw_two_masses
 from bench.reporting.figures.waterfall import draw_waterfall
+from bench.reporting.pictures.rows import draw_forest, draw_profiles, draw_time
+from bench.reporting.pictures.style import FULL, HALF, save_chart, specification
 
 PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "record": draw_record,
@@ -47,14 +45,20 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
 def write_picture(gallery: Gallery, name: str, out: Path, svg: Path | None = None) -> list[Path]:
     """Draw a picture and write its files; returns their paths. Raises Nothing where there is nothing to draw."""
     picture = PICTURES[name](gallery)
-    changed = _changed_names(gallery, picture.figure)
-    return save_figure(picture.figure, out, picture.name or name, picture.caption + changed, svg)
+    name = picture.name or name
+    if hasattr(picture.figure, "findobj"):
+        from matplotlib.text import Text
+
+        texts = [text.get_text() for text in picture.figure.findobj(Text)]
+        caption = picture.caption + _changed_names(gallery, texts)
+        return save_figure(picture.figure, out, name, caption, svg)
+    spec = specification(picture.figure, HALF if picture.half else FULL)
+    texts = [str(value) for rows in spec["datasets"].values() for row in rows for value in row.values()]
+    return save_chart(spec, out, name, picture.caption + _changed_names(gallery, texts), svg)
 
 
-def _changed_names(gallery: Gallery, figure: Any) -> str:
-    """What stands for names in a figure that could not be drawn as they are."""
-    from matplotlib.text import Text
-
-    shown = "\n".join(text.get_text().replace("\n", " ") for text in figure.findobj(Text))
+def _changed_names(gallery: Gallery, texts: Iterable[str]) -> str:
+    """What stands for names among the texts of a picture that could not be drawn as they are."""
+    shown = " ".join(dict.fromkeys(text.replace("\n", " ") for text in texts))
     changed = [look for look in gallery.looks.values() if "\\u" in look.title or "…" in look.title]
     return "".join(f" {look.title} stands for {look.label}." for look in changed if look.title in shown)

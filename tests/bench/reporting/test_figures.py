@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,7 +19,7 @@ from bench.reporting.figures.png import MOST_BYTES, RESOLUTIONS, caption_of, pac
 from bench.reporting.labels import cards
 from bench.store.store import Store
 
-pytest.importorskip("matplotlib")
+pytest.importorskip("vl_convert")
 ALONE = {
     "record", "reconstruction", "training_loss", "scatter", "basin", "band", "error_against_noise",
     "displacement_against_noise", "forest", "coverage", "accuracy_against_time", "waterfall",
@@ -60,8 +61,11 @@ def test_every_picture_is_the_same_each_time_and_has_a_caption(store: Store, tmp
 def test_pictures_are_drawn_as_svg_where_a_folder_is_named(store: Store, tmp_path: Path) -> None:
     out, svg = tmp_path / "out", tmp_path / "svg"
     assert main(["tables", "what=figures", f"store={store.folder}", f"out={out}", f"svg={svg}"]) == 0
-    assert {path.name for path in svg.iterdir()} == {f"{name}.svg" for name in pictures(out)}
-    assert all(ElementTree.parse(path).getroot().tag.endswith("svg") for path in svg.iterdir())
+    assert {path.name for path in svg.glob("*.svg")} == {f"{name}.svg" for name in pictures(out)}
+    assert all(ElementTree.parse(path).getroot().tag.endswith("svg") for path in svg.glob("*.svg"))
+    specification = json.loads((svg / "forest.vl.json").read_text())
+    assert specification["description"] == caption_of(out / "forest.png")
+    assert specification["config"]["background"] == "#ffffff"
 
 
 def test_a_picture_too_large_for_its_file_is_drawn_with_fewer_pixels() -> None:

@@ -25,16 +25,14 @@ pytest.importorskip("matplotlib")
 from bench.reporting.figures.basin import clusters, draw_basin, misfit
 from bench.reporting.figures.coverage import covered, draw_coverage
 from bench.reporting.figures.failures import draw_failures, share
-from bench.reporting.figures.forest import excess_interval
 from bench.reporting.figures.gallery import Gallery, Nothing
 from bench.reporting.figures.noise import draw_displacement, draw_noise
-from bench.reporting.figures.profiles import SHARES, draw_profiles, factors
 from bench.reporting.figures.response import draw_reconstruction, draw_record, simulated
 from bench.reporting.figures.scatter import bound_covariance, draw_scatter, ellipse
-from bench.reporting.figures.time import draw_time
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import band, draw_two_masses
 from bench.reporting.figures.waterfall import draw_waterfall
+from bench.reporting.pictures.rows import SHARES, draw_profiles, draw_time, excess_interval, factors
 
 REFERENCE_COVARIANCE = np.array([[SD_K**2, CORRELATION * SD_K * SD_C], [CORRELATION * SD_K * SD_C, SD_C**2]])
 
@@ -256,6 +254,9 @@ def test_coverage_is_shown_on_the_seed_with_most_replicates(store: Store) -> Non
     assert "seed 4711" in draw_coverage(Gallery(store)).caption
 
 
+READ = ("quarter", "median", "three quarters", "most")
+
+
 def test_a_profile_rises_where_the_ratio_of_errors_is(store: Store) -> None:
     """One method always three times worse, failing on a quarter of the data sets."""
     for label, error, failing in (("shooting", 1.0, 0), ("sindy", 3.0, 5)):
@@ -264,12 +265,9 @@ def test_a_profile_rises_where_the_ratio_of_errors_is(store: Store) -> None:
             for i in range(20)
         ]
         save(store, described(label, n=20), rows)
-    gallery = Gallery(store)
-    axis = draw_profiles(gallery).figure.axes[0]
-    assert [text.get_text() for text in axis.get_yticklabels()] == ["Multiple shooting", "SINDy"]
-    best, other = (curves(axis, gallery.looks[label].colour) for label in ("shooting", "sindy"))
-    assert all(np.all(line[0] == 1.0) for line in best)
-    assert [list(line[0]) for line in other[:2]] == [[3.0, 100.0], [3.0, 3.0]]  # beyond the edge; a quarter to three
+    best, other = draw_profiles(Gallery(store)).figure.data.to_dict("records")
+    assert best == {"method": "Multiple shooting", "quantity": "k/m", **dict.fromkeys(READ, 1.0)}
+    assert [other[column] for column in READ] == [3.0, 3.0, 3.0, 200.0]  # the last beyond the edge, at 100
 
 
 def test_factors_are_read_off_the_profile() -> None:
@@ -332,29 +330,22 @@ def test_time_is_the_median_fit(store: Store) -> None:
     seconds = [0.5, 0.1, 9.0, 0.2, 0.3]
     rows = [replace(row, cpu_s=s) for row, s in zip(scored("shooting", 5), seconds, strict=True)]
     save(store, described("shooting", n=5), rows)
-    gallery = Gallery(store)
-    times, errors = draw_time(gallery).figure.axes
-    assert list(curves(times, gallery.looks["shooting"].colour)[0][0]) == [0.3, 9.0]
+    (shown,) = draw_time(Gallery(store)).figure.data.to_dict("records")
+    assert (shown["seconds"], shown["slowest"]) == (0.3, 9.0)
     rms = np.sqrt(np.mean([row.scores["k_over_m_error_pct"] ** 2 for row in rows]))
-    (point,) = [line for line in errors.get_lines() if line.get_marker() == gallery.looks["shooting"].marker]
-    assert np.allclose(point.get_xdata(), rms / (100 * SD_K), rtol=1e-4)
+    assert shown["excess"] == pytest.approx(rms / (100 * SD_K), rel=1e-4)
 
 
-def test_methods_far_from_the_bound_are_grey_but_named(store: Store) -> None:
+def test_methods_far_from_the_bound_are_pale_but_named(store: Store) -> None:
     """Fastest first; the one that is called the fastest near the bound is not the fastest of all."""
     for label, spread, seconds in (("ls", 9.0, 0.1), ("shooting", 1.0, 0.2), ("pinn", 1.0, 3.0)):
         rows = [replace(row, cpu_s=seconds) for row in scored(label, 100, spread)]
         save(store, described(label, n=100), rows)
-    gallery = Gallery(store)
-    picture = draw_time(gallery)
-    left, right = picture.figure.axes
-    assert [text.get_text() for text in left.get_yticklabels()] == [
-        "LS, finite differences",
-        "Multiple shooting",
-        "PINN",
-    ]
-    edges = [line.get_markeredgecolor() for line in right.get_lines() if line.get_marker() not in ("None", None)]
-    assert edges == ["0.6", gallery.looks["shooting"].colour, gallery.looks["pinn"].colour]
+    picture = draw_time(Gallery(store))
+    near = dict(zip(picture.figure.data.method, picture.figure.data.near, strict=True))
+    assert near == {"LS, finite differences": False, "Multiple shooting": True, "PINN": True}
+    left = picture.figure.to_dict()["hconcat"][0]
+    assert left["layer"][0]["encoding"]["y"]["sort"] == ["LS, finite differences", "Multiple shooting", "PINN"]
     assert picture.caption.startswith("Multiple shooting is the fastest method near the bound.")
 
 

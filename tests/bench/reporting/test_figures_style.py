@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import json
+import re
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,9 @@ from bench.reporting.labels import REFERENCE_CARDS, cards
 from bench.scoring.row import Row
 from bench.store.store import Store
 
-pytest.importorskip("matplotlib")
+pytest.importorskip("vl_convert")
+
+import vl_convert
 
 from bench.reporting.figures.gallery import Gallery, Picture
 from bench.reporting.figures.pictures import PICTURES, write_picture
@@ -33,6 +37,9 @@ from bench.reporting.figures.style import (
     wrapped,
 )
 from bench.reporting.page.pictures import first_sentence
+from bench.reporting.pictures.style import FULL as FULL_CHART
+from bench.reporting.pictures.style import HALF as HALF_CHART
+from bench.reporting.pictures.style import SERIES, specification, theme
 
 STYLES = {label: (card.colour, card.marker) for label, card in cards().items()}
 DEUTERANOPIA = np.array(
@@ -141,8 +148,12 @@ def drawn(full: Gallery) -> Callable[[str], Picture]:
     return cache(lambda name: PICTURES[name](full))
 
 
+CHARTS = [name for name, draw in PICTURES.items() if draw.__module__.startswith("bench.reporting.pictures")]
+FIGURES = [name for name in PICTURES if name not in CHARTS]
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("name", FIGURES)
 def test_of_thirty_methods_every_letter_can_be_read(name: str, drawn: Callable[[str], Picture]) -> None:
     """No text under 7 points at the size of print, none on another, none outside the page."""
     figure = drawn(name).figure
@@ -163,11 +174,7 @@ def test_of_thirty_methods_every_letter_can_be_read(name: str, drawn: Callable[[
         assert wide < 1.5 or high < 1.5, (a, b)
 
 
-ROWS = {"forest", "profiles", "accuracy_against_time"}
-"""Pictures whose rows are methods."""
-
-
-@pytest.mark.parametrize("name", [name for name in PICTURES if name != "failures"])
+@pytest.mark.parametrize("name", [name for name in FIGURES if name != "failures"])
 def test_every_axis_has_a_unit(name: str, drawn: Callable[[str], Picture]) -> None:
     """In its own label, that of the axis it shares, or the title over it; names of methods need none."""
     figure = drawn(name).figure
@@ -175,8 +182,57 @@ def test_every_axis_has_a_unit(name: str, drawn: Callable[[str], Picture]) -> No
     beside = [axis.get_ylabel() for axis in figure.axes] + [figure.get_supylabel()]
     beside = [label for label in beside if label]
     assert below
-    assert beside or name in ROWS
+    assert beside
     assert all("(" in label for label in (*below, *beside))
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("name", CHARTS)
+def test_a_chart_can_be_read_at_its_size(name: str, dark: bool, drawn: Callable[[str], Picture]) -> None:
+    """A page wide, or half; no text under 7 points, none on another, all in the colour that stands out."""
+    picture = drawn(name)
+    width = HALF_CHART if picture.half else FULL_CHART
+    spec = specification(picture.figure, width, dark)
+    scene = vl_convert.vegalite_to_scenegraph(spec)
+    assert abs(scene["width"] - width) <= 3.0
+    texts = list(texts_of(scene["scenegraph"], scene["origin"][0], scene["origin"][1]))
+    assert texts
+    assert min(size for _, size, _, _ in texts) >= 7.0
+    assert {colour for *_, colour in texts} <= {theme(dark)["text"]["color"], *SERIES}
+    for text, _, (left, _, right, _), _ in texts:
+        assert left > -2.0, text
+        assert right < scene["width"] + 2.0, text
+    for (a, _, first, _), (b, _, second, _) in itertools.combinations(texts, 2):
+        wide = min(first[2], second[2]) - max(first[0], second[0])
+        high = min(first[3], second[3]) - max(first[1], second[1])
+        assert wide < 1.0 or high < 1.0, (a, b)
+
+
+def texts_of(item: Any, x: float, y: float) -> Iterator[tuple[str, float, tuple[float, float, float, float], str]]:
+    """Texts below an item of a scene graph: text, size, extent in points and colour."""
+    for child in item.get("items", ()):
+        if "text" in child and child.get("opacity", 1) > 0 and child["text"] not in ("", None):
+            lines = child["text"] if isinstance(child["text"], list) else [str(child["text"])]
+            size = child["fontSize"]
+            wide = max(width_of(str(line), size) for line in lines) * 72.0 / 25.4
+            high = size * (1.0 + 1.2 * (len(lines) - 1))
+            left = {"right": -wide, "center": -wide / 2.0}.get(child.get("align", "left"), 0.0)
+            top = {"middle": -0.5, "top": 0.0, "line-top": 0.0}.get(child.get("baseline", "alphabetic"), -0.8) * high
+            at = x + child.get("x", 0.0) + child.get("dx", 0.0), y + child.get("y", 0.0) + child.get("dy", 0.0)
+            box = (at[0] + left, at[1] + top, at[0] + left + wide, at[1] + top + 0.9 * high)
+            if child.get("angle", 0) in (-90, 270):
+                box = (at[0] + top, at[1] - left - wide, at[0] + top + 0.9 * high, at[1] - left)
+            yield " ".join(map(str, lines)), size, box, child["fill"]
+        yield from texts_of(child, x + child.get("x", 0.0), y + child.get("y", 0.0))
+
+
+@pytest.mark.parametrize("name", CHARTS)
+def test_every_axis_of_a_chart_has_a_unit(name: str, drawn: Callable[[str], Picture]) -> None:
+    """In its own title or in that of the picture; names of methods need none."""
+    titles = re.findall(
+        r'"(?:title|text)": "([^"]+)"', json.dumps(drawn(name).figure.to_dict(validate=False) | {"datasets": {}})
+    )
+    assert any("(" in title for title in titles)
 
 
 SENTENCE = 140
@@ -192,7 +248,7 @@ def test_a_caption_begins_with_one_short_sentence(name: str, drawn: Callable[[st
     assert rest
 
 
-@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("name", FIGURES)
 def test_no_legend_has_more_than_six_entries_and_no_panel_is_empty(name: str, drawn: Callable[[str], Picture]) -> None:
     """But where the entries are few in all that is stored, or are the letters of a table."""
     figure = drawn(name).figure

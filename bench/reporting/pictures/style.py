@@ -1,0 +1,159 @@
+"""One style for every picture: a chart of Altair's in; a PNG file, an SVG file or an interactive specification out.
+
+A length of 1 is a point (1/72 inch), so that no letter is below 7 points. Rows or panels name the methods; colours tell
+what is drawn of each.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import textwrap
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import altair as alt
+import pandas as pd
+import vl_convert
+
+from bench.reporting.figures.png import MOST_BYTES, RESOLUTIONS, packed
+from bench.reporting.whole_file import write
+
+HALF, FULL = 85.0 / 25.4 * 72.0, 175.0 / 25.4 * 72.0
+SMALL, NORMAL = 7.0, 7.5
+"""Font sizes."""
+FONT = "DejaVu Sans"
+SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
+"""M. Okabe, K. Ito, 2008: told apart by those who see colours differently, on white and on black."""
+DIGITS = 6
+"""Significant digits of the numbers in a specification."""
+
+
+@cache
+def register_font() -> None:
+    """Draw with the file of the font that comes with matplotlib: the same on every machine."""
+    import matplotlib
+
+    vl_convert.register_font_directory(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf"))
+
+
+def theme(dark: bool = False) -> dict[str, Any]:
+    """The configuration of every picture; its named styles are those of marks that are not a series."""
+    ink, quiet, ground, grid = (
+        ("#e8e8e8", "#a0a0a0", "#1c1c1c", "#3c3c3c") if dark else ("#1a1a1a", "#707070", "#ffffff", "#dddddd")
+    )
+    letters = {"labelFontSize": SMALL, "titleFontSize": NORMAL, "titleFontWeight": "normal", "labelColor": ink,
+               "titleColor": ink}  # fmt: skip
+    return {
+        "background": ground,
+        "font": FONT,
+        "view": {"stroke": None},
+        "range": {"category": list(SERIES)},
+        "axis": {
+            **letters, "domainColor": ink, "tickColor": ink, "gridColor": grid, "gridWidth": 0.5, "domainWidth": 0.6,
+            "tickWidth": 0.6, "tickSize": 3, "labelPadding": 2, "titlePadding": 3, "labelLimit": 160,
+        },
+        "header": {"labelFontSize": NORMAL, "labelColor": ink, "labelPadding": 3, "title": None},
+        "legend": {
+            **letters, "orient": "bottom", "title": None, "columnPadding": 12, "rowPadding": 1, "offset": 4,
+            "symbolSize": 30, "labelLimit": 240,
+        },
+        "title": {"fontSize": NORMAL, "fontWeight": "normal", "color": ink, "orient": "bottom", "offset": 5},
+        "text": {"fontSize": SMALL, "color": ink},
+        "line": {"strokeWidth": 1.1},
+        "style": {
+            "truth": {"color": ink, "strokeWidth": 0.9},
+            "quiet": {"color": quiet, "strokeWidth": 0.9},
+            "broad": {"color": quiet, "opacity": 0.5, "strokeWidth": 3},
+            "region": {"color": quiet, "fillOpacity": 0.2, "strokeWidth": 0.8},
+        },
+    }  # fmt: skip
+
+
+def table(frame: pd.DataFrame) -> pd.DataFrame:
+    """A chart's data with numbers of few digits: the same text on every machine."""
+
+    def short(value: Any) -> Any:
+        return float(f"{value:.{DIGITS}g}") if isinstance(value, float) and math.isfinite(value) else value
+
+    return frame.map(short)
+
+
+def in_lines(name: str, letters: int) -> str:
+    """A name in lines of so many letters at most."""
+    return textwrap.fill(name, letters)
+
+
+def panel_names(**kept: Any) -> alt.Header:
+    """The header of panels whose names may have several lines."""
+    return alt.Header(labelAnchor="start", labelExpr="split(datum.label, '\\n')", **kept)
+
+
+def plain(low: float, high: float) -> list[float]:
+    """Ticks of a logarithmic axis: 1, 2, 5, 10 where it is short, or decades."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1.0, 2.0, 5.0) if high / low < 100.0 else (1.0,)
+    return [step * 10.0**decade for decade in decades for step in steps if low <= step * 10.0**decade <= high]
+
+
+def specification(chart: Any, width: float, dark: bool = False) -> dict[str, Any]:
+    """The chart as Vega-Lite, in our style, its panels as wide as makes the whole picture ``width`` wide."""
+    register_font()
+    with alt.data_transformers.enable("default", max_rows=None):
+        spec = chart.properties(padding=2).to_dict() | {"config": theme(dark)}
+    # the whole is a constant (names, spaces) and a multiple of the panels' widths
+    whole = drawn_width(spec)
+    if abs(whole - width) <= 1.0:
+        return spec
+    nearer = width / whole
+    slope = (drawn_width(_scaled(spec, nearer)) - whole) / (nearer - 1.0)
+    return dict(_scaled(spec, 1.0 + (width - whole) / slope)) if slope else spec
+
+
+def _scaled(spec: Any, factor: float) -> Any:
+    """The specification with all panels' widths multiplied."""
+    if isinstance(spec, list):
+        return [_scaled(part, factor) for part in spec]
+    if not isinstance(spec, dict):
+        return spec
+    kept = ("config", "datasets")
+    return {
+        name: factor * part
+        if name == "width" and isinstance(part, int | float)
+        else (part if name in kept else _scaled(part, factor))
+        for name, part in spec.items()
+    }
+
+
+def drawn_width(spec: dict[str, Any]) -> float:
+    """How wide a specification is drawn."""
+    match = re.search(r'width="([\d.]+)"', vl_convert.vegalite_to_svg(spec))
+    assert match is not None
+    return float(match.group(1))
+
+
+def png_of(spec: dict[str, Any], caption: str) -> bytes:
+    """The PNG file of a specification, with its caption, of few colours."""
+    from PIL import Image
+
+    for dpi in RESOLUTIONS:
+        with Image.open(io.BytesIO(vl_convert.vegalite_to_png(spec, ppi=dpi))) as image:
+            data = packed(image, dpi, caption)
+        if len(data) <= MOST_BYTES:
+            break
+    return data
+
+
+def save_chart(spec: dict[str, Any], folder: Path, name: str, caption: str, svg: Path | None = None) -> list[Path]:
+    """Write the PNG file; into a further folder, where one is given, SVG and the interactive specification."""
+    paths = [folder / f"{name}.png"]
+    write(paths[0], png_of(spec, caption), folder)
+    if svg is not None:
+        text = json.dumps(spec | {"description": caption}, ensure_ascii=False, separators=(",", ":"))
+        for suffix, content in (("svg", vl_convert.vegalite_to_svg(spec)), ("vl.json", text)):
+            paths.append(svg / f"{name}.{suffix}")
+            write(paths[-1], content, svg, "svg")
+    return paths
