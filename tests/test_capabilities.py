@@ -605,9 +605,10 @@ def test_tables_of_a_store(folder: Path) -> None:
 REWORDED = {
     "calibration.csv", "calibration.md", "sbc.md", "efficiency.md", "table7.md", "table8.md", "table9.md",
     "pinn_family.md", "leaderboard.csv", "leaderboard.md",
+    *(f"table{i}.{ending}" for i in range(2, 6) for ending in ("csv", "md")),
 }  # fmt: skip
 """Written anew at the next release: intervals of few replicates are counted, shares of the prior stated, no sentences
-stand above the family, and methods are ranked in tiers."""
+stand above the family, methods are ranked in tiers, and an error that may follow from that of the mass is open."""
 
 
 @pytest.mark.slow

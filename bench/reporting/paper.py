@@ -55,14 +55,20 @@ def printed_estimate() -> tuple[dict[str, float], dict[str, float]]:
 
 
 @cache
-def _values() -> dict[tuple[int, str, str, str], float]:
-    return {(p.table, p.row, p.method, p.metric): p.value for p in printed()}
+def _by_place() -> dict[tuple[int, str, str, str], Printed]:
+    return {(p.table, p.row, p.method, p.metric): p for p in printed()}
+
+
+def paper_number(table: int | None, row: str, label: str, metric: str) -> Printed | None:
+    """Return the paper's number that a method of ours stands beside; None where there is none."""
+    card = cards().get(label)
+    return _by_place().get((table or 0, row, card.paper, metric)) if card and card.paper else None
 
 
 def paper_value(table: int, row: str, label: str, metric: str) -> float:
-    """The paper's number that a method of ours stands beside; NaN where there is none."""
-    card = cards().get(label)
-    return _values().get((table, row, card.paper, metric), math.nan) if card and card.paper else math.nan
+    """Return the same as a value, NaN where there is none."""
+    number = paper_number(table, row, label, metric)
+    return number.value if number else math.nan
 
 
 def row_name(table: int, system: str, snr_db: float) -> str:

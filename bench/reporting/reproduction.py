@@ -19,8 +19,7 @@ from bench.config.experiment import Experiment, sweep
 from bench.reporting.frame import Result
 from bench.reporting.labels import beside_paper, in_order
 from bench.reporting.paper import Printed, printed, row_name
-from bench.reporting.ratios import Bracket, brackets, judged_bracket
-from bench.reporting.tables.tidy import judged
+from bench.reporting.ratios import Bracket, brackets, judged, judged_bracket
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scoring.statistics import holm
 from bench.scoring.verdict import decided, mean_p_value
@@ -99,7 +98,7 @@ def all_cells() -> dict[str, dict[Place, Cell]]:
 class Judged:
     """A printed number under one reading: the verdict's text, our median error, and a two-sided p-value.
 
-    ``p_value`` is that of the paper's number as another mean of as many runs as ours.
+    ``p_value`` is that of the paper's number as another mean of as many runs as ours; NaN for Table 2's one estimate.
     """
 
     text: str
@@ -113,8 +112,8 @@ def judge_number(place: Printed, label: str, stored: Mapping[Place, Result]) -> 
     if not found:
         return None
     errors = found[0].errors(place.metric)
-    text = judged(place.value, *found, place.metric).text
-    return Judged(text, float(np.median(errors)), mean_p_value(place.value, errors))
+    p_value = math.nan if place.table == 2 else mean_p_value(place.value, errors)
+    return Judged(judged(place, *found).text, float(np.median(errors)), p_value)
 
 
 def _own_and_oracle(
@@ -125,7 +124,7 @@ def _own_and_oracle(
 
 
 def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
-    """One line a printed number: the verdicts under every reading, whether they agree, and Holm's p over all 59."""
+    """One line a printed number: the verdicts under every reading, whether they agree, and Holm's p over all means."""
     first = next(iter(ASSUMPTIONS))
     lines, labels = [], judged_labels()
     for place in printed():
@@ -142,7 +141,8 @@ def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
         line["paper's training"] = training.text if training else ""
         lines.append(line | _standing(line))
     data = pd.DataFrame(lines)
-    data["p (Holm)"] = holm(data["p"].tolist())
+    means = data["p"].notna()
+    data.loc[means, "p (Holm)"] = holm(data["p"][means].tolist())
     return data
 
 

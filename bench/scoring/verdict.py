@@ -16,6 +16,7 @@ from scipy.stats import binom
 
 UNDECIDED = ("not decidable", "open")
 """Words of verdicts that decide nothing: the prior decides, or what is printed leaves more than one answer."""
+BETTER = "ours better"
 DECIDED_BY_PRIOR = 0.5
 """A number is not decidable where more than this part of our mean square error is the prior's."""
 OUTSIDE = 0.05
@@ -57,6 +58,13 @@ def between(low: Verdict, high: Verdict) -> Verdict:
     return _of_readings(*(a if a == b else "open" for a, b in ((low.single, high.single), (low.mean, high.mean))))
 
 
+def better_in_both(verdict: Verdict, other: Verdict) -> Verdict:
+    """Return a verdict that leaves open under which readings ours is better, unless the other verdict says so, too."""
+    readings = ((verdict.single, other.single), (verdict.mean, other.mean))
+    found = ["open" if a == BETTER != b else a for a, b in readings]
+    return _of_readings(*found) if found != [verdict.single, verdict.mean] else verdict
+
+
 def decided(text: str) -> bool:
     """Return whether a verdict's text decides anything, under every reading it has."""
     return not any(word in text for word in UNDECIDED)
@@ -96,4 +104,4 @@ def mean_p_value(value: float, ours: np.ndarray) -> float:
 def _side(tails: tuple[float, float]) -> str:
     if tails[0] <= OUTSIDE:
         return "ours worse"
-    return "ours better" if tails[1] <= OUTSIDE else "reproduced"
+    return BETTER if tails[1] <= OUTSIDE else "reproduced"

@@ -137,7 +137,9 @@ def _paper_legend(results: Sequence[Result]) -> str:
     return (
         "*Reproduced*: the number lies where 90 in 100 further runs of ours do (single run; known start), and "
         "other means of as many runs (mean; their own sampling error counted). *Not decidable*: our prior "
-        f"decides. The paper says neither how long its records are nor what its prior is: {durations}, and a mass "
+        "decides. *Open*: the error may follow from that of the mass, for ours is not better in what it implies of k/m "
+        "or c/m. Table 2 prints one estimate, a single run. The paper says neither how long its records are nor what "
+        f"its prior is: {durations}, and a mass "
         f"weighed to {', '.join(masses)}, are ours ([readings](reproduction.md))."
     )
 

@@ -10,10 +10,10 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from bench.reporting.frame import ERROR, VALUES, Frame, Line, Result, group, line, quantity
-from bench.reporting.paper import paper_value, row_name
+from bench.reporting.frame import ERROR, VALUES, Frame, Line, Result, group, line
+from bench.reporting.paper import paper_number, row_name
+from bench.reporting.ratios import judged
 from bench.reporting.tables.render import PRIMARY, ranked
-from bench.scoring.verdict import Verdict, judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,14 +62,7 @@ def printed(table: int | None, result: Result, oracle: Result | None, metric: st
     """Return the paper's number that a cell stands beside, NaN where there is none, and the verdict on it."""
     if not result.stored:
         return {"paper": math.nan, "verdict": "not run"}
-    paper = paper_value(table, row_of(table, result), result.label, metric) if table in PAPERS else math.nan
-    if math.isnan(paper):
-        return {"paper": paper, "verdict": ""}
-    return {"paper": paper, "verdict": judged(paper, result, oracle, metric).text if oracle else "no oracle stored"}
-
-
-def judged(paper: float, result: Result, oracle: Result, metric: str) -> Verdict:
-    """Return the verdict of a cell on a printed number."""
-    # the prior's part of this method's own mean square error: a method that is far off is so for other reasons
-    share = result.prior_share.get(quantity(metric), 0.0) / max(result.excess(metric) ** 2, 1.0)
-    return judge(paper, result.errors(metric), oracle.errors(metric), share)
+    place = paper_number(table, row_of(table, result), result.label, metric) if table in PAPERS else None
+    if place is None:
+        return {"paper": math.nan, "verdict": ""}
+    return {"paper": place.value, "verdict": judged(place, result, oracle).text if oracle else "no oracle stored"}
