@@ -12,13 +12,14 @@ from pathlib import Path
 import pandas as pd
 
 from bench.atlas.forced import Forced
-from bench.atlas.model import FOLDS, TOLD, held_out, told
+from bench.atlas.model import FOLDS, TOLD, HeldOut, held_out, told
 from bench.atlas.point import GROUPS, FreeDecay, Point
 from bench.atlas.run import PointBlock, bound_at, read_block
 from bench.atlas.statistics import DISPLACEMENT, columns
 from bench.atlas.threshold import wrong_basin
 from bench.entrants.registry import load_method
-from bench.reporting.tables.render import markdown_table
+from bench.reporting.rounding import percent, readable
+from bench.reporting.tables.render import MISSING, Columns, listing, markdown_table
 from bench.reporting.whole_file import write
 
 NEAR = 1.2
@@ -175,35 +176,42 @@ PAGES = (FREE_DECAYS, FORCED_TESTS)
 
 
 def _table(frame: pd.DataFrame, quantity: str) -> str:
-    rows = []
-    for method, own in told(frame, quantity).groupby("method", sort=False):
-        share = float(near(own, quantity).mean())
-        cells = [load_method(str(method)).card.title, f"{len(own):,}", f"{100 * share:.0f}",
-                 f"{own[f'{quantity}_core'].median():.2f}", f"{100 * own[f'{quantity}_gross'].mean():.1f}",
-                 f"{100 * own[f'{quantity}_held'].mean():.0f}", f"{1e3 * own.seconds.median():.1f}"]  # fmt: skip
-        rows.append((-share, cells))
-    headers = ["method", "points", "near %", "median error over the bound", "gross %", "coverage %", "ms a fit"]
-    return markdown_table([cells for _, cells in sorted(rows, key=lambda row: row[0])], headers)
+    """Return a line a method, those first that are near the bound most often."""
+    columns: Columns[pd.DataFrame] = {
+        "method": _method,
+        "points": lambda own: f"{len(own):,}",
+        "near %": lambda own: percent(near(own, quantity).mean()),
+        "median error over the bound": lambda own: f"{own[f'{quantity}_core'].median():.2f}",
+        "gross %": lambda own: percent(own[f"{quantity}_gross"].mean(), 1),
+        "coverage %": lambda own: percent(own[f"{quantity}_held"].mean()),
+        "ms a fit": lambda own: f"{1e3 * own.seconds.median():.1f}",
+    }
+    methods = [own for _, own in told(frame, quantity).groupby("method", sort=False)]
+    return markdown_table(*listing(sorted(methods, key=lambda own: -near(own, quantity).mean()), columns))
+
+
+HELD_OUT: Columns[HeldOut] = {
+    "points": lambda model: f"{model.points:,}",
+    "error": lambda model: MISSING if math.isnan(model.error) else f"{model.error:.3f}",
+    "in range %": lambda model: percent(model.within),
+    "gross, off by": lambda model: percent(model.calibration, 1),
+}
 
 
 def _model_table(frame: pd.DataFrame) -> str:
-    """How the model does at points that it has not seen, method by method."""
+    """Return how the model does at points that it has not seen, a line a method; dashes where these are too few."""
     rows = []
-    for method, own in frame.groupby("method", sort=False):
-        cells = [load_method(str(method)).card.title]
+    for _, own in frame.groupby("method", sort=False):
+        cells = [_method(own)]
         for name in GROUPS:
             try:
-                one = held_out(own, name)
+                model = held_out(own, name)
+                cells += [text(model) for text in HELD_OUT.values()]
             except ValueError:
-                cells += ["-"] * 4
-                continue
-            cells += [f"{one.points:,}", *(_known(value, form) for value, form in (
-                (one.error, "{:.3f}"), (100 * one.within, "{:.0f}"), (100 * one.calibration, "{:.1f}")
-            ))]  # fmt: skip
+                cells += [MISSING] * len(HELD_OUT)
         rows.append(cells)
-    each = ["points", "error", "in range %", "gross, off by"]
-    return markdown_table(rows, ["method", *(f"{title} {word}" for title in ("k/m", "c/m") for word in each)])
+    return markdown_table(rows, ["method", *(f"{readable(name)} {word}" for name in GROUPS for word in HELD_OUT)])
 
 
-def _known(value: float, form: str) -> str:
-    return form.format(value) if math.isfinite(value) else "-"
+def _method(own: pd.DataFrame) -> str:
+    return load_method(str(own.method.iloc[0])).card.title

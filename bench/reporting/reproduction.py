@@ -8,9 +8,10 @@ protocol and under every other one declared here; a verdict that changes is not 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -22,7 +23,7 @@ from bench.reporting.paper import Printed, printed, row_name
 from bench.reporting.ratios import Bracket, brackets, judged, judged_bracket
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scoring.statistics import holm
-from bench.scoring.verdict import decided, mean_p_value
+from bench.scoring.verdict import Verdict, decided, mean_p_value
 from bench.store.cell import Cell
 
 
@@ -56,6 +57,7 @@ Place = tuple[int, str, str]
 """Table, row and label of a method."""
 
 
+@cache
 def judged_labels() -> dict[str, str]:
     """By the paper's name of a method, the method of ours that is judged under every reading, in order.
 
@@ -94,26 +96,49 @@ def all_cells() -> dict[str, dict[Place, Cell]]:
     }
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A printed number under one reading: the verdict's text, our median error, and a two-sided p-value.
+def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
+    """Return a line a printed number: the verdicts under every reading, whether they agree, and Holm's p of means.
 
-    ``p_value`` is that of the paper's number as another mean of as many runs as ours; NaN for Table 2's one estimate.
+    ``p`` is two-sided, of the paper's number as another mean of as many runs as ours; NaN for Table 2's one estimate.
     """
+    first, labels, lines = next(iter(ASSUMPTIONS)), judged_labels(), []
+    for place in printed():
+        pair = _own_and_oracle(place, labels[place.method], stored[first])
+        training = _own_and_oracle(place, training_label(place.method), stored[first])
+        errors = pair[0].errors(place.metric) if pair else np.empty(0)
+        lines.append(
+            {
+                "table": place.table, "row": place.row, "method": place.method, "metric": place.metric,
+                "paper": place.value, **_readings(place, judged, stored),
+                "p": math.nan if place.table == 2 else mean_p_value(place.value, errors) if pair else 1.0,
+                "paper's training": judged(place, *training).text if training else "",
+            }
+        )  # fmt: skip
+    data = _with_standing(lines)
+    data.insert(7, "p", data.pop("p"))
+    means = data["p"].notna()
+    data.loc[means, "p (Holm)"] = holm(data["p"][means].tolist())
+    return data
 
-    text: str
-    median: float
-    p_value: float
+
+def ratio_verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
+    """Return a line a ratio that the paper implies: the verdicts under every reading, and whether they agree."""
+    return _with_standing([{**vars(place), **_readings(place, judged_bracket, stored)} for place in brackets()])
 
 
-def judge_number(place: Printed, label: str, stored: Mapping[Place, Result]) -> Judged | None:
-    """The verdict of a method of ours on a printed number; None where a cell is missing."""
-    found = _own_and_oracle(place, label, stored)
-    if not found:
-        return None
-    errors = found[0].errors(place.metric)
-    p_value = math.nan if place.table == 2 else mean_p_value(place.value, errors)
-    return Judged(judged(place, *found).text, float(np.median(errors)), p_value)
+P = TypeVar("P", Printed, Bracket)
+
+
+def _readings(
+    place: P, judge: Callable[[P, Result, Result], Verdict], stored: Mapping[str, Mapping[Place, Result]]
+) -> dict[str, Any]:  # fmt: skip
+    """Return the verdict under every reading, and our median error."""
+    line: dict[str, Any] = {}
+    for name in ASSUMPTIONS:
+        pair = _own_and_oracle(place, judged_labels()[place.method], stored[name])
+        line[name] = judge(place, *pair).text if pair else "not run"
+        line[f"{name}: median"] = float(np.median(pair[0].errors(place.metric))) if pair else math.nan
+    return line
 
 
 def _own_and_oracle(
@@ -123,48 +148,13 @@ def _own_and_oracle(
     return (own, oracle) if own and oracle and own.stored and oracle.stored else None
 
 
-def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
-    """One line a printed number: the verdicts under every reading, whether they agree, and Holm's p over all means."""
-    first = next(iter(ASSUMPTIONS))
-    lines, labels = [], judged_labels()
-    for place in printed():
-        line = {
-            "table": place.table, "row": place.row, "method": place.method, "metric": place.metric,
-            "paper": place.value,
-        }  # fmt: skip
-        for name in ASSUMPTIONS:
-            found = judge_number(place, labels[place.method], stored[name])
-            line |= {name: found.text if found else "not run", f"{name}: median": found.median if found else math.nan}
-            if name == first:
-                line["p"] = found.p_value if found else 1.0
-        training = judge_number(place, training_label(place.method), stored[first])
-        line["paper's training"] = training.text if training else ""
-        lines.append(line | _standing(line))
+def _with_standing(lines: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Add whether a verdict decides anything under the first reading, and if so, whether it is the same under all."""
     data = pd.DataFrame(lines)
-    means = data["p"].notna()
-    data.loc[means, "p (Holm)"] = holm(data["p"][means].tolist())
+    readings = data[list(ASSUMPTIONS)]
+    data["decided"] = readings.iloc[:, 0].map(decided) & ~readings.eq("not run").any(axis=1)
+    data["firm"] = data["decided"] & (readings.map(simple).nunique(axis=1) == 1)
     return data
-
-
-def ratio_verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
-    """One line a ratio that a row of the paper implies: the verdicts under every reading, and whether they agree."""
-    first, labels, lines = next(iter(ASSUMPTIONS)), judged_labels(), []
-    for place in brackets():
-        line: dict[str, Any] = vars(place).copy()
-        for name in ASSUMPTIONS:
-            found = _own_and_oracle(place, labels[place.method], stored[name])
-            line[name] = judged_bracket(place, *found).text if found else "not run"
-            if name == first:
-                line["median"] = float(np.median(found[0].errors(place.metric))) if found else math.nan
-        lines.append(line | _standing(line))
-    return pd.DataFrame(lines)
-
-
-def _standing(line: Mapping[str, Any]) -> dict[str, bool]:
-    """Whether a verdict decides anything under the first reading, and if so, whether it is the same under all."""
-    readings = {simple(str(line[name])) for name in ASSUMPTIONS}
-    is_decided = decided(str(line[next(iter(ASSUMPTIONS))])) and "not run" not in readings
-    return {"decided": is_decided, "firm": is_decided and len(readings) == 1}
 
 
 def simple(text: str) -> str:

@@ -182,7 +182,7 @@ NUMBERS: Columns[Line] = {
 IMPLIED: Columns[Line] = {
     **NAMED,
     "paper implies": lambda line: line["text"],
-    "ours, median": lambda line: number(line["median"]),
+    "ours, median": lambda line: number(line[f"{FIRST}: median"]),
     "verdict": lambda line: line[FIRST],
     "firm": _firm,
 }
