@@ -24,11 +24,10 @@ from bench.contract.estimate import Status
 from bench.contract.problem import InitialState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
-from bench.reporting.bias import bias_share
 from bench.reporting.labels import cards, title
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.scoring.statistics import wilson_interval
+from bench.scoring.statistics import bias_share, wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import MARK, SUBMITTED, StoredCell

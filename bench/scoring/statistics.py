@@ -110,3 +110,19 @@ def whiteness(residuals: np.ndarray, tangents: np.ndarray) -> np.ndarray:
     q = ljung_box(residuals)
     above = DRAWS - np.searchsorted(null, np.where(np.isfinite(q), q, 0.0), side="left")
     return np.where(np.isfinite(q), (1.0 + above) / (DRAWS + 1.0), np.nan)
+
+
+def bias_share(ratios: np.ndarray) -> float:
+    """The share of the mean square error of ``ratios`` (estimate over truth, shape (n,)) that is bias squared.
+
+    The mean square of an error is its mean squared plus its variance. The square of the mean of n errors is too large
+    by their variance over n on average, which is taken off, down to nothing; NaN below three replicates and where there
+    is no error.
+    """
+    if ratios.size < 3:
+        return math.nan
+    errors = ratios - 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = float(np.mean(errors**2))
+        bias = float(np.mean(errors) ** 2 - np.var(errors, ddof=1) / errors.size)
+    return max(bias, 0.0) / total if 0 < total < math.inf else math.nan

@@ -74,8 +74,8 @@ def family_table(frame: Frame) -> Mapping[str, str]:
         sources(family),
         *(["## What failed", notes] if notes else []),
     ]
-    caption = f"{frame.title} ({PLACE[0]:g} dB, initial state {PLACE[1]})."
-    latex = [(f"{caption} Root mean square errors over the Cramér-Rao bound.", _beside(family))]
+    caption = f"({PLACE[0]:g} dB, initial state {PLACE[1]}). Root mean square errors over the Cramér-Rao bound."
+    latex = [(f"{_heading(section)} {caption}", _accuracy(section, [PLACE])) for section in family.every]
     return files(family.method, parts, lines(family), COLUMNS, 5, latex)
 
 
@@ -125,7 +125,7 @@ def _legend(family: Family) -> str:
 
 def _section(family: Family, section: Section) -> Iterator[str | Rows]:
     """The accuracy at either start, and the training."""
-    yield f"## {section.heading}" + (f", {section.base}" if section.base else "")
+    yield f"## {_heading(section)}"
     for start, places in group(family.places, lambda place: place[1]).items():
         yield f"*Accuracy, start {start}*"
         yield _accuracy(section, places)
@@ -134,6 +134,10 @@ def _section(family: Family, section: Section) -> Iterator[str | Rows]:
     oracle, n = _oracle(family, PLACE), section.common(PLACE)
     columns = {heading: partial(_training, name, oracle, n) for name, heading in TRAINING.items()}
     yield listing(section.rows, {**titles, **columns})
+
+
+def _heading(section: Section) -> str:
+    return section.heading + (f", {section.base}" if section.base else "")
 
 
 def _title(row: FamilyRow) -> str:
@@ -194,35 +198,6 @@ def _training(name: str, oracle: Result | None, n: int, row: FamilyRow) -> str:
     share = values["arrived_share"]
     some = name == "arrival_s" and 0 < share < 1
     return text(name, values[name]) + (f" ({round(share * one.n)}/{one.n})" if some else "")
-
-
-def _beside(family: Family) -> Rows:
-    """For an article, at one noise level: a line a row, the bases side by side.
-
-    Rows of no base stand in the columns of the first.
-    """
-    bases = tuple(family.bases)
-    columns: Columns[FamilyRow] = {
-        "n": lambda row: _counts(row.member, [PLACE]),
-        **{name: partial(_of_row, quantity) for quantity, name in ACCURACY.items()},
-    }
-    headers = ["", *(f"{base}: {name}" if not i else name for base in bases for i, name in enumerate(columns))]
-    rows: list[list[str]] = []
-    for heading, sections in group(family.every, lambda section: section.heading).items():
-        rows.append([heading, *[""] * (len(headers) - 1)])
-        placed = {
-            (row.title, section.base if section.base in bases else bases[0]): row
-            for section in sorted(sections, key=lambda one: bases.index(one.base) if one.base in bases else 0)
-            for row in section.rows
-        }
-        for title in dict.fromkeys(title for title, _ in placed):
-            own = [placed.get((title, base)) for base in bases]
-            rows.append([f"- {title}", *(show(row) if row else "" for row in own for show in columns.values())])
-    return rows, headers
-
-
-def _of_row(quantity: str, row: FamilyRow) -> str:
-    return _entry(quantity, {"values": _values(row.member.at(PLACE)), "missing": MISSING})
 
 
 # ---- what settings do together

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from bench.reporting.bias import bias_share
 from bench.reporting.frame import Frame, Line, Result, group, line, quantity
 from bench.reporting.labels import title, told
 from bench.reporting.paper import paper_value
@@ -16,6 +15,7 @@ from bench.reporting.rounding import answered, number, percent, with_excess
 from bench.reporting.tables.render import MISSING, PRIMARY, Columns, Rows, bold, ending, files, listing, ranked, texts
 from bench.reporting.tables.tidy import printed, row_of
 from bench.scoring.comparison import ScenarioRanking
+from bench.scoring.statistics import bias_share
 
 COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",

@@ -11,8 +11,6 @@ import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-import pandas as pd
-
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Line, Result, group
 from bench.reporting.labels import title
@@ -95,6 +93,8 @@ def files(
 
 def csv(lines: Iterable[Line], digits: int = 6, columns: Sequence[str] | None = None) -> str:
     """Lines as CSV, nothing for what is NaN or not there."""
+    import pandas as pd
+
     frame = pd.DataFrame(list(lines), columns=columns)
     return str(frame.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.reporting.bias import bias_share
+from bench.scoring.statistics import bias_share
 
 
 def test_a_constant_error_is_all_bias_and_a_symmetric_one_none() -> None:
