@@ -35,6 +35,8 @@ from bench.store.cell import stored_as_cell
 CAP = 10.0
 """Error over bound of a lost fit. Its inverse is the least that counts: an error below that is luck."""
 LOST = math.log(CAP)
+ON_BOUND = math.exp(-np.euler_gamma / 2)
+"""Typical error over bound, 0.75, of two uncorrelated normal errors on it: E log(χ²/2)/2 = -γ/2 of 2 degrees."""
 SAME = math.log1p(MARGIN)
 """A difference of losses that decides nothing, however sure it is."""
 UNINFORMATIVE = 100.0
@@ -142,7 +144,10 @@ def ranked(fits: Fits) -> list[Ranked]:
     means = {label: np.array([np.mean(own) if own.size else np.nan for own in each]) for label, each in fits.items()}
     served = {label: np.isfinite(mean) for label, mean in means.items() if np.isfinite(mean).any()}
     whole = {label: means[label] for label, those in served.items() if those.all()}
-    in_tiers = tiers(whole)
+    alone = all(
+        mean.size == 1 for mean in whole.values()
+    )  # the fits of the only scenario are all that can be resampled
+    in_tiers = tiers({label: fits[label][0] for label in whole} if alone else whole)
     place = {label: i for i, tier in enumerate(in_tiers, 1) for label in tier}
     first = np.mean([whole[label] for label in in_tiers[0]], axis=0) if in_tiers else None
     rows = []
@@ -162,13 +167,22 @@ def ranked(fits: Fits) -> list[Ranked]:
 
 
 def tiers(means: Mapping[str, np.ndarray]) -> list[list[str]]:
-    """Return the methods by tier, in the order given within it; ``means`` has a loss a scenario, (n,) of each."""
+    """Return the methods by tier, in the order given within it.
+
+    ``means`` has the losses of each method by scenario (n,); those of fewer are compared on the first ones.
+    """
     rest, found = dict(means), []
     while rest:
         best = min(rest.values(), key=lambda own: float(np.mean(own)))
-        found.append([label for label, own in rest.items() if own is best or interval(own - best)[0] <= SAME])
+        found.append([label for label, own in rest.items() if own is best or not surely_worse(own, best)])
         rest = {label: own for label, own in rest.items() if label not in found[-1]}
     return found
+
+
+def surely_worse(losses: np.ndarray, best: np.ndarray) -> bool:
+    """Return whether paired losses are beyond those of the best by chance or :data:`SAME`."""
+    n = min(losses.size, best.size)
+    return interval(losses[:n] - best[:n])[0] > SAME
 
 
 def interval(values: np.ndarray) -> tuple[float, float]:

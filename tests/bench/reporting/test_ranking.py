@@ -11,7 +11,7 @@ import pytest
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
-from bench.reporting.ranking import LOST, Ranked, fits_of, ranked, ranking, tiers
+from bench.reporting.ranking import LOST, ON_BOUND, Ranked, fits_of, ranked, ranking, tiers
 from bench.reporting.tables.leaderboard import leaderboard
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario
@@ -74,7 +74,11 @@ def test_a_tier_has_no_winner_and_less_than_two_percent_no_loser() -> None:
     assert tiers({"later": easy + math.log(1.03), "first": easy}) == [["first"], ["later"]]
 
 
-def test_one_scenario_tells_nobody_apart() -> None:
+def test_of_one_scenario_its_fits_are_compared() -> None:
+    """Forty fits, all worse by 0.2; another method has the first ten, no worse than the best; one fit tells nothing."""
+    noise = np.random.default_rng(5).normal(0.0, 1.0, 40)
+    rows = ranked({"best": [noise], "worse": [noise + 0.2], "few": [noise[:10]]})
+    assert {row.label: row.tier for row in rows} == {"best": 1, "few": 1, "worse": 2}
     assert tiers({"a": np.array([0.0]), "b": np.array([2.0])}) == [["a", "b"]]
     assert tiers({}) == []
 
@@ -84,6 +88,7 @@ def test_a_method_on_the_bound_has_a_typical_error_of_three_quarters(reference: 
     size = np.sqrt(np.mean(np.random.default_rng(4).standard_normal((2, 4000)) ** 2, axis=0))
     (row,) = ranking([result(reference, "shooting", *size)])
     assert row.typical == pytest.approx(math.exp(-np.euler_gamma / 2), rel=0.03)
+    assert math.exp(-np.euler_gamma / 2) == pytest.approx(ON_BOUND)
 
 
 def test_losses_are_capped_and_what_is_lost_is_counted(reference: Scenario) -> None:
