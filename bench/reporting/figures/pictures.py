@@ -7,17 +7,14 @@ from pathlib import Path
 
 from bench.reporting.figures.band import draw_band
 from bench.reporting.figures.basin import draw_basin
-from bench.reporting.figures.coverage import draw_coverage
 from bench.reporting.figures.failures import draw_failures
 from bench.reporting.figures.family import draw_family
 from bench.reporting.figures.gallery import Gallery, Picture
-from bench.reporting.figures.noise import draw_displacement, draw_noise
 from bench.reporting.figures.response import draw_reconstruction, draw_record
-from bench.reporting.figures.scatter import draw_scatter
 from bench.reporting.figures.style import save_figure
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import draw_two_masses
-from bench.reporting.figures.waterfall import draw_waterfall
+from bench.reporting.pictures.panels import draw_coverage, draw_noise, draw_scatter
 from bench.reporting.pictures.rows import draw_forest, draw_profiles, draw_time
 from bench.reporting.pictures.style import FULL, HALF, save_chart, specification
 
@@ -29,7 +26,6 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "basin": draw_basin,
     "band": draw_band,
     "error_against_noise": draw_noise,
-    "displacement_against_noise": draw_displacement,
     "two_masses": draw_two_masses,
     "forest": draw_forest,
     "coverage": draw_coverage,
@@ -37,7 +33,6 @@ PICTURES: dict[str, Callable[[Gallery], Picture]] = {
     "profiles": draw_profiles,
     "failures": draw_failures,
     "family": draw_family,
-    "waterfall": draw_waterfall,
 }
 """By file name, what draws it."""
 

@@ -14,7 +14,7 @@ from bench.contract.estimate import Status
 from bench.entrants.reference import REFERENCES
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, best_first, counts, methods_only, where
 from bench.reporting.frame import Result
-from bench.reporting.pictures.style import plain, table
+from bench.reporting.pictures.style import ONE, layered, plain, table
 from bench.scoring.comparison import Errors
 from bench.scoring.statistics import RESAMPLES
 
@@ -95,12 +95,12 @@ def draw_forest(gallery: Gallery) -> Picture:
     low = max(low, 0.01)
     excess = _across("excess", low, high)
     some = rows_alone.transform_filter("datum.ok < datum.n").transform_calculate(count="datum.ok + '/' + datum.n")
-    layers = alt.layer(
-        alt.Chart().mark_rule(style="truth").encode(x=alt.datum(1)),
+    layers = layered(
+        chart.data,
+        alt.Chart(ONE).mark_rule(style="truth").encode(x=alt.datum(1)),
         chart.mark_rule(strokeWidth=1.1).encode(_across("low", low, high), x2="high:Q"),
         _points(chart, excess, high),
         some.mark_text(align="left", dx=2).encode(x=alt.value("width"), text="count:N"),
-        data=chart.data,
     ).properties(width=70, height=alt.Step(5 if len(names) > 1 else 9))
     header = alt.Header(labelExpr="datum.value + ' dB'")
     spacing = 30 if (found.ok < found.n).any() else 10
@@ -140,8 +140,8 @@ def draw_time(gallery: Gallery) -> Picture:
     excess = _across("excess", min(0.9, 0.9 * found.excess.min()), 1.15 * found.excess.max(),
                      f"error of {name} / bound (−)")  # fmt: skip
     panels = (
-        alt.layer(left.mark_rule().encode(seconds, x2="slowest:Q"), _points(left, seconds)),
-        alt.layer(alt.Chart(frame).mark_rule(style="truth").encode(x=alt.datum(1)), _points(right, excess)),
+        layered(frame, left.mark_rule().encode(seconds, x2="slowest:Q"), _points(left, seconds)),
+        layered(frame, alt.Chart(ONE).mark_rule(style="truth").encode(x=alt.datum(1)), _points(right, excess)),
     )
     chart = alt.hconcat(*(own.properties(width=150, height=alt.Step(5)) for own in panels), data=frame, spacing=12)
     lead = f"{near[0]} is the fastest method near the bound" if near else "No method is near the bound"
@@ -193,12 +193,12 @@ def draw_profiles(gallery: Gallery) -> Picture:
     chart = _chart(frame, [gallery.name(label) for label in order])
     chart = chart.encode(alt.Color("quantity:N").sort(names).legend(None))
     x = {column: _across(column, 1.0, FARTHEST) for column in columns[2:]}
-    layers = alt.layer(
+    layers = layered(
+        chart.data,
         chart.mark_rule(strokeWidth=0.9).encode(x["three quarters"], x2="most:Q"),
         chart.mark_rule(strokeWidth=3.5, opacity=0.5).encode(x["quarter"], x2="three quarters:Q"),
         _points(chart, x["median"], FARTHEST),
         _points(chart.transform_filter(f"datum.most > {FARTHEST}"), x["most"], FARTHEST),
-        data=frame,
     ).properties(width=100, height=alt.Step(10))
     columns_of = alt.Column("quantity:N").sort(names)
     spaced = layers.facet(column=columns_of, spacing=12)

@@ -28,6 +28,10 @@ SMALL, NORMAL = 7.0, 7.5
 FONT = "DejaVu Sans"
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
 """M. Okabe, K. Ito, 2008: told apart by those who see colours differently, on white and on black."""
+ONE = alt.InlineData([{}])
+"""The data of a mark that stands once in each panel."""
+SEARCHES = 4
+"""Drawings at most that find the width of the panels."""
 DIGITS = 6
 """Significant digits of the numbers in a specification."""
 
@@ -67,7 +71,7 @@ def theme(dark: bool = False) -> dict[str, Any]:
         "style": {
             "truth": {"color": ink, "strokeWidth": 0.9},
             "quiet": {"color": quiet, "strokeWidth": 0.9},
-            "broad": {"color": quiet, "opacity": 0.5, "strokeWidth": 3},
+            "broad": {"color": quiet, "opacity": 0.4, "strokeWidth": 6},
             "region": {"color": quiet, "fillOpacity": 0.2, "strokeWidth": 0.8},
         },
     }  # fmt: skip
@@ -80,6 +84,17 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
         return float(f"{value:.{DIGITS}g}") if isinstance(value, float) and math.isfinite(value) else value
 
     return frame.map(short)
+
+
+def layered(data: pd.DataFrame, *charts: Any) -> Any:
+    """Charts of the same data in one panel, lowest first; those with data of their own stand in each panel."""
+    layers = []
+    for chart in charts:
+        layer = chart.copy(deep=False)
+        if layer.data is data:
+            layer.data = alt.Undefined
+        layers.append(layer)
+    return alt.LayerChart(layer=layers, data=data)
 
 
 def in_lines(name: str, letters: int) -> str:
@@ -104,13 +119,18 @@ def specification(chart: Any, width: float, dark: bool = False) -> dict[str, Any
     register_font()
     with alt.data_transformers.enable("default", max_rows=None):
         spec = chart.properties(padding=2).to_dict() | {"config": theme(dark)}
-    # the whole is a constant (names, spaces) and a multiple of the panels' widths
-    whole = drawn_width(spec)
-    if abs(whole - width) <= 1.0:
-        return spec
-    nearer = width / whole
-    slope = (drawn_width(_scaled(spec, nearer)) - whole) / (nearer - 1.0)
-    return dict(_scaled(spec, 1.0 + (width - whole) / slope)) if slope else spec
+    # the whole is nearly a constant (names, spaces) and a multiple of the panels' widths: regula falsi
+    factor, whole = 1.0, drawn_width(spec)
+    following = width / whole
+    for _ in range(SEARCHES):
+        if abs(whole - width) <= 1.0:
+            break
+        before, factor = (factor, whole), following
+        whole = drawn_width(_scaled(spec, factor))
+        if whole == before[1]:
+            break
+        following = factor + (width - whole) * (factor - before[0]) / (whole - before[1])
+    return dict(_scaled(spec, factor))
 
 
 def _scaled(spec: Any, factor: float) -> Any:

@@ -22,7 +22,7 @@ from bench.store.store import Store
 pytest.importorskip("vl_convert")
 ALONE = {
     "record", "reconstruction", "training_loss", "scatter", "basin", "band", "error_against_noise",
-    "displacement_against_noise", "forest", "coverage", "accuracy_against_time", "waterfall",
+    "forest", "coverage", "accuracy_against_time",
 }  # fmt: skip
 """What a method alone gives on one mass that never failed: no comparison, no failure, no second mass."""
 
@@ -124,7 +124,7 @@ def test_a_store_without_arrays_still_gives_what_rows_determine(tmp_path: Path) 
     save(store, described("shooting"), scored("shooting", 30))
     assert main(["tables", "what=figures", f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 0
     assert pictures(tmp_path / "out") == {
-        "scatter", "error_against_noise", "displacement_against_noise", "forest", "coverage", "accuracy_against_time"
+        "scatter", "error_against_noise", "forest", "coverage", "accuracy_against_time"
     }  # fmt: skip
 
 

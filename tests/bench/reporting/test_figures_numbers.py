@@ -23,15 +23,12 @@ from bench.store.store import Store
 pytest.importorskip("matplotlib")
 
 from bench.reporting.figures.basin import clusters, draw_basin, misfit
-from bench.reporting.figures.coverage import covered, draw_coverage
 from bench.reporting.figures.failures import draw_failures, share
 from bench.reporting.figures.gallery import Gallery, Nothing
-from bench.reporting.figures.noise import draw_displacement, draw_noise
 from bench.reporting.figures.response import draw_reconstruction, draw_record, simulated
-from bench.reporting.figures.scatter import bound_covariance, draw_scatter, ellipse
 from bench.reporting.figures.training import draw_training
 from bench.reporting.figures.two_masses import band, draw_two_masses
-from bench.reporting.figures.waterfall import draw_waterfall
+from bench.reporting.pictures.panels import bound_covariance, covered, draw_coverage, draw_noise, draw_scatter, ellipse
 from bench.reporting.pictures.rows import SHARES, draw_profiles, draw_time, excess_interval, factors
 
 REFERENCE_COVARIANCE = np.array([[SD_K**2, CORRELATION * SD_K * SD_C], [CORRELATION * SD_K * SD_C, SD_C**2]])
@@ -87,46 +84,43 @@ def free_basis(k: float, c: float, times: np.ndarray) -> np.ndarray:
 def test_the_noise_picture_draws_root_mean_squares_and_bounds(store: Store) -> None:
     fill(store, ["shooting", "sindy"], (40.0, 20.0, 10.0))
     gallery = Gallery(store)
-    groups, one = draw_noise(gallery).figure.axes, draw_displacement(gallery).figure.axes
-    drawn = [(groups, 0, "k_over_m_error_pct", 1.0), (groups, 1, "c_over_m_error_pct", 1.0), (one, 0, "rmse", 1000.0)]
-    for axes, number, metric, factor in drawn:
-        bound = factor * metric_bounds(BOUND)[metric]
-        assert [axis.get_title("left") for axis in axes] == ["Multiple shooting", "SINDy"]
-        for axis, label in zip(axes, ("shooting", "sindy"), strict=True):
-            assert np.allclose(curves(axis, "0.8")[number][1], bound)
-            cells = {c.stored.cell["snr_db"]: store.load(c.stored.identity) for c in gallery.cells if c.label == label}
-            rms = {
-                snr: factor * np.sqrt(np.mean([row.scores[metric] ** 2 for row in cell.rows]))
-                for snr, cell in cells.items()
-                if cell
-            }
-            x, y = curves(axis, gallery.looks[label].colour)[number]
-            assert list(x) == [10.0, 20.0, 40.0]
-            assert np.allclose(y, [rms[snr] for snr in x], rtol=1e-4)
+    drawn = draw_noise(gallery).figure.data.set_index(["method", "quantity", "SNR"])
+    names = {"shooting": "Multiple shooting", "sindy": "SINDy"}
+    for cell in gallery.cells:
+        assert cell.stored is not None
+        rows = store.load(cell.stored.identity)
+        assert rows is not None
+        for metric, name, factor in (("k_over_m_error_pct", "k/m (%)", 1.0), ("rmse", "displacement (mm)", 1000.0)):
+            shown = drawn.loc[(names[cell.label], name, cell.snr_db)]
+            assert shown.bound == pytest.approx(factor * metric_bounds(BOUND)[metric], rel=1e-4)
+            rms = factor * np.sqrt(np.mean([row.scores[metric] ** 2 for row in rows.rows]))
+            assert shown.error == pytest.approx(rms, rel=1e-4)
+    assert drawn.bound.notna().sum() == 2 * 3 * 3
 
 
-def test_methods_on_the_bound_come_first_and_are_counted_without_the_oracle(store: Store) -> None:
-    for label, spread in (("ls", 4.0), ("shooting", 1.0), ("sindy", 2.0), ("oracle", 1.0)):
+def test_methods_near_the_bound_are_counted_without_the_oracle(store: Store) -> None:
+    for label, spread in (("ls", 4.0), ("shooting", 1.0), ("sindy", 3.0), ("oracle", 1.0)):
         save(store, described(label, n=200), scored(label, 200, spread))
     picture = draw_noise(Gallery(store))
-    titles = [axis.get_title("left") for axis in picture.figure.axes]
-    assert titles == ["oracle", "Multiple shooting", "SINDy", "LS, finite\ndifferences"]
-    assert picture.caption.startswith("1 of 3 methods are on the bound in k/m and c/m.")
+    assert picture.caption.startswith("1 of 3 methods stay within twice the bound at every noise level.")
+    series = dict(zip(picture.figure.data.method, picture.figure.data.series, strict=True))
+    assert series["LS, finite differences"] == "LS, finite differences"  # a method of the paper
+    assert series["Multiple shooting"] == "others"
 
 
 def test_the_papers_points_stand_only_beside_its_own_system(store: Store) -> None:
     rows = scored("pinn", 5)
     save(store, described("pinn", n=5, parameters={"m": 2.0, "c": 0.4, "k": 8.0}), rows)
-    assert "as the paper prints it" not in draw_displacement(Gallery(store)).caption
+    assert "in the paper" not in draw_noise(Gallery(store)).caption
     save(store, described("pinn", n=5), rows)
     save(store, described("pinn", 10.0, n=5), rows)
     save(store, described("ls", n=5), scored("ls", 5))
-    picture = draw_displacement(Gallery(store))
-    assert "PINN as the paper prints it" in picture.caption
-    drawn = {axis.get_title("left"): [line for line in axis.get_lines() if line.get_marker() == "D"]
-             for axis in picture.figure.axes}  # fmt: skip
-    assert sorted(drawn["PINN"][0].get_ydata()) == [13.0, 16.0, 21.0, 35.0, 56.0]  # mm, the paper's Table 5
-    assert not drawn["LS, finite\ndifferences"]
+    picture = draw_noise(Gallery(store))
+    assert "PINN in the paper" in picture.caption
+    shown = picture.figure.data
+    printed = shown[shown.series == "PINN in the paper"]
+    assert sorted(printed.error) == [13.0, 16.0, 21.0, 35.0, 56.0]  # mm, the paper's Table 5
+    assert set(printed.quantity) == {"displacement (mm)"}
 
 
 def test_the_ellipse_is_the_bound_of_the_stored_sds() -> None:
@@ -156,16 +150,15 @@ def test_the_scatter_draws_every_replicate_or_counts_it(store: Store) -> None:
     rows[4] = Row(4, Status.DIVERGED)
     save(store, described("shooting", n=40), rows)
     gallery = Gallery(store)
-    axis = draw_scatter(gallery).figure.axes[0]
-    marker = gallery.looks["shooting"].marker
-    drawn = next(np.array(line.get_data()) for line in axis.get_lines() if line.get_marker() == marker)
+    shown = draw_scatter(gallery).figure.data
+    drawn = shown[shown.place == "on the panel"][["k/m", "c/m"]]
     want = [
         100 * (np.array([r.scores["k_over_m_ratio"], r.scores["c_over_m_ratio"]]) - 1)
         for r in rows
         if r.replicate not in (3, 4)
     ]
-    assert np.allclose(drawn.T, want, atol=1e-3)
-    assert "1 outside" in [text.get_text() for text in axis.texts]
+    assert np.allclose(drawn, want, atol=1e-3)
+    assert set(shown.method) == {"Multiple shooting\n1 outside"}
 
 
 def test_the_misfit_is_that_of_the_stored_samples(store: Store) -> None:
@@ -227,12 +220,11 @@ def test_the_coverage_of_uniform_levels_is_the_diagonal(store: Store) -> None:
     assert np.allclose(covered(np.full(n, 0.5), nominal), 1.0)
     rows = [Row(i, Status.OK, scores={"k_over_m_pit": (i + 0.5) / n, "c_over_m_pit": 1e-6}) for i in range(n)]
     save(store, described("mcmc", n=n), rows)
-    gallery = Gallery(store)
-    picture = draw_coverage(gallery)
+    picture = draw_coverage(Gallery(store))
     assert "in 1 of 1 methods" in picture.caption
-    diagonal, none = curves(picture.figure.axes[0], gallery.looks["mcmc"].colour)
-    assert np.allclose(diagonal[1], diagonal[0], atol=100 / n)
-    assert np.allclose(none[1], 0.0)
+    shown = picture.figure.data
+    assert np.allclose(shown["k/m"], shown.level, atol=100 / n)
+    assert np.allclose(shown["c/m"], 0.0)
 
 
 def test_leads_name_the_methods_that_are_off(store: Store) -> None:
@@ -446,21 +438,3 @@ def test_what_cannot_be_drawn_says_why(store: Store) -> None:
         with pytest.raises(Nothing, match=r"stored|needs"):
             draw(gallery)
     assert [text.get_text() for text in draw_failures(gallery).figure.axes[0].texts] == ["100\no"]
-
-
-def test_the_waterfall_draws_the_stored_ends_in_order(store: Store) -> None:
-    rows = [replace(row, scores={**row.scores, "starts": 3.0, "starts_at_best": 2.0}) for row in scored("shooting", 5)]
-    arrays = {**recorded(rows, False, False), "trace_start_objectives": np.array([-5.0, 2.0, -5.0 + 1e-3])}
-    save(store, described("shooting", n=5), rows, arrays)
-    gallery = Gallery(store)
-    picture = draw_waterfall(gallery)
-    drawn = curves(picture.figure.axes[0], gallery.looks["shooting"].colour)[0]
-    assert np.allclose(drawn, [[1, 2, 3], [1e-4, 1e-3, 7.0]], rtol=1e-3)
-    assert "2 of 3" in picture.caption
-
-
-def test_no_waterfall_of_one_start(store: Store) -> None:
-    rows = [replace(row, scores={**row.scores, "starts": 1.0}) for row in scored("shooting", 5)]
-    save(store, described("shooting", n=5), rows, recorded(rows, False, False))
-    with pytest.raises(Nothing, match="several starts"):
-        draw_waterfall(Gallery(store))
