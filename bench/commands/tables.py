@@ -51,21 +51,29 @@ def tables(
 
 
 def frame(
+    experiment: Annotated[str | None, "print the lines of this experiment instead [none]"] = None,
+    metric: Annotated[str, "of the lines that are printed"] = "k_over_m_error_pct",
     store: StoreFolder = OWN,
     archive: ArchiveFolder = None,
-    out: Annotated[Path, "file of the frame (Parquet)"] = Path("build/frame.parquet"),
+    out: Annotated[Path, "file of the frame"] = Path("build/frame.parquet"),
 ) -> int:
     """Write one frame of everything that tables show: a line a cell and metric, with ties, verdicts and what is stale.
 
     pandas.read_parquet reads it.
     """
     from bench.reporting.frame import experiment_frame, table_experiments
-    from bench.reporting.tables.tidy import tidy_frame
+    from bench.reporting.tables.tidy import frame_page, tidy_frame
+    from bench.reporting.whole_file import write
 
+    names = table_experiments()
+    if experiment and experiment not in names:
+        raise InputError("experiment", experiment, f"one of: {', '.join(names)}")
     opened = named_store(store, archive, filled=True)
-    data = tidy_frame(experiment_frame(name, opened) for name in table_experiments())
-    out.parent.mkdir(parents=True, exist_ok=True)
-    data.to_parquet(out, index=False)
+    data = tidy_frame(experiment_frame(name, opened) for name in ([experiment] if experiment else names))
+    if experiment:
+        print(frame_page(data, metric))
+        return 0
+    write(out, data.to_parquet(index=False), out.parent, "out")
     print(f"{out}: {len(data)} lines")
     return 0
 

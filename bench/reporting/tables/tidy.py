@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from typing import TYPE_CHECKING
 
+from bench.errors import InputError
 from bench.reporting.frame import ERROR, VALUES, Frame, Line, Result, group, line
 from bench.reporting.paper import paper_number, row_name
 from bench.reporting.ratios import judged
-from bench.reporting.tables.render import PRIMARY, ranked
+from bench.reporting.rounding import excess_text, number, percent
+from bench.reporting.tables.render import PRIMARY, Columns, listing, ranked
+from bench.reporting.terminal import table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,6 +33,38 @@ def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
 
     lines = [one for frame in frames for one in tidy_lines(frame)]
     return pd.DataFrame(lines, columns=list(COLUMNS)).astype({"table": "Int64", "tied": "boolean"})
+
+
+def frame_page(data: pd.DataFrame, metric: str) -> str:
+    """Return the lines of a metric as a table for the terminal; raises InputError where no cell has it."""
+    lines = data[data.metric == metric].to_dict("records")
+    if not lines:
+        raise InputError("metric", metric, f"one of: {', '.join(sorted(set(data.metric) - {''})) or 'none is stored'}")
+    first: Columns[Line] = {
+        heading: partial(_text, name) for name, heading in WHERE.items() if name == "method" or data[name].nunique() > 1
+    }
+    words = [i for i, heading in enumerate([*first, *SHOWN]) if heading in WORDS]
+    legend = "+ least median error on the same data, or tied with it; excess: root mean square error over the bound"
+    return f"{table(*listing(lines, {**first, **SHOWN}), words)}\n\n{wrapped(legend)}"
+
+
+def _text(name: str, one: Line) -> str:
+    return f"{one[name]:g}" if isinstance(one[name], float) else str(one[name])
+
+
+WHERE = {"system": "system", "snr_db": "dB", "initial_state": "start", "disturbance": "disturbance", "size": "size",
+         "method": "method"}  # fmt: skip
+SHOWN: Columns[Line] = {
+    "median": lambda one: number(one["median"]),
+    "95 % low": lambda one: number(one["ci_low"]),
+    "95 % high": lambda one: number(one["ci_high"]),
+    "": lambda one: "+" if one["tied"] is True else "",
+    "excess": lambda one: excess_text(one["excess"]),
+    "cover %": lambda one: percent(one["coverage_95"]),
+    "state": lambda one: one["state"],
+}
+"""What the terminal shows of a cell."""
+WORDS = ("system", "start", "disturbance", "method", "state")
 
 
 def tidy_lines(frame: Frame) -> list[Line]:

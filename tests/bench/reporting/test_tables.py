@@ -18,11 +18,12 @@ import pytest
 from bench import Status
 from bench.commands.main import main
 from bench.config.experiment import Experiment
+from bench.errors import InputError
 from bench.information.fisher import Bound
 from bench.reporting.frame import Frame, Result
 from bench.reporting.paper import paper_value, printed
 from bench.reporting.tables.paper_tables import COLUMNS, HEADINGS, paper_table
-from bench.reporting.tables.tidy import tidy_frame
+from bench.reporting.tables.tidy import frame_page, tidy_frame
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
@@ -295,3 +296,7 @@ def test_the_frame_of_everything_holds_ties_verdicts_and_states() -> None:
     assert lines.state["pinn", ""] == "missing"
     assert lines.state["ls", "rmse"] == "stale"  # its cell says nothing of versions
     assert lines.excess["ls", "rmse"] == pytest.approx(results[[c.label for c in cells].index("ls")].excess("rmse"))
+    page = frame_page(frame, "k_over_m_error_pct")
+    assert [line.split()[0] for line in page.splitlines() if " + " in line] == ["ls"]
+    with pytest.raises(InputError, match="metric"):
+        frame_page(frame, "mass")
