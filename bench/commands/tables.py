@@ -63,12 +63,13 @@ def frame(
     """
     from bench.reporting.frame import experiment_frame, table_experiments
     from bench.reporting.tables.tidy import frame_page, tidy_frame
-    from bench.reporting.whole_file import write
+    from bench.reporting.whole_file import check_file, write
 
     names = table_experiments()
     if experiment and experiment not in names:
         raise InputError("experiment", experiment, f"one of: {', '.join(names)}")
     opened = named_store(store, archive, filled=True)
+    check_file(out)
     data = tidy_frame(experiment_frame(name, opened) for name in ([experiment] if experiment else names))
     if experiment:
         print(frame_page(data, metric))

@@ -126,7 +126,7 @@ def test_the_shell_completes_fields_and_their_values(word: str, offered: list[st
     ("line", "offered"),
     [
         ("python -m bench ce", ["certify"]),
-        ("vibration-bench tables what=f", ["what=figures"]),
+        ("vibration-bench tables what=f", ["what=frame", "what=figures"]),
         ("vibration-bench share action=export form=ar", ["form=arviz"]),
         ("vibration-bench tables what=figures sv", ["svg="]),
         ("vibration-bench method=sh", []),
