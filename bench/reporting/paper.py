@@ -19,14 +19,24 @@ COLUMNS = {"rmse": "displacement_rmse", **{name: name for name in ("m_error_pct"
 
 @dataclass(frozen=True)
 class Printed:
-    """One number of the paper: where it stands, and what it is. ``method`` is as the paper's file calls it."""
+    """One number of the paper: where it stands, and what it is; ``method`` is as the paper's file calls it.
+
+    A number that it only implies lies between ``low`` and ``high`` and is written as ``text``; others are both.
+    """
 
     table: int
     row: str
     method: str
     metric: str
-    value: float
+    low: float
+    high: float
     snr_db: float
+    text: str = ""
+
+    @property
+    def value(self) -> float:
+        """The number, where it is printed."""
+        return self.low
 
 
 @cache
@@ -39,9 +49,9 @@ def _lines() -> tuple[dict[str, str], ...]:
 def printed() -> tuple[Printed, ...]:
     """All numbers of the paper, in its order."""
     return tuple(
-        Printed(table, ROWS.get(table, line["row"]), line["method"], metric, float(line[column]), float(line["snr_db"]))
+        Printed(table, ROWS.get(table, line["row"]), line["method"], metric, *[float(line[column])] * 2, snr_db)
         for line in _lines()
-        for table in [int(line["table"])]
+        for table, snr_db in [(int(line["table"]), float(line["snr_db"]))]
         for metric, column in COLUMNS.items()
         if line[column]
     )

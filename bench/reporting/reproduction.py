@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,10 +20,10 @@ from bench.config.experiment import Experiment, sweep
 from bench.reporting.frame import Result
 from bench.reporting.labels import beside_paper, in_order
 from bench.reporting.paper import Printed, printed, row_name
-from bench.reporting.ratios import Bracket, brackets, judged, judged_bracket
+from bench.reporting.ratios import implied, judged
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scoring.statistics import holm
-from bench.scoring.verdict import Verdict, decided, mean_p_value
+from bench.scoring.verdict import decided, mean_p_value
 from bench.store.cell import Cell
 
 
@@ -109,7 +109,7 @@ def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
         lines.append(
             {
                 "table": place.table, "row": place.row, "method": place.method, "metric": place.metric,
-                "paper": place.value, **_readings(place, judged, stored),
+                "paper": place.value, **_readings(place, stored),
                 "p": math.nan if place.table == 2 else mean_p_value(place.value, errors) if pair else 1.0,
                 "paper's training": judged(place, *training).text if training else "",
             }
@@ -123,27 +123,20 @@ def verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
 
 def ratio_verdicts(stored: Mapping[str, Mapping[Place, Result]]) -> pd.DataFrame:
     """Return a line a ratio that the paper implies: the verdicts under every reading, and whether they agree."""
-    return _with_standing([{**vars(place), **_readings(place, judged_bracket, stored)} for place in brackets()])
+    return _with_standing([{**vars(place), **_readings(place, stored)} for place in implied()])
 
 
-P = TypeVar("P", Printed, Bracket)
-
-
-def _readings(
-    place: P, judge: Callable[[P, Result, Result], Verdict], stored: Mapping[str, Mapping[Place, Result]]
-) -> dict[str, Any]:  # fmt: skip
+def _readings(place: Printed, stored: Mapping[str, Mapping[Place, Result]]) -> dict[str, Any]:
     """Return the verdict under every reading, and our median error."""
     line: dict[str, Any] = {}
     for name in ASSUMPTIONS:
         pair = _own_and_oracle(place, judged_labels()[place.method], stored[name])
-        line[name] = judge(place, *pair).text if pair else "not run"
+        line[name] = judged(place, *pair).text if pair else "not run"
         line[f"{name}: median"] = float(np.median(pair[0].errors(place.metric))) if pair else math.nan
     return line
 
 
-def _own_and_oracle(
-    place: Printed | Bracket, label: str, stored: Mapping[Place, Result]
-) -> tuple[Result, Result] | None:  # fmt: skip
+def _own_and_oracle(place: Printed, label: str, stored: Mapping[Place, Result]) -> tuple[Result, Result] | None:
     own, oracle = (stored.get((place.table, place.row, name)) for name in (label, "oracle"))
     return (own, oracle) if own and oracle and own.stored and oracle.stored else None
 

@@ -9,13 +9,13 @@ import pytest
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
-from bench.reporting.paper import printed
-from bench.reporting.ratios import Bracket, brackets, judged, judged_bracket, quotient_error, sizes
+from bench.reporting.paper import Printed, printed
+from bench.reporting.ratios import implied, judged, quotient_error, sizes
 from bench.scoring.row import Row
 from bench.scoring.verdict import Verdict, better_in_both, between, decided
 from bench.store.stored import StoredCell
 
-FOUND = {(b.table, b.row, b.method, b.metric): b for b in brackets()}
+FOUND = {(b.table, b.row, b.method, b.metric): b for b in implied()}
 
 
 def test_table_2_prints_an_estimate_whose_ratios_are_known() -> None:
@@ -25,13 +25,10 @@ def test_table_2_prints_an_estimate_whose_ratios_are_known() -> None:
     assert (stiffness.text, damping.text) == ("-0.20", "+2.38")
     assert stiffness.low < 0.2022 < stiffness.high < 0.27
     assert damping.low < 2.3761 < damping.high < 2.57
-    assert stiffness.one_run
-    assert damping.one_run
 
 
 def test_every_row_of_every_table_implies_both() -> None:
     assert len(FOUND) == 2 * (1 + 4 + 5 + 5)
-    assert not any(b.one_run for b in FOUND.values() if b.table > 2)
 
 
 def test_errors_without_signs_by_hand() -> None:
@@ -97,15 +94,15 @@ def spread(to: float, *metrics: str, **identifiable: bool) -> Result:
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "one_run", "text"),
+    ("low", "high", "table", "text"),
     [
-        (0.2, 0.8, False, "reproduced (single run), open (mean)"),
-        (0.2, 0.8, True, "reproduced"),
-        (1.1, 2.0, False, "ours better"),
-        (0.8, 2.0, False, "open (single run), ours better (mean)"),
-        (0.2, 2.0, True, "open"),
+        (0.2, 0.8, 3, "reproduced (single run), open (mean)"),
+        (0.2, 0.8, 2, "reproduced"),
+        (1.1, 2.0, 3, "ours better"),
+        (0.8, 2.0, 3, "open (single run), ours better (mean)"),
+        (0.2, 2.0, 2, "open"),
     ],
 )
-def test_a_bracket_is_judged_by_both_its_ends(low: float, high: float, one_run: bool, text: str) -> None:
-    bracket = Bracket(3, "comparison", "pinn", "k_over_m_error_pct", low, high, "", one_run)
-    assert judged_bracket(bracket, spread(1.0), spread(0.1)).text == text
+def test_a_bracket_is_judged_by_both_its_ends(low: float, high: float, table: int, text: str) -> None:
+    number = Printed(table, "comparison", "pinn", "k_over_m_error_pct", low, high, 20.0)
+    assert judged(number, spread(1.0), spread(0.1)).text == text
