@@ -255,9 +255,10 @@ class Result:
         facts = self.stored.provenance.get(SUBMITTED) if self.stored else None
         if facts is None:
             return ""
-        compared, rows = facts.get("rows_compared", 0), facts.get("of_rows", "unknown")
-        by = f"submitted by {facts.get('by') or 'unknown'}"
-        return f"{by}; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
+        compared, rows = facts.get("rows_compared"), facts.get("of_rows")
+        if not (isinstance(compared, int) and isinstance(rows, int)):  # a store is data, and may state anything
+            return "submitted; what was verified of it is not stated"
+        return f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
 
     @property
     def summary(self) -> Mapping[str, Mapping[str, float]]:

@@ -188,7 +188,7 @@ def test_the_leaderboard_has_tiers_apart_below_and_beyond_nyquist(reference: Sce
     ]  # fmt: skip
     assert float(rows[2][2]) / float(rows[0][2]) == pytest.approx(3.0, rel=0.02)
     assert re.search(r"RLS \(submitted\) +\| 1 of 30", below.split("Beside the tiers")[1])
-    assert "submitted by somebody; 5 of its 24 rows were computed again" in files["leaderboard.md"]
+    assert "RLS (submitted): submitted; 5 of its 24 rows were computed again" in files["leaderboard.md"]
     assert re.findall(r"^\| (\d) +\| (\w+)", beyond, re.MULTILINE) == [
         ("1", "Extended"),
         ("2", "Multiple"),
@@ -200,3 +200,11 @@ def test_the_leaderboard_has_tiers_apart_below_and_beyond_nyquist(reference: Sce
 def test_a_store_without_the_open_split_has_no_leaderboard(reference: Scenario) -> None:
     cell = Cell(reference, "ls", {}, 1, 0, "ls")
     assert leaderboard(Frame("open", "", {}, (Result.of_cell(cell, None),))) == {}
+
+
+def test_a_store_may_state_anything_of_a_verification(reference: Scenario) -> None:
+    own = result(reference, "ls", 1.0)
+    assert own.verification == ""
+    assert own.stored
+    stated = replace(own, stored=own.stored.marked({"rows_compared": "<script>", "of_rows": 24}))
+    assert stated.verification == "submitted; what was verified of it is not stated"
