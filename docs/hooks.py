@@ -14,39 +14,33 @@ from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
-from mkdocs.structure.nav import Link, Navigation
 
 ROOT = Path(__file__).parents[1]
-SITE = ROOT / "build" / "site"
-"""Where ``python -m bench report`` writes the site of the results."""
 PLACE = "<!-- the help of every command, written by docs/hooks.py when the site is built -->"
+FIRST = "<!-- the site has the first screen of the results in place of what is above -->"
 README = "readme.md"
 """Where README.md stands in the site, whose first page is docs/index.md."""
 OF_THE_ROOT = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "SECURITY.md")
-SHIM = "https://unpkg.com/iframe-worker/shim"
 LINK = re.compile(r"(?P<open>\]\()(?P<target>[^)#\s]+)(?P<rest>(?:#[^)\s]*)?\))")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the results, but for packed cells, the documents of the root, and the site of the results if it is made."""
+    """Add the results, but for packed cells, the documents of the root, and the pages of what the archive holds."""
     for path in _beside():
         name = path.relative_to(ROOT).as_posix()
-        nav = InclusionLevel.INCLUDED if name == "results/README.md" else InclusionLevel.NOT_IN_NAV
         place = README if name == "README.md" else name
-        files.append(File.generated(config, place, abs_src_path=str(path), inclusion=nav))
-    for path in sorted(SITE.rglob("*")):
-        if path.is_file():
-            place = f"site/{path.relative_to(SITE).as_posix()}"
-            files.append(File.generated(config, place, abs_src_path=str(path), inclusion=InclusionLevel.NOT_IN_NAV))
+        files.append(File.generated(config, place, abs_src_path=str(path), inclusion=InclusionLevel.NOT_IN_NAV))
+    for name, content in _pages().items():
+        if name != "index.md":
+            files.append(File.generated(config, name, content=content, inclusion=InclusionLevel.NOT_IN_NAV))
     return files
 
 
-def on_nav(nav: Navigation, **_: Any) -> Navigation:
-    """Let the results lead to their site where it is made."""
-    if (SITE / "index.html").is_file():
-        results = next(section for section in nav.items if section.title == "Results")
-        results.children.append(Link("All results in a browser", "site/index.html"))
-    return nav
+def on_page_read_source(page: Any, **_: Any) -> str | None:
+    """Begin the first page with the first screen of the results."""
+    if page.file.src_uri != "index.md":
+        return None
+    return _pages()["index.md"].decode() + (ROOT / "docs" / "index.md").read_text(encoding="utf-8").partition(FIRST)[2]
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -58,17 +52,6 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if PLACE in markdown:
         markdown = markdown.replace(PLACE, "\n\n".join(_helps()))
     return LINK.sub(lambda found: f"{found['open']}{_moved(source, found['target'])}{found['rest']}", markdown)
-
-
-def on_post_page(output: str, page: Any, **_: Any) -> str:
-    """Load what lets the search work from a folder (iframe-worker, MIT) from the site, not from elsewhere."""
-    up = "../" * page.url.count("/")
-    return output.replace(SHIM, f"{up}assets/iframe-worker.js")
-
-
-def on_post_template(output_content: str, template_name: str, **_: Any) -> str:
-    """Likewise of the page for what is not found."""
-    return output_content.replace(SHIM, "assets/iframe-worker.js")
 
 
 def _beside() -> Iterator[Path]:
@@ -108,6 +91,14 @@ def helps() -> dict[str, str]:
 def _facts() -> Any:
     """What the documents say about results; a name that is unknown, or a conclusion that is false, ends the build."""
     return import_module("bench.reporting.sentences").facts(ROOT / "results")
+
+
+@cache
+def _pages() -> dict[str, bytes]:
+    """The pages of the published results, and the files that they use, by path."""
+    store, site = import_module("bench.store.store"), import_module("bench.reporting.page.site")
+    published = store.open_store(ROOT / "build" / "no cells of one's own", str(ROOT / "results" / "archive"))
+    return dict(site.site_files(published, ROOT / "results"))
 
 
 def _helps() -> Iterator[str]:

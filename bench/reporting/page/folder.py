@@ -1,19 +1,27 @@
-"""A folder of files written in one step: nobody meets half of a site, and no file of an older one stays behind."""
+"""Pages built by mkdocs, in one step: nobody meets half of a site, and no file of an older one stays behind."""
 
 from __future__ import annotations
 
+import logging
 import os
+import re
 import shutil
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from importlib.metadata import version
+from importlib.resources import as_file, files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from bench.errors import InputError
 from bench.reporting import whole_file
+from bench.reporting.page.site import NAV
 
 MARKS = ("index.html", "assets", "data")
 """What a site has: no other folder that holds anything is replaced."""
+OUTSIDE = re.compile(r"\[([^\]]*)\]\((\.\./|archive|README)[^)]*\)")
+"""A link of a table to what is not beside it."""
 
 
 def check_folder(out: Path) -> None:
@@ -25,21 +33,46 @@ def check_folder(out: Path) -> None:
     whole_file.check_folder(out)
 
 
-def write_folder(out: Path, files: Iterable[tuple[str, bytes]]) -> None:
-    """Write files by their paths below ``out``, in place of what is there; raises InputError where it cannot."""
-    temporary = out.with_name(f".{out.name}.{uuid.uuid4().hex}.tmp")
-    old = out.with_name(f".{out.name}.{uuid.uuid4().hex}.old.tmp")
+def results_files(folder: Path) -> Iterator[tuple[str, bytes]]:
+    """The tables and figures of a folder, with their paths in the site; HTML in a table is text there."""
+    for path in sorted([*folder.glob("*"), *folder.glob("figures/*.png")]):
+        if path.is_file() and path.suffix in (".md", ".csv", ".gz", ".png") and path.name != "README.md":
+            content = path.read_bytes()
+            if path.suffix == ".md":
+                text = re.sub(r"<(?=[A-Za-z/!?])", "&lt;", content.decode())
+                content = OUTSIDE.sub(r"\1", text).encode()
+            yield f"results/{path.relative_to(folder).as_posix()}", content
+
+
+def write_site(out: Path, pages: Iterable[tuple[str, bytes]]) -> None:
+    """Build pages and their files into a folder, in place of what is there; raises InputError where it cannot."""
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    os.environ.setdefault("NO_MKDOCS_2_WARNING", "1")
+    logging.getLogger("mkdocs").setLevel(logging.ERROR)
+    new, old = (out.with_name(f".{out.name}.{uuid.uuid4().hex}.{what}.tmp") for what in ("new", "old"))
     try:
-        for name, content in files:
-            path = temporary / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+        with TemporaryDirectory() as folder, as_file(files("bench.reporting.page") / "mkdocs.yml") as shared:
+            docs, tables = Path(folder), []
+            for name, content in pages:
+                (docs / name).parent.mkdir(parents=True, exist_ok=True)
+                (docs / name).write_bytes(content)
+                tables += [name] if name.startswith("results/") and name.endswith(".md") else []
+            nav = [{title: page} for title, page in NAV.items()] + [{"Tables": tables}] * bool(tables)
+            footer = f"vibration-bench {version('vibration-bench')}"
+            config = load_config(str(shared), docs_dir=folder, site_dir=str(new), nav=nav, copyright=footer)
+            config.plugins.on_startup(command="build", dirty=False)
+            build(config)
+            config.plugins.on_shutdown()
+        for dated in ("sitemap.xml", "sitemap.xml.gz"):
+            (new / dated).unlink(missing_ok=True)
         if out.exists():
             os.replace(out, old)
-        os.replace(temporary, out)
+        os.replace(new, out)
     except OSError as error:
         raise InputError("out", out, f"cannot be written ({error.strerror}); name another folder") from None
     finally:
         with suppress(OSError):
-            shutil.rmtree(temporary, ignore_errors=True)
+            shutil.rmtree(new, ignore_errors=True)
             shutil.rmtree(old, ignore_errors=True)

@@ -47,7 +47,7 @@ class HomeRow:
 def advice_row(one: Advice) -> HomeRow:
     """The line of a situation."""
     situation = one.situation
-    href, basis, told = f"situations/{situation.name}.html", basis_of(one.panels), tells(one.panels)
+    href, basis, told = f"situations/{situation.name}.md", basis_of(one.panels), tells(one.panels)
     if one.hopeless:
         best = min(((r.risk, r.label) for r in (*one.advised, *one.behind)), default=(math.nan, ""))
         risk = f"{percent(best[0])} at best" if best[1] else "–"
@@ -119,7 +119,7 @@ def atlas_row(atlas: Mapping[str, SituationRecord], points: int) -> list[HomeRow
     first, *rest = advised
     return [
         HomeRow(
-            "One mass, free decay: an atlas of other tests", "results/atlas.html",
+            "One mass, free decay: an atlas of other tests", "results/atlas.md",
             f"{points:,} tests; samples, cycles, damping and SNR vary", title(first.label), first.label,
             ratio(first.excess), risk_text(first), seconds(first.seconds),
             needs(first.method), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
@@ -134,7 +134,7 @@ def measured_row(found: Sequence[RecordSummary]) -> list[HomeRow]:
     first, *rest = found
     return [
         HomeRow(
-            "A real record of a rig", "results/table11.html", f"{first.fits} records of the measured track",
+            "A real record of a rig", "results/table11.md", f"{first.fits} records of the measured track",
             title(first.label), first.label, "no truth is known",
             f"{first.fits - first.believed} of {first.fits} answers withdrawn by their own checks",
             seconds(first.seconds),
@@ -151,7 +151,7 @@ def followed_row(found: Sequence[TrackerSummary]) -> list[HomeRow]:
     first, *rest = found
     return [
         HomeRow(
-            "Parameters that change while the data arrive", "results/table10.html", f"{first.records} records",
+            "Parameters that change while the data arrive", "results/table10.md", f"{first.records} records",
             first.title, "", f"{ratio(first.excess)}, worst {ratio(first.worst)}",
             f"{first.records - first.ok} of {first.records} records lost",
             f"{seconds(first.micros / 1e6)} a sample", "a first guess",

@@ -1,41 +1,47 @@
-"""``python -m bench report``: the results as a folder of pages that opens from a disk, without network or server.
+"""The results as pages in Markdown with their data, from which mkdocs makes a site that opens from a folder.
 
-From stored cells, their arrays and a folder of results (tables, figures) alone, of which it holds copies; nothing is
-computed anew but ranks. The same store gives the same bytes.
+From stored cells, their arrays and a folder of results (tables, figures) alone; nothing is computed anew but ranks. The
+same store gives the same pages. ``python -m bench report`` makes a site of them alone, ``docs/hooks.py`` adds them to
+the documentation.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
-from bench.reporting.frame import group
-from bench.reporting.grid import rendered
+from markupsafe import Markup
+
+from bench.reporting.frame import Result, group
 from bench.reporting.labels import in_order, title
 from bench.reporting.page import board, cards, describe, elsewhere, home, origin, told
 from bench.reporting.page.addresses import scenario_slugs, slugs
-from bench.reporting.page.documents import FILES, ResultsDocument, documents
+from bench.reporting.page.markdown import code, escaped, link, rendered, table
 from bench.reporting.page.pictures import PagePicture, pictures
 from bench.reporting.page.reading import ScenarioPanel, StoreReading, decibels, read
 from bench.reporting.page.scenario_data import scenario_data
-from bench.reporting.page.situations import Advice, advise
+from bench.reporting.page.situations import Advice, SituationRecord, advise
 from bench.reporting.page.sketch import sketch
 from bench.reporting.page.standing import fit_seconds
 from bench.reporting.page.untold import untold
 from bench.reporting.page.words import heading, number, percent, quantity, seconds, unbroken
+from bench.reporting.tables.render import Columns
 from bench.store.store import Store
 
-STATIC = ("site.css", "site.js", "charts.js", "home.js", "board.js", "compare.js", "scenario.js")
 BUDGETS = (0.001, 0.01, 0.1, 1.0, 10.0)
 """Seconds a fit that the leaderboard offers as a limit."""
-MEASURED = "table11"
-"""The document of methods on real records."""
+NAV = {
+    "Which method?": "index.md", "Leaderboard": "leaderboard.md", "Methods": "methods.md", "Systems": "systems.md",
+    "Scenarios": "scenarios.md", "Figures": "figures.md", "Can I trust these numbers?": "provenance.md",
+}  # fmt: skip
+"""The pages that a site of a store's results names in its head."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +101,7 @@ class Site:
         return [*(name for name in names if name != "rmse"), *(["rmse"] if "rmse" in names else [])]
 
     @cached_property
-    def atlas(self) -> tuple[dict[str, Any], int]:
+    def atlas(self) -> tuple[dict[str, SituationRecord], int]:
         return elsewhere.atlas_records(self.results)
 
     @cached_property
@@ -103,22 +109,33 @@ class Site:
         return advise(self.panels, elsewhere.unsteady(self.atlas[0]))
 
     @cached_property
-    def documents(self) -> list[ResultsDocument]:
-        return documents(self.results)
-
-    @cached_property
     def pictures(self) -> list[PagePicture]:
         return pictures(self.results / "figures")
+
+    def method(self, root: str, label: str, name: str = "") -> Markup:
+        """The name of a method, a link where it has a page."""
+        name = name or title(label)
+        return link(f"{root}methods/{self.methods[label]}.md", name) if label in self.methods else escaped(name)
+
+    def scenario(self, root: str, place: int) -> Markup:
+        return link(f"{root}scenarios/{self.scenarios[place]}.md", self.words[place])
+
+    def system(self, root: str, name: str, words: object = None) -> Markup:
+        return link(f"{root}systems/{self.system_slugs[name]}.md", words or name)
+
+    def situation(self, root: str, one: Advice) -> Markup:
+        return link(f"{root}situations/{one.situation.name}.md", one.situation.words)
 
 
 def site_files(store: Store, results: Path) -> Iterator[tuple[str, bytes]]:
     """Yield every file of the site by its path in the folder; raises InputError for a store that cannot be shown."""
     site = Site(store, results, read(store))
-    yield from _assets()
-    for picture in site.pictures:
-        yield f"figures/{picture.name}.png", picture.data
-    for document in site.documents:
-        yield from ((f"{FILES}/{name}", (results / name).read_bytes()) for name in document.files)
+    folder = files("bench.reporting.page")
+    for name in ("static", "static/tables", "static/vega"):
+        items = sorted(folder.joinpath(name).iterdir(), key=lambda one: one.name)
+        yield from (
+            (f"{name}/{item.name}", item.read_bytes()) for item in items if item.name.endswith((".js", ".css", ".txt"))
+        )
     for path, call, value in _data(site):
         yield path, f"bench.{call}({_json(value)});\n".encode()
     for path, text in _pages(site):
@@ -127,15 +144,6 @@ def site_files(store: Store, results: Path) -> Iterator[tuple[str, bytes]]:
 
 def _json(value: Any) -> str:
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def _assets() -> Iterator[tuple[str, bytes]]:
-    folder = files("bench.reporting.page")
-    for name in STATIC:
-        yield f"assets/{name}", folder.joinpath("static", name).read_bytes()
-    yield "assets/base.css", folder.joinpath("report.css").read_bytes()
-    for item in sorted(folder.joinpath("vendor").iterdir(), key=lambda one: one.name):
-        yield f"assets/vendor/{item.name}", item.read_bytes()
 
 
 def _data(site: Site) -> Iterator[tuple[str, str, Any]]:
@@ -179,138 +187,211 @@ def first_choice(site: Site) -> dict[str, str]:
     own = list(site.advice[0].panels) if site.advice else list(site.panels[:1])
     level = told.usual(own)
     panel = next(p for p in own if p.facts.snr_db == level)
-    chosen = {"system": panel.facts.system, "snr": decibels(panel.facts.snr_db), "start": panel.facts.initial_state}
-    return {**chosen, "data": panel.kind, **({"quantity": heading(panel.ranked[0])} if panel.ranked else {})}
+    return {**choices(panel), **({"quantity": heading(panel.ranked[0])} if panel.ranked else {})}
+
+
+def choices(panel: ScenarioPanel) -> dict[str, str]:
+    """A scenario as the leaderboard's choices."""
+    facts = panel.facts
+    return {"system": facts.system, "snr": decibels(facts.snr_db), "start": facts.initial_state, "data": panel.kind}
 
 
 def _pages(site: Site) -> Iterator[tuple[str, str]]:
     """The pages by path."""
-    yield _page(site, "index.html", "home", **home_values(site))
-    yield _page(site, "own.html", "own", measured=next((d for d in site.documents if d.name == MEASURED), None))
-    yield _page(site, "leaderboard.html", "leaderboard")
-    yield _page(site, "systems.html", "systems", systems=[system_values(site, name) for name in site.systems])
-    yield _page(site, "methods.html", "methods", cards=site.cards)
-    yield _page(site, "scenarios.html", "scenarios")
-    yield _page(site, "results.html", "results")
-    yield _page(site, "figures.html", "figures")
-    yield _page(site, "provenance.html", "provenance", **provenance_values(site))
+    yield "index.md", home_page(site)
+    yield "leaderboard.md", rendered("leaderboard")
+    yield "methods.md", rendered("methods", table=table(site.cards, methods_columns(site)))
+    yield "systems.md", rendered("systems", table=table(site.systems, systems_columns(site)))
+    yield "scenarios.md", rendered("scenarios", table=scenario_table(site, "", range(len(site.panels))))
+    yield "figures.md", rendered("figures", pictures=site.pictures)
+    yield "provenance.md", rendered("provenance", **provenance_values(site))
     for name in site.systems:
-        yield _page(site, f"systems/{site.system_slugs[name]}.html", "system", **system_values(site, name))
+        yield f"systems/{site.system_slugs[name]}.md", system_page(site, name)
     for label in site.labels:
-        yield _page(site, f"methods/{site.methods[label]}.html", "method", **method_values(site, label))
-    for i, slug in enumerate(site.scenarios):
-        yield _page(site, f"scenarios/{slug}.html", "scenario", **scenario_values(site, i))
+        yield f"methods/{site.methods[label]}.md", method_page(site, label)
+    for place, slug in enumerate(site.scenarios):
+        yield f"scenarios/{slug}.md", scenario_page(site, place)
     for one in site.advice:
-        yield _page(site, f"situations/{one.situation.name}.html", "situation", **situation_values(site, one))
-    for document in site.documents:
-        yield _page(site, document.href, "document", document=document)
+        yield f"situations/{one.situation.name}.md", situation_page(site, one)
 
 
-def _page(site: Site, path: str, template: str, **values: Any) -> tuple[str, str]:
-    """A page of a template; every text is escaped, and only the site's own scripts may run."""
-    shared = {"site": site, "root": "../" * path.count("/"), "path": path, "title_of": title, "describe": describe}
-    shared |= {
-        "decibels": decibels,
-        "number": number,
-        "percent": percent,
-        "seconds": seconds,
-        "share": home.share,
-        "unbroken": unbroken,
-        "order": order,
-    }
-    return path, rendered(f"page/templates/{template}.html.j2", **shared, **values)
-
-
-def order(value: float) -> str:
-    """What a cell of a table sorts by; last where there is nothing."""
-    return f"{value:.4g}" if math.isfinite(value) else "1e300"
-
-
-def home_values(site: Site) -> dict[str, Any]:
+def home_page(site: Site) -> str:
     """The first screen."""
-    atlas, points = site.atlas
-    rows = home.rows(site.advice, atlas, points, site.results)
     first = site.advice[0] if site.advice else None
     panels = first.panels if first else site.panels
     best = first.advised[0] if first and not first.hopeless else None
-    return {
-        "rows": rows, "first": first, "best": best, "one_in": home.one_in(best.risk_at_most) if best else "",
-        "noise": told.noise(panels), "untold": untold(panels[0]),
-        "ranked": list(map(quantity, told.ranked(panels[0]))),
-        "basis": home.basis_of(panels), "counts": counts(site),
-    }  # fmt: skip
-
-
-def counts(site: Site) -> dict[str, int]:
-    """How much there is."""
+    rows = home.rows(site.advice, *site.atlas, site.results)
     methods = {result.method for panel in site.panels for result in panel.methods}
     fits = sum(result.n for panel in site.panels for result in panel.methods)
-    return {"methods": len(methods), "scenarios": len(site.panels), "systems": len(site.systems), "fits": fits}
+    return rendered(
+        "home", table=table(rows, home_columns(site)), first=first, best=best, noise=told.noise(panels),
+        best_method=site.method("", best.label) if best else "", accuracy=rows[0].accuracy if rows else "",
+        one_in=home.one_in(best.risk_at_most) if best else "", untold=untold(panels[0]), unbroken=unbroken,
+        ranked=list(map(quantity, told.ranked(panels[0]))), basis=home.basis_of(panels),
+        counts=(len(methods), len(site.systems), fits),
+    )  # fmt: skip
 
 
-def system_values(site: Site, name: str) -> dict[str, Any]:
+def home_columns(site: Site) -> Columns[home.HomeRow]:
+    """What the first screen's table says of a situation."""
+
+    def situation(row: home.HomeRow) -> str:
+        there = row.href.startswith("situations") or (site.results / Path(row.href).name).is_file()
+        words = link(row.href, row.situation) if there else escaped(row.situation)
+        return words + small("; ".join(filter(None, (row.basis, row.tells))))
+
+    def method(row: home.HomeRow) -> str:
+        others = Markup(", ").join(site.method("", label, name) for name, label in row.others)
+        return Markup("**{}**").format(site.method("", row.method, row.name)) + small(others and "as good: " + others)
+
+    return {
+        "Situation": situation,
+        "Method": method,
+        "Error over the bound": lambda row: escaped(row.error) + small(row.accuracy),
+        "Gross errors": lambda row: unbroken(row.risk),
+        "Time per fit": lambda row: row.time,
+        "Needs": lambda row: row.needs,
+    }
+
+
+def small(text: str) -> Markup:
+    """What stands below a cell's text, in small letters."""
+    shown = text if isinstance(text, Markup) else escaped(unbroken(text))
+    return Markup(f" <small>{shown}</small>") if text else Markup("")
+
+
+def methods_columns(site: Site) -> Columns[cards.Description]:
+    """What the table of methods says of each."""
+    return {
+        "Method": lambda one: site.method("", one.name, one.title) + " " + code(one.name),
+        "What it does": lambda one: one.card.summary if one.card else one.broken,
+        "Variants": lambda one: Markup("; ").join(site.method("", name, words) for name, words, _ in one.variants),
+    }
+
+
+def systems_columns(site: Site) -> Columns[str]:
+    """What the table of systems says of each."""
+    def facts(name: str) -> Result:
+        return site.panels[site.systems[name][0]].facts
+
+    return {
+        "System": lambda name: site.system("", name, describe.system_words(facts(name))) + " " + code(name),
+        "Sketch": lambda name: Markup(sketch(facts(name))),
+        "Parameters": lambda name: describe.values(facts(name)) if len(facts(name).parameters) <= describe.FEW else "",
+        "Scenarios": lambda name: str(len(site.systems[name])),
+    }
+
+
+def scenario_table(site: Site, root: str, places: Iterable[int]) -> Markup:
+    """Scenarios, a row each."""
+    columns: Columns[int] = {
+        "Scenario": lambda i: site.scenario(root, i),
+        "System": lambda i: site.system(root, site.panels[i].facts.system),
+        "SNR (dB)": lambda i: decibels(site.panels[i].facts.snr_db),
+        "Initial state": lambda i: site.panels[i].facts.initial_state,
+        "Data": lambda i: site.panels[i].kind,
+        "Methods": lambda i: str(len(site.panels[i].methods)),
+        "Data sets": lambda i: str(max((cell.n for cell in site.panels[i].methods), default=0)),
+        "Table": lambda i: ", ".join(one.said for one in site.panels[i].experiments) or "–",
+    }
+    return table(places, columns)
+
+
+def system_page(site: Site, name: str) -> str:
     """A system: what it is, its parameters, its scenarios, and the prior's share in what is told."""
     own = site.systems[name]
     facts = site.panels[own[0]].facts
-    model = facts.known_model
     shares: dict[str, str] = {}
     for i in own:
         for parameter, part in site.panels[i].prior_share.items():
             shares.setdefault(quantity(f"{parameter}_error_pct"), percent(part))
-    return {
-        "name": name, "facts": facts, "slug": site.system_slugs[name], "words": describe.system_words(facts),
-        "sketch": sketch(facts), "scenarios": own,
-        "about": (type(model).__doc__ or "").strip().split("\n")[0] if model else "", "shares": shares,
-    }  # fmt: skip
+    about = (type(facts.known_model).__doc__ or "").strip().split("\n")[0] if facts.known_model else ""
+    return rendered(
+        "system", name=name, words=describe.system_words(facts), sketch=Markup(sketch(facts)),
+        about=about.replace("``", ""), values=describe.values(facts), shares=shares,
+        address=urlencode({"system": name}),
+        table=scenario_table(site, "../", own),
+    )  # fmt: skip
 
 
-def method_values(site: Site, label: str) -> dict[str, Any]:
-    """A method or variant: its card, and what it did in each situation and scenario."""
-    found = {p_i: cell for p_i, panel in enumerate(site.panels) for cell in panel.results if cell.label == label}
-    name = next((cell.method for cell in found.values()), label)
-    card = next((card for card in site.cards if card.name == name), None)
+def record_columns(first: Columns[Any], record: Callable[[Any], SituationRecord]) -> Columns[Any]:
+    """What is said of a method in a situation, behind the columns that name it."""
     return {
-        "label": label,
-        "name": name,
-        "card": card,
-        "cells": found,
-        "standings": standings(site, label),
-        "of": pooled,
+        **first,
+        "Error over the bound": lambda item: home.error_text(record(item)),
+        "Gross errors": lambda item: home.risk_text(record(item)),
+        "Time per fit": lambda item: seconds(record(item).seconds),
     }
 
 
-def pooled(cell: Any, panel: ScenarioPanel) -> float:
+def method_page(site: Site, label: str) -> str:
+    """A method or variant: its card, and what it did in each situation and scenario."""
+    found = {i: cell for i, panel in enumerate(site.panels) for cell in panel.results if cell.label == label}
+    name = next((cell.method for cell in found.values()), label)
+    card = next((card for card in site.cards if card.name == name), None)
+    situations: Columns[Any] = {
+        "Situation": lambda line: site.situation("../", line[0]), "Standing": lambda line: line[1],
+    }  # fmt: skip
+    scenarios: Columns[int] = {
+        "Scenario": lambda i: site.scenario("../", i),
+        "Error over the bound": lambda i: number(pooled(found[i], site.panels[i])),
+        "Fits ok": lambda i: f"{found[i].n_ok}/{found[i].n}",
+    }
+    return rendered(
+        "method", site=site, label=label, title=title(label), description=card, card=card.card if card else None,
+        situations=table(standings(site, label), record_columns(situations, lambda line: line[2])),
+        scenarios=table(found, scenarios),
+    )  # fmt: skip
+
+
+def pooled(cell: Result, panel: ScenarioPanel) -> float:
     """A cell in a number: the median over the quantities that the data tell of the error over the bound."""
     return board.middle([cell.excess(metric) for metric in panel.ranked if metric in cell.summary])
 
 
-def standings(site: Site, label: str) -> list[tuple[Advice, str, Any]]:
+def standings(site: Site, label: str) -> list[tuple[Advice, str, SituationRecord]]:
     """In each situation where a method ran: what is said of it there."""
-    found = []
-    for one in site.advice:
-        parts = {"advised": one.advised, "behind": one.behind, "runs away": one.fragile, "ran on a part": one.partial}
-        for said, records in parts.items():
-            found += [(one, said, record) for record in records if record.label == label]
-    return found
+    return [
+        (one, said, record)
+        for one in site.advice for said, records in parts(one).items() for record in records if record.label == label
+    ]  # fmt: skip
 
 
-def scenario_values(site: Site, place: int) -> dict[str, Any]:
+def parts(one: Advice) -> Mapping[str, Sequence[SituationRecord]]:
+    """The methods of a situation by what is said of them."""
+    return {
+        "Advised, fastest first": one.advised,
+        "Further from the bound": one.behind,
+        "Not advised: gross errors here or in the atlas": one.fragile,
+        "Ran on a part of the scenarios only": one.partial,
+    }
+
+
+def scenario_page(site: Site, place: int) -> str:
     """A scenario: what was told, and a line a method."""
     panel = site.panels[place]
     order = sorted(panel.results, key=lambda cell: (cell.is_reference, _last(pooled(cell, panel)), cell.label))
-    lines = [(cell, pooled(cell, panel), fit_seconds(cell), standing(site, place, cell)) for cell in order]
-    return {
-        "panel": panel, "slug": site.scenarios[place], "words": site.words[place], "told": describe.told(panel),
-        "again": describe.again(panel), "sketch": sketch(panel.facts), "lines": lines, "untold": untold(panel),
-        "situations": [one for one in site.advice if panel in one.panels],
-    }  # fmt: skip
+    columns: Columns[Result] = {
+        "Method": lambda cell: site.method("../", cell.label, cell.title),
+        "Error over the bound": lambda cell: number(pooled(cell, panel)),
+        "Best or level in": lambda cell: standing(site, place, cell),
+        "Displacement’s median error (m)": lambda cell: number(cell.statistic("rmse", "median")),
+        "Fits ok": lambda cell: f"{cell.n_ok}/{cell.n}",
+        "Time per fit": lambda cell: seconds(fit_seconds(cell)),
+    }
+    return rendered(
+        "scenario", site=site, panel=panel, slug=site.scenarios[place], words=site.words[place],
+        told=describe.told(panel), again=describe.again(panel), sketch=Markup(sketch(panel.facts)),
+        untold=untold(panel), address=urlencode(choices(panel)), table=table(order, columns),
+        situations=[site.situation("../", one) for one in site.advice if panel in one.panels],
+    )  # fmt: skip
 
 
 def _last(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
 
-def standing(site: Site, place: int, cell: Any) -> str:
+def standing(site: Site, place: int, cell: Result) -> str:
     """In how many of the quantities that the data tell a method is best or level with the best."""
     panel = site.panels[place]
     if cell.is_reference:
@@ -323,29 +404,27 @@ def standing(site: Site, place: int, cell: Any) -> str:
     return f"{sum(own in ('best', 'level', 'only method') for own in named)} of {len(named)}"
 
 
-def situation_values(site: Site, one: Advice) -> dict[str, Any]:
+def situation_page(site: Site, one: Advice) -> str:
     """A situation: every method's record, and the scenarios behind it."""
-    parts = (
-        ("Advised, fastest first", one.advised), ("Further from the bound", one.behind),
-        ("Not advised: gross errors here or in the atlas", one.fragile),
-        ("Ran on a part of the scenarios only", one.partial),
-    )  # fmt: skip
+    columns = record_columns({"Method": lambda record: site.method("../", record.label)}, lambda record: record)
+    columns = {**columns, "Needs": lambda record: home.needs(record.method)}
     places = [i for i, panel in enumerate(site.panels) if panel in one.panels]
-    return {
-        "advice": one,
-        "groups": parts,
-        "places": places,
-        "error": home.error_text,
-        "risk": home.risk_text,
-        "needs": home.needs,
-    }
+    return rendered(
+        "situation", advice=one, places=places,
+        tables={name: table(records, columns) for name, records in parts(one).items() if records},
+        scenarios=scenario_table(site, "../", places),
+    )  # fmt: skip
 
 
 def provenance_values(site: Site) -> dict[str, Any]:
     """Where the cells come from, and what failed."""
-    results: Sequence[Any] = site.reading.results
+    results = site.reading.results
+
+    def lines(headers: Sequence[str], rows: Sequence[Sequence[Any]]) -> Markup:
+        return table(rows, {name: lambda row, i=i: str(row[i]) for i, name in enumerate(headers)})  # type: ignore[misc]
+
     return {
-        "origin": origin.origin(results), "failures": origin.failures(results),
-        "unsupported": origin.unsupported(results),
-        "hidden": site.reading.hidden,
+        "origin": origin.origin(results), "hidden": site.reading.hidden,
+        "failures": lines(("Fits", "Method", "Status", "Scenario", "Message"), origin.failures(results)),
+        "unsupported": lines(("Fits", "Method", "Reason"), origin.unsupported(results)),
     }  # fmt: skip

@@ -77,6 +77,7 @@ function makeTable(index) {
     cell.dataset.label = title;
     cell.replaceChildren(link(path(row), text(row)));
   }, render: (row, type) => (type === "display" ? "" : text(row)) });
+  bench.scrolled(document.getElementById("board"), "Leaderboard");
   bench.table = new DataTable("#board", {
     data: [], autoWidth: false, deferRender: true, pageLength: 50, orderMulti: true, caption: "Leaderboard",
     layout: { topStart: { buttons: bench.buttons("leaderboard", [{ extend: "colvis", text: "Columns" }]) }, topEnd: null, bottomStart: "info", bottomEnd: "paging" },

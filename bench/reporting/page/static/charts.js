@@ -3,7 +3,7 @@
 
 bench.charts = new Map();
 
-bench.colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+bench.colour = (name) => getComputedStyle(document.body).getPropertyValue(`--${name}`).trim();
 
 bench.config = () => {
   const [ink, muted, line] = ["ink", "muted", "line"].map(bench.colour);
@@ -20,20 +20,20 @@ bench.config = () => {
 bench.draw = async (id, name, make) => {
   bench.charts.set(id, () => bench.draw(id, name, make));
   const options = { ast: true, renderer: "svg", logLevel: vega.Error, downloadFileName: name, config: bench.config(),
-    tooltip: { theme: matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light" },
+    tooltip: { theme: document.body.dataset.mdColorScheme === "slate" ? "dark" : "light" },
     actions: { export: { svg: true, png: true }, source: false, compiled: false, editor: false },
-    i18n: { PNG_ACTION: "Take as PNG", SVG_ACTION: "Take as SVG", CLICK_TO_VIEW_ACTIONS: "Take this figure" } };
+    i18n: { PNG_ACTION: "Export as PNG", SVG_ACTION: "Export as SVG", CLICK_TO_VIEW_ACTIONS: "Export this figure" } };
   const schema = "https://vega.github.io/schema/vega-lite/v6.json"; // a name; nothing is loaded from there
   const { view } = await vegaEmbed(`#${id}`, { $schema: schema, width: "container", autosize: { type: "fit-x", contains: "padding" },
     ...make() }, options);
   const summary = document.querySelector(`#${id} summary`);
-  if (summary) summary.setAttribute("aria-label", "Take this figure as SVG or PNG");
+  if (summary) summary.setAttribute("aria-label", "Export this figure as SVG or PNG");
   const figure = document.getElementById(id).closest("figure");
   const svg = document.querySelector(`#${id} svg.marks`);
   if (svg && figure) svg.setAttribute("aria-label", figure.querySelector("figcaption").textContent.trim());
   return view;
 };
 
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+new MutationObserver(() => {
   for (const again of bench.charts.values()) again();
-});
+}).observe(document.body, { attributes: true, attributeFilter: ["data-md-color-scheme"] });

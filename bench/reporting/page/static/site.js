@@ -1,11 +1,11 @@
-// Tables that sort, and give themselves away as CSV, JSON, Markdown or LaTeX (DataTables); data files beside the page.
+// Tables that sort, are searched, and are exported as CSV, JSON, Markdown or LaTeX (DataTables); data files beside the pages.
 "use strict";
 
 window.bench = {
-  root: document.body.dataset.root,
+  root: new URL("..", document.currentScript.src).href,
   waiting: new Map(),
 
-  // Loads a data file once; the file calls one of the functions below with what it holds.
+  // Loads a data file once; the file calls one of the functions of the page with what it holds.
   load(path) {
     if (!this.waiting.has(path)) {
       this.waiting.set(path, new Promise((resolve, reject) => {
@@ -36,8 +36,7 @@ window.bench = {
     const marks = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "×": "$\\times$" };
     const text = (cell) => String(cell).replace(/[\\&%$#_{}~^×]/g, (mark) => marks[mark] || `\\${mark}`);
     const line = (cells) => `${cells.map(text).join(" & ")} \\\\`;
-    return `\\begin{tabular}{${"l".repeat(header.length)}}\n\\hline\n${line(header)}\n\\hline\n`
-      + `${body.map(line).join("\n")}\n\\hline\n\\end{tabular}\n`;
+    return `\\begin{tabular}{${"l".repeat(header.length)}}\n\\hline\n${line(header)}\n\\hline\n${body.map(line).join("\n")}\n\\hline\n\\end{tabular}\n`;
   },
 
   records({ header, body }) {
@@ -55,16 +54,13 @@ window.bench = {
     const note = document.getElementById("note") || document.createElement("output");
     note.id = "note";
     note.textContent = "Copied.";
-    document.querySelector("main").append(note);
+    document.querySelector("article").append(note);
     setTimeout(() => { note.textContent = ""; }, 3000);
   },
 
   // The buttons of a table whose files are called `name`; what is exported is what is shown, in its order.
   buttons(name, more = []) {
-    const shown = (table) => {
-      const found = table.buttons.exportData({ columns: ":visible", orthogonal: "export", modifier: { search: "applied", order: "applied" } });
-      return { header: found.header, body: found.body };
-    };
+    const shown = (table) => table.buttons.exportData({ columns: ":visible", orthogonal: "export", modifier: { search: "applied", order: "applied" } });
     const file = name.toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "") || "table";
     const button = (text, act) => ({ text, action: (event, table) => act(shown(table)) });
     return [
@@ -75,16 +71,24 @@ window.bench = {
       ...more,
     ];
   },
+
+  // A table that is wider than the page is scrolled, by keyboard too.
+  scrolled(table, name) {
+    const region = document.createElement("div");
+    for (const [key, value] of Object.entries({ class: "scroll", tabindex: "0", role: "region", "aria-label": name })) region.setAttribute(key, value);
+    table.replaceWith(region);
+    region.append(table);
+  },
 };
 
 Object.assign(DataTable.defaults.language, {
   paginate: { first: "First", previous: "Previous", next: "Next", last: "Last" },
   aria: { ...DataTable.defaults.language.aria, paginate: { first: "First page", previous: "Previous page", next: "Next page", last: "Last page", number: "Page " } },
-  search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)",
-  infoEmpty: "no line", zeroRecords: "No line has this.", lengthMenu: "_MENU_ lines a page" });
+  search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)", infoEmpty: "no line", zeroRecords: "No line has this.", lengthMenu: "_MENU_ lines a page" });
 
-// A column of cells that begin with a number, such as "0.384 ×0.97" or "3/4 (2/4)", sorts by it.
-const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)/i;
+// A column of cells that begin with a number, such as "0.384 ×0.97", "3/4 (2/4)" or "12 ms", sorts by it.
+const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)( ms\b| µs\b)?/i;
+const UNITS = { " ms": 1e-3, " µs": 1e-6 };
 const plainText = (value) => String(value).replace(/<[^>]*>/g, "");
 DataTable.type("leading", {
   className: "",
@@ -92,25 +96,22 @@ DataTable.type("leading", {
     allOf: (value) => typeof value !== "string" || /^\s*([–-]|failed|no answer|)\s*$/.test(plainText(value)) || LEADING.test(plainText(value)) },
   order: { pre: (value) => {
     const match = LEADING.exec(plainText(value));
-    return match ? Number(match[1].replace(/,/g, "").replace("−", "-")) : Infinity;
+    return match ? Number(match[1].replace(/,/g, "").replace("−", "-")) * (UNITS[match[2]] || 1) : Infinity;
   } },
 });
 
-for (const table of document.querySelectorAll("table.cards")) { // a phone shows a row as a card, with these names
-  const heads = Array.from(table.tHead ? table.tHead.rows[0].cells : [], (cell) => cell.textContent);
-  for (const row of table.tBodies[0] ? table.tBodies[0].rows : []) {
-    Array.from(row.cells).forEach((cell, i) => { cell.dataset.label = heads[i]; });
-  }
-}
-
-for (const table of document.querySelectorAll("table[data-grid]")) {
-  const rows = table.tBodies[0] ? table.tBodies[0].rows.length : 0;
-  if (rows > 1) {
-    const name = table.dataset.name || document.title;
-    new DataTable(table, {
-      order: [], autoWidth: false, paging: rows > 60, pageLength: 50, searching: rows > 12, info: rows > 60,
-      layout: { topStart: rows > 2 ? { buttons: [{ extend: "collection", text: "Take", buttons: bench.buttons(name) }] } : null,
-        topEnd: rows > 12 ? "search" : null, bottomStart: rows > 60 ? "info" : null, bottomEnd: rows > 60 ? "paging" : null },
-    });
-  }
+for (const table of document.querySelectorAll("article table:not([id]):not(.highlighttable)")) {
+  const rows = table.tBodies[0] ? table.tBodies[0].rows : [];
+  if (rows.length < 2) continue;
+  const before = Array.from(document.querySelectorAll("article h1, article h2, article h3")).filter((head) => head.compareDocumentPosition(table) & Node.DOCUMENT_POSITION_FOLLOWING);
+  const name = (before.pop()?.firstChild?.textContent || document.title).trim();
+  const heads = Array.from(table.tHead.rows[0].cells, (cell) => cell.textContent); // a phone shows them before each cell
+  for (const row of rows) Array.from(row.cells).forEach((cell, i) => { cell.dataset.label = heads[i]; });
+  table.classList.add("cards");
+  bench.scrolled(table, name);
+  new DataTable(table, {
+    order: [], autoWidth: false, paging: rows.length > 60, pageLength: 50, searching: rows.length > 12, info: rows.length > 60,
+    layout: { topStart: { buttons: [{ extend: "collection", text: "Export", buttons: bench.buttons(name) }] },
+      topEnd: rows.length > 12 ? "search" : null, bottomStart: rows.length > 60 ? "info" : null, bottomEnd: rows.length > 60 ? "paging" : null },
+  });
 }
