@@ -271,6 +271,7 @@ def methods_columns(site: Site) -> Columns[cards.Description]:
 
 def systems_columns(site: Site) -> Columns[str]:
     """What the table of systems says of each."""
+
     def facts(name: str) -> Result:
         return site.panels[site.systems[name][0]].facts
 
