@@ -1,22 +1,17 @@
-"""Advice from what other commands wrote beside the site: the atlas, the measured track, and the online track."""
+"""Advice from what other commands wrote beside the site: the measured track, and the online track."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from bench.atlas.model import TOLD
 from bench.entrants.online import online_card
 from bench.errors import InputError
-from bench.reporting.atlas import RARE
 from bench.reporting.labels import title
-from bench.reporting.page.situations import SituationRecord, ordered
 
-GROUPS = ("k_over_m", "c_over_m")
 MOST_LEFT_OUT = 0.1
 """A method that misses more than this share of the online track's lines is not compared with the others there."""
 
@@ -52,50 +47,6 @@ def read_csv(path: Path, needed: set[str]) -> pd.DataFrame | None:
     except (OSError, ValueError):
         return None
     return found if needed <= set(found.columns) and len(found) else None
-
-
-def atlas_records(folder: Path) -> tuple[dict[str, SituationRecord], int]:
-    """By label, what each method does over the atlas of free decays where the data tell k/m and c/m; its points."""
-    needed = {"method", "aliased", "fits", "seconds"}
-    needed |= {f"{name}{end}" for name in GROUPS for end in ("_core", "_gross")} | {f"bound_{name}" for name in GROUPS}
-    data = read_csv(folder / "atlas.csv.gz", needed)
-    if data is None:
-        return {}, 0
-    told = [data[(data[f"bound_{name}"] <= TOLD) & ~data["aliased"].astype(bool)] for name in GROUPS]
-    points = int(max(told[0]["method"].value_counts(), default=0))
-    return {str(label): _over_points(str(label), told) for label in dict.fromkeys(data["method"])}, points
-
-
-def _over_points(label: str, told: list[pd.DataFrame]) -> SituationRecord:
-    """A method's lines of each quantity pooled; gross errors are counted by the quantity that has more."""
-    own = [(frame[frame["method"] == label], name) for frame, name in zip(told, GROUPS, strict=True)]
-    core = pd.concat([frame[f"{name}_core"] for frame, name in own]).dropna()
-    counted = [
-        (int((frame["fits"] * frame[f"{name}_gross"]).round().sum()), int(frame["fits"].sum())) for frame, name in own
-    ]
-    wrong, fits = max(counted, key=lambda pair: pair[0] / pair[1] if pair[1] else -1.0)
-    return SituationRecord(
-        label, label, float(core.median()) if len(core) else math.nan, float(core.max()) if len(core) else math.nan,
-        wrong, fits, float(own[0][0]["seconds"].median()),
-    )  # fmt: skip
-
-
-def unsteady(atlas: Mapping[str, SituationRecord]) -> frozenset[str]:
-    """The methods that ran on the whole atlas and have gross errors on more of it than counts as rare."""
-    most = max((one.fits for one in atlas.values()), default=0)
-    return frozenset(label for label, one in atlas.items() if one.risk > RARE and one.fits == most)
-
-
-def atlas_order(
-    atlas: Mapping[str, SituationRecord],
-) -> tuple[tuple[SituationRecord, ...], tuple[SituationRecord, ...]]:
-    """Those that are advised over the atlas, and those that are fragile there; in neither: methods on a part of it."""
-    most = max((one.fits for one in atlas.values()), default=0)
-    whole = {label: one for label, one in atlas.items() if one.fits == most}
-    least = min((one.risk for one in whole.values()), default=0.0)
-    compared = {label: replace(one, p_gross=0.0, extra=one.risk - least) for label, one in whole.items()}
-    found = ordered(compared, frozenset(compared), frozenset())
-    return found.advised, found.fragile
 
 
 def measured(folder: Path) -> list[RecordSummary]:

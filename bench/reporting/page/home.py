@@ -3,66 +3,80 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import beta
 
 from bench.entrants.registry import load_method
 from bench.errors import InputError
 from bench.reporting.frame import group
 from bench.reporting.labels import title
 from bench.reporting.page.board import short
-from bench.reporting.page.elsewhere import RecordSummary, TrackerSummary, atlas_order, followed, measured
+from bench.reporting.page.elsewhere import RecordSummary, TrackerSummary, followed, measured
 from bench.reporting.page.reading import ScenarioPanel, decibels
-from bench.reporting.page.situations import MOST_EXTRA, Advice, SituationRecord, core_excess
+from bench.reporting.page.situations import Advice
 from bench.reporting.page.told import accuracy, tells
 from bench.reporting.page.words import joined, number, percent, seconds
+from bench.reporting.ranking import ON_BOUND, Ranked, fits_of
 
-MOST_OTHERS = 1
+MOST_NAMED = 4
+"""Methods of a tier that the first screen names; of more it says how many."""
 
 
 @dataclass(frozen=True)
 class HomeRow:
-    """A line of the first screen; ``method`` is a label, empty where no page is about it; ``others`` are as good.
+    """A line of the first screen; ``methods`` are names and labels, empty where no page is about one.
 
-    ``tells``: what can be found there at all; ``accuracy``: what the error is in percent at the usual noise.
+    ``more``: how many others there are that are as good. ``fastest``: of those that are. ``tells``: what can be found
+    there at all; ``accuracy``: what the error is in percent at the usual noise.
     """
 
-    situation: str
+    words: str
     href: str
     basis: str
-    name: str
-    method: str
+    methods: tuple[tuple[str, str], ...]
     error: str
     risk: str
     time: str
     needs: str
-    others: tuple[tuple[str, str], ...] = field(default=())
+    more: int = 0
+    fastest: str = ""
     tells: str = ""
     accuracy: str = ""
 
 
 def advice_row(one: Advice) -> HomeRow:
-    """The line of a situation."""
-    situation = one.situation
-    href, basis, told = f"situations/{situation.name}.md", basis_of(one.panels), tells(one.panels)
+    """The line of a situation: the first tier of its ranking."""
+    told = tells(one.panels) if one.panels else ""
+    basis = basis_of(one.panels) if one.panels else f"{one.ranking[0].scenarios} scenarios, nothing tuned on them"
     if one.hopeless:
-        best = min(((r.risk, r.label) for r in (*one.advised, *one.behind)), default=(math.nan, ""))
-        risk = f"{percent(best[0])} at best" if best[1] else "–"
-        none = "None: the model has to be mended first"
-        return HomeRow(situation.words, href, basis, none, "", "–", risk, "–", "–", tells=told)
-    first = one.advised[0]
-    others: dict[str, str] = {}
-    for record in one.advised[1:]:
-        if record.method not in {first.method, *others.values()}:
-            others.setdefault(record.label, record.method)
-    named = tuple((title(label), label) for label in list(others)[:MOST_OTHERS])
+        least = min((row.lost / row.fits for row in one.first_tier), default=math.nan)
+        risk = f"{percent(least)} at best" if math.isfinite(least) else "–"
+        none = (("None: the model has to be mended first", ""),) if one.panels else (("None", ""),)
+        return HomeRow(one.words, one.href, basis, none, "–", risk, "–", "–", tells=told)
+    tier, fastest = one.first_tier, one.fastest
+    named = tuple((title(row.label), row.label) for row in tier[:MOST_NAMED])
+    quickest = title(fastest.label) if len(tier) > 1 else ""
     return HomeRow(
-        situation.words, href, basis, title(first.label), first.label, error_text(first), risk_text(first),
-        seconds(first.seconds), needs(first.method), named, told, accuracy(one.panels, first.label),
+        one.words, one.href, basis, named, between([row.typical for row in tier], ratio),
+        between([row.lost / row.fits for row in tier], share), seconds(one.seconds[fastest.label]),
+        needs(method_of(one, fastest)), max(len(tier) - MOST_NAMED, 0), quickest, told,
+        accuracy(one.panels, fastest.label) if one.panels else "",
     )  # fmt: skip
+
+
+def method_of(one: Advice, row: Ranked) -> str:
+    """The registered name of a ranked method."""
+    return next(result.method for result in one.results if result.label == row.label)
+
+
+def between(values: Sequence[float], text: Any) -> str:
+    """The least and the largest of some values."""
+    ends = dict.fromkeys((text(min(values)), text(max(values))))
+    return " to ".join(ends)
 
 
 def basis_of(panels: Sequence[ScenarioPanel]) -> str:
@@ -72,20 +86,25 @@ def basis_of(panels: Sequence[ScenarioPanel]) -> str:
     return f"{len(panels)} scenario{'s' if len(panels) > 1 else ''}, SNR {ends} dB"
 
 
-def error_text(one: SituationRecord) -> str:
-    """Typical and largest error over the bound."""
-    return f"{ratio(one.excess)}, worst scenario {ratio(one.worst)}"
-
-
 def ratio(value: float) -> str:
     """An error over the bound: its scatter leaves no more than two decimals."""
     return f"{value:.2f}" if abs(value) < 10 else number(value)
 
 
-def risk_text(one: SituationRecord) -> str:
-    """Gross errors counted, and what their rate is at most."""
-    rate = f" = {share(one.risk)}" if one.gross else ""
-    return f"{one.gross:,} of {one.fits:,}{rate} (at most {share(one.risk_at_most)})"
+def at_most(row: Ranked) -> float:
+    """The upper end of the one-sided 95 % interval of the share of lost fits (C. J. Clopper, E. S. Pearson, 1934)."""
+    return 1.0 if row.lost == row.fits else float(beta.ppf(0.95, row.lost + 1, row.fits - row.lost))
+
+
+def lost_text(row: Ranked) -> str:
+    """Lost fits counted, and what their rate is at most."""
+    rate = f" = {share(row.lost / row.fits)}" if row.lost else ""
+    return f"{row.lost:,} of {row.fits:,}{rate} (at most {share(at_most(row))})"
+
+
+def standing_text(row: Ranked) -> str:
+    """Where a method stands."""
+    return f"tier {row.tier}" if row.tier else f"beside: serves {row.served} of {row.scenarios} scenarios"
 
 
 def share(value: float) -> str:
@@ -111,34 +130,18 @@ def needs(name: str) -> str:
     return ("no prior" if free else "a prior") + packages
 
 
-def atlas_row(atlas: Mapping[str, SituationRecord], points: int) -> list[HomeRow]:
-    """The line of the atlas, where there is one."""
-    advised, _ = atlas_order(atlas)
-    if not advised:
-        return []
-    first, *rest = advised
-    return [
-        HomeRow(
-            "One mass, free decay: an atlas of other tests", "results/atlas.md",
-            f"{points:,} tests; samples, cycles, damping and SNR vary", title(first.label), first.label,
-            ratio(first.excess), risk_text(first), seconds(first.seconds),
-            needs(first.method), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
-        )
-    ]  # fmt: skip
-
-
 def measured_row(found: Sequence[RecordSummary]) -> list[HomeRow]:
     """The line of the measured track: there is no truth, so an answer counts that its checks do not withdraw."""
     if not found or not found[0].believed:
         return []
-    first, *rest = found
+    first = found[0]
     return [
         HomeRow(
             "A real record of a rig", "results/table11.md", f"{first.fits} records of the measured track",
-            title(first.label), first.label, "no truth is known",
+            ((title(first.label), first.label),), "no truth is known",
             f"{first.fits - first.believed} of {first.fits} answers withdrawn by their own checks",
             seconds(first.seconds),
-            needs(first.label), tuple((title(one.label), one.label) for one in rest[:MOST_OTHERS]),
+            needs(first.label),
             accuracy=f"predicts {number(first.held_out, 2)} % of what was held out",
         )
     ]  # fmt: skip
@@ -148,50 +151,33 @@ def followed_row(found: Sequence[TrackerSummary]) -> list[HomeRow]:
     """The line of the online track."""
     if not found:
         return []
-    first, *rest = found
+    first = found[0]
     return [
         HomeRow(
             "Parameters that change while the data arrive", "results/table10.md", f"{first.records} records",
-            first.title, "", f"{ratio(first.excess)}, worst {ratio(first.worst)}",
+            ((first.title, ""),), f"{ratio(first.excess)}, worst {ratio(first.worst)}",
             f"{first.records - first.ok} of {first.records} records lost",
             f"{seconds(first.micros / 1e6)} a sample", "a first guess",
-            tuple((one.title, "") for one in rest[:MOST_OTHERS]),
         )
     ]  # fmt: skip
 
 
-def rows(advice: Sequence[Advice], atlas: Mapping[str, SituationRecord], points: int, folder: Any) -> list[HomeRow]:
+def rows(advice: Sequence[Advice], folder: Any) -> list[HomeRow]:
     """The whole table."""
-    found = [advice_row(one) for one in advice]
-    found += [*measured_row(measured(folder)), *followed_row(followed(folder))]
-    return [*found[:2], *atlas_row(atlas, points), *found[2:]]
+    return [*map(advice_row, advice), *measured_row(measured(folder)), *followed_row(followed(folder))]
 
 
 def forest(one: Advice) -> dict[str, Any]:
-    """The picture: by method and noise level, the error over the bound, gross ones apart, and how often those are."""
-    records = [*one.advised, *one.behind, *one.fragile]
-    fragile = {record.label for record in one.fragile}
-    levels = group(one.panels, lambda panel: panel.facts.snr_db)
+    """The picture: by method and noise level, the typical error over the bound, and how often a fit is lost."""
+    levels = {snr: fits_of(its) for snr, its in group(one.results, lambda result: result.snr_db).items()}
     points, lines = [], []
-    for record in records:
-        own = {snr: _at(panels, record.label) for snr, panels in levels.items()}
-        values = [value for value in own.values() if math.isfinite(value)]
-        if not values:
-            continue
-        elsewhere = record.label in one.elsewhere and record.extra <= MOST_EXTRA
-        wrong = "gross in the atlas" if elsewhere else f"gross {share(record.risk)}"
-        said = seconds(record.seconds) + (f", {wrong}" if record.label in fragile else "")
-        name = title(record.label)
-        lines.append(
-            {"m": name, "l": short(min(values)), "h": short(max(values)), "t": said, "g": record.label in fragile}
-        )
-        points += [{"m": name, "d": float(decibels(snr)), "e": short(v)} for snr, v in own.items() if math.isfinite(v)]
-    return {"points": points, "lines": lines}
-
-
-def _at(panels: Sequence[ScenarioPanel], label: str) -> float:
-    """The median over scenarios and told quantities at one noise level."""
-    cells = [(panel, cell) for panel in panels for cell in panel.methods if cell.label == label]
-    values = [core_excess(cell, metric) for panel, cell in cells for metric in panel.ranked if metric in cell.summary]
-    finite = [value for value in values if math.isfinite(value)]
-    return float(np.median(finite)) if finite else math.nan
+    for row in one.ranking:
+        if row.tier:
+            means = {snr: [float(np.mean(fit)) for fit in fits[row.label]] for snr, fits in levels.items()}
+            own = {snr: math.exp(float(np.mean(values))) for snr, values in means.items() if values}
+            said = f"tier {row.tier}, {seconds(one.seconds[row.label])}"
+            low, high = short(min(own.values())), short(max(own.values()))
+            name = title(row.label)
+            lines.append({"m": name, "l": low, "h": high, "t": said, "g": row.tier > 1})
+            points += [{"m": name, "d": float(decibels(snr)), "e": short(value)} for snr, value in own.items()]
+    return {"points": points, "lines": lines, "bound": ON_BOUND}

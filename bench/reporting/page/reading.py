@@ -134,13 +134,15 @@ class ScenarioPanel:
 class StoreReading:
     """The store as the page needs it; ``hidden`` results gave way to others of the same label and scenario.
 
-    ``hidden``: how many times each such label and scenario is there, as text.
+    ``hidden``: how many times each such label and scenario is there, as text. ``drawn`` are the results of the
+    scenarios that experiments draw, which have no page each.
     """
 
     panels: tuple[ScenarioPanel, ...]
     results: tuple[Result, ...]
     experiments: tuple[TableOfExperiment, ...]
     hidden: Mapping[str, int]
+    drawn: tuple[Result, ...] = ()
 
 
 def read(store: Store) -> StoreReading:
@@ -150,8 +152,9 @@ def read(store: Store) -> StoreReading:
     table. So are the variants of a family, dozens of one method.
     """
     described = [_table(name) for name in table_experiments() if not drawn_scenarios(name)]
-    stored = [result for result in stored_results(store) if result.question not in drawn_questions()]
-    results = [result for result in stored if not is_variant(result)]
+    stored = [result for result in stored_results(store) if not is_variant(result)]
+    results = [result for result in stored if result.question not in drawn_questions()]
+    drawn = tuple(result for result in stored if result.question in drawn_questions())
     grouped = group(results, lambda result: result.question)
     found = [one for one in described if one.scenarios & set(grouped)]
     experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))
@@ -159,7 +162,7 @@ def read(store: Store) -> StoreReading:
     panels.sort(key=_order(experiments))
     shown = {result for panel in panels for result in panel.results}
     hidden = Counter(f"{one.title} ({ScenarioPanel((one,), ()).title()})" for one in results if one not in shown)
-    return StoreReading(tuple(panels), tuple(results), experiments, hidden)
+    return StoreReading(tuple(panels), tuple(results), experiments, hidden, drawn)
 
 
 def _table(name: str) -> TableOfExperiment:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -21,17 +21,19 @@ from markupsafe import Markup
 
 from bench.reporting.frame import Result, group
 from bench.reporting.labels import in_order, title
-from bench.reporting.page import board, cards, describe, elsewhere, home, origin, told
+from bench.reporting.page import board, cards, describe, home, origin, told
 from bench.reporting.page.addresses import scenario_slugs, slugs
 from bench.reporting.page.markdown import code, escaped, link, rendered, table
 from bench.reporting.page.pictures import PagePicture, pictures
 from bench.reporting.page.reading import ScenarioPanel, StoreReading, decibels, read
 from bench.reporting.page.scenario_data import scenario_data
-from bench.reporting.page.situations import Advice, SituationRecord, advise
+from bench.reporting.page.situations import Advice, advise
 from bench.reporting.page.sketch import sketch
 from bench.reporting.page.standing import fit_seconds
 from bench.reporting.page.untold import untold
 from bench.reporting.page.words import heading, number, percent, quantity, seconds, unbroken
+from bench.reporting.ranking import Ranked
+from bench.reporting.tables.leaderboard import parts
 from bench.reporting.tables.render import Columns
 from bench.store.store import Store
 
@@ -42,6 +44,9 @@ NAV = {
     "Scenarios": "scenarios.md", "Figures": "figures.md", "Can I trust these numbers?": "provenance.md",
 }  # fmt: skip
 """The pages that a site of a store's results names in its head."""
+LEADERBOARD = "results/leaderboard.md"
+Placed = tuple[Advice, Ranked]
+"""A ranking, and a method's place in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +106,14 @@ class Site:
         return [*(name for name in names if name != "rmse"), *(["rmse"] if "rmse" in names else [])]
 
     @cached_property
-    def atlas(self) -> tuple[dict[str, SituationRecord], int]:
-        return elsewhere.atlas_records(self.results)
+    def advice(self) -> list[Advice]:
+        return advise(self.panels)
 
     @cached_property
-    def advice(self) -> list[Advice]:
-        return advise(self.panels, elsewhere.unsteady(self.atlas[0]))
+    def drawn(self) -> list[Advice]:
+        """The rankings of the open split, below and beyond Nyquist."""
+        split = parts(self.reading.drawn).items()
+        return [Advice(f"One mass, drawn tests, {part}", LEADERBOARD, tuple(its)) for part, its in split if its]
 
     @cached_property
     def pictures(self) -> list[PagePicture]:
@@ -123,8 +130,10 @@ class Site:
     def system(self, root: str, name: str, words: object = None) -> Markup:
         return link(f"{root}systems/{self.system_slugs[name]}.md", words or name)
 
-    def situation(self, root: str, one: Advice) -> Markup:
-        return link(f"{root}situations/{one.situation.name}.md", one.situation.words)
+    def situation(self, root: str, one: Advice | home.HomeRow) -> Markup:
+        """The words of a ranking, a link where its page is there."""
+        there = one.href.startswith("situations") or (self.results / Path(one.href).name).is_file()
+        return link(f"{root}{one.href}", one.words) if there else escaped(one.words)
 
 
 def site_files(store: Store, results: Path) -> Iterator[tuple[str, bytes]]:
@@ -212,43 +221,40 @@ def _pages(site: Site) -> Iterator[tuple[str, str]]:
     for place, slug in enumerate(site.scenarios):
         yield f"scenarios/{slug}.md", scenario_page(site, place)
     for one in site.advice:
-        yield f"situations/{one.situation.name}.md", situation_page(site, one)
+        yield one.href, situation_page(site, one)
 
 
 def home_page(site: Site) -> str:
     """The first screen."""
     first = site.advice[0] if site.advice else None
     panels = first.panels if first else site.panels
-    best = first.advised[0] if first and not first.hopeless else None
-    rows = home.rows(site.advice, *site.atlas, site.results)
+    best = home.advice_row(first) if first and not first.hopeless else None
+    rows = home.rows([*site.drawn, *site.advice], site.results)
     methods = {result.method for panel in site.panels for result in panel.methods}
     fits = sum(result.n for panel in site.panels for result in panel.methods)
     return rendered(
         "home", table=table(rows, home_columns(site)), first=first, best=best, noise=told.noise(panels),
-        best_method=site.method("", best.label) if best else "", accuracy=rows[0].accuracy if rows else "",
-        one_in=home.one_in(best.risk_at_most) if best else "", untold=untold(panels[0]), unbroken=unbroken,
-        ranked=list(map(quantity, told.ranked(panels[0]))), basis=home.basis_of(panels),
+        tier=named_methods(site, best) if best else "",
+        fastest=site.method("", first.fastest.label) if first and best else "",
+        limit=home.one_in(home.at_most(first.fastest)) if first and best else "", untold=untold(panels[0]),
+        unbroken=unbroken, ranked=list(map(quantity, told.ranked(panels[0]))), basis=home.basis_of(panels),
         counts=(len(methods), len(site.systems), fits),
     )  # fmt: skip
 
 
+def named_methods(site: Site, row: home.HomeRow) -> Markup:
+    """The methods of a first tier, and how many more there are."""
+    named = Markup(", ").join(site.method("", label, name) for name, label in row.methods)
+    return Markup("{} or {} more").format(named, row.more) if row.more else named
+
+
 def home_columns(site: Site) -> Columns[home.HomeRow]:
     """What the first screen's table says of a situation."""
-
-    def situation(row: home.HomeRow) -> str:
-        there = row.href.startswith("situations") or (site.results / Path(row.href).name).is_file()
-        words = link(row.href, row.situation) if there else escaped(row.situation)
-        return words + small("; ".join(filter(None, (row.basis, row.tells))))
-
-    def method(row: home.HomeRow) -> str:
-        others = Markup(", ").join(site.method("", label, name) for name, label in row.others)
-        return Markup("**{}**").format(site.method("", row.method, row.name)) + small(others and "as good: " + others)
-
     return {
-        "Situation": situation,
-        "Method": method,
+        "Situation": lambda row: site.situation("", row) + small("; ".join(filter(None, (row.basis, row.tells)))),
+        "Methods": lambda row: named_methods(site, row) + small(row.fastest and f"fastest: {row.fastest}"),
         "Error over the bound": lambda row: escaped(row.error) + small(row.accuracy),
-        "Gross errors": lambda row: unbroken(row.risk),
+        "Lost fits": lambda row: unbroken(row.risk),
         "Time per fit": lambda row: row.time,
         "Needs": lambda row: row.needs,
     }
@@ -315,13 +321,13 @@ def system_page(site: Site, name: str) -> str:
     )  # fmt: skip
 
 
-def record_columns(first: Columns[Any], record: Callable[[Any], SituationRecord]) -> Columns[Any]:
-    """What is said of a method in a situation, behind the columns that name it."""
+def ranked_columns(first: Columns[Placed]) -> Columns[Placed]:
+    """What is said of a method in a ranking, behind the columns that name it."""
     return {
         **first,
-        "Error over the bound": lambda item: home.error_text(record(item)),
-        "Gross errors": lambda item: home.risk_text(record(item)),
-        "Time per fit": lambda item: seconds(record(item).seconds),
+        "Error over the bound": lambda line: f"{line[1].typical:.2f} ({line[1].low:.2f} to {line[1].high:.2f})",
+        "Lost fits": lambda line: home.lost_text(line[1]),
+        "Time per fit": lambda line: seconds(line[0].seconds[line[1].label]),
     }
 
 
@@ -330,9 +336,11 @@ def method_page(site: Site, label: str) -> str:
     found = {i: cell for i, panel in enumerate(site.panels) for cell in panel.results if cell.label == label}
     name = next((cell.method for cell in found.values()), label)
     card = next((card for card in site.cards if card.name == name), None)
-    situations: Columns[Any] = {
-        "Situation": lambda line: site.situation("../", line[0]), "Standing": lambda line: line[1],
-    }  # fmt: skip
+    situations: Columns[Placed] = {
+        "Situation": lambda line: site.situation("../", line[0]),
+        "Standing": lambda line: home.standing_text(line[1]),
+    }
+    submitted = [cell for cell in (*site.reading.results, *site.reading.drawn) if cell.verification]
     scenarios: Columns[int] = {
         "Scenario": lambda i: site.scenario("../", i),
         "Error over the bound": lambda i: number(pooled(found[i], site.panels[i])),
@@ -340,7 +348,8 @@ def method_page(site: Site, label: str) -> str:
     }
     return rendered(
         "method", site=site, label=label, title=title(label), description=card, card=card.card if card else None,
-        situations=table(standings(site, label), record_columns(situations, lambda line: line[2])),
+        situations=table(standings(site, label), ranked_columns(situations)),
+        verification=next((cell.verification for cell in submitted if cell.label == label), ""),
         scenarios=table(found, scenarios),
     )  # fmt: skip
 
@@ -350,22 +359,9 @@ def pooled(cell: Result, panel: ScenarioPanel) -> float:
     return board.middle([cell.excess(metric) for metric in panel.ranked if metric in cell.summary])
 
 
-def standings(site: Site, label: str) -> list[tuple[Advice, str, SituationRecord]]:
-    """In each situation where a method ran: what is said of it there."""
-    return [
-        (one, said, record)
-        for one in site.advice for said, records in parts(one).items() for record in records if record.label == label
-    ]  # fmt: skip
-
-
-def parts(one: Advice) -> Mapping[str, Sequence[SituationRecord]]:
-    """The methods of a situation by what is said of them."""
-    return {
-        "Advised, fastest first": one.advised,
-        "Further from the bound": one.behind,
-        "Not advised: gross errors here or in the atlas": one.fragile,
-        "Ran on a part of the scenarios only": one.partial,
-    }
+def standings(site: Site, label: str) -> list[Placed]:
+    """Where a method stands in each ranking that it is in."""
+    return [(one, row) for one in (*site.drawn, *site.advice) for row in one.ranking if row.label == label]
 
 
 def scenario_page(site: Site, place: int) -> str:
@@ -406,14 +402,21 @@ def standing(site: Site, place: int, cell: Result) -> str:
 
 
 def situation_page(site: Site, one: Advice) -> str:
-    """A situation: every method's record, and the scenarios behind it."""
-    columns = record_columns({"Method": lambda record: site.method("../", record.label)}, lambda record: record)
-    columns = {**columns, "Needs": lambda record: home.needs(record.method)}
+    """A situation: the tiers of its methods, and the scenarios behind it."""
+    columns = ranked_columns({"Method": lambda line: site.method("../", line[1].label)})
+    columns = {**columns, "Needs": lambda line: home.needs(home.method_of(*line))}
+    beside: Columns[Placed] = {
+        "Serves": lambda line: f"{line[1].served} of {line[1].scenarios}",
+        "First tier there": lambda line: f"{line[1].first_tier:.2f}",
+    }
+    tiers = group(((one, row) for row in one.ranking), lambda line: line[1].tier)
     places = [i for i, panel in enumerate(site.panels) if panel in one.panels]
     return rendered(
-        "situation", advice=one, places=places,
-        tables={name: table(records, columns) for name, records in parts(one).items() if records},
-        scenarios=scenario_table(site, "../", places),
+        "situation", advice=one, places=places, scenarios=scenario_table(site, "../", places),
+        tables={
+            f"Tier {tier}" if tier else "Beside the tiers": table(lines, columns if tier else {**columns, **beside})
+            for tier, lines in tiers.items()
+        },
     )  # fmt: skip
 
 

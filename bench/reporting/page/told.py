@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.reporting.frame import group
+from bench.reporting.frame import Result, group
 from bench.reporting.page.reading import ScenarioPanel, decibels
-from bench.reporting.page.situations import core_error
 from bench.reporting.page.words import joined, number, quantity
+from bench.scoring.comparison import gross
 
 FEW = 3
 """Quantities that are named; of more, only their range is said."""
@@ -77,3 +77,12 @@ def accuracy(panels: Sequence[ScenarioPanel], label: str) -> str:
     else:
         said = f"{number(min(errors.values()), 2)} to {number(max(errors.values()), 2)} %"
     return f"{said} at {decibels(level)} dB"
+
+
+def core_error(cell: Result, metric: str) -> float:
+    """Root mean square of the errors that are not gross; NaN where there is none, or no bound."""
+    bound, errors = cell.bound(metric), cell.errors(metric)
+    good = errors[~gross(errors, bound)]
+    if not (math.isfinite(bound) and bound > 0 and good.size):
+        return math.nan
+    return float(np.sqrt(np.mean(good**2)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import json
 import math
@@ -26,12 +25,11 @@ from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.figures import png
 from bench.reporting.frame import Result
-from bench.reporting.page import board, origin, pictures, scenario_data, told
+from bench.reporting.page import board, home, origin, pictures, scenario_data, told
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
-from bench.reporting.page.elsewhere import atlas_records, unsteady
 from bench.reporting.page.first_replicate import first_replicate, stated_interval
 from bench.reporting.page.reading import ScenarioPanel, TableOfExperiment
-from bench.reporting.page.situations import Situation, SituationRecord, advice, core_excess, ordered
+from bench.reporting.page.situations import Situation, advice
 from bench.reporting.page.standing import rank
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
@@ -246,33 +244,6 @@ def test_different_names_have_different_addresses() -> None:
 ANY = Situation("any", "Any", lambda panel: True)
 
 
-def record(
-    label: str, excess: float, seconds: float, gross: int = 0, p: float = 1.0, extra: float = 0.0
-) -> SituationRecord:
-    return SituationRecord(label, label, excess, excess, gross, 1000, seconds, p, extra)
-
-
-def test_the_fastest_of_those_within_five_percent_is_advised_first() -> None:
-    records = {r.label: r for r in (record("slow", 1.0, 9.0), record("fast", 1.04, 0.1), record("worse", 1.1, 0.01))}
-    found = ordered(records, frozenset(records), frozenset())
-    assert [one.label for one in found.advised] == ["fast", "slow"]
-    assert [one.label for one in found.behind] == ["worse"]
-
-
-def test_a_fragile_method_is_never_advised() -> None:
-    """Gross errors surely more frequent than the steadiest one's, or elsewhere: however fast and accurate it is."""
-    records = {
-        r.label: r
-        for r in (
-            record("good", 1.0, 1.0), record("wild", 0.9, 0.1, 100, 1e-9, 0.1), record("elsewhere", 0.9, 0.1),
-            record("chance", 1.0, 2.0, 30, 0.04, 0.03),
-        )
-    }  # fmt: skip
-    found = ordered(records, frozenset(records), frozenset({"elsewhere"}))
-    assert [one.label for one in found.advised] == ["good", "chance"]  # 0.04 is no proof among four
-    assert {one.label for one in found.fragile} == {"wild", "elsewhere"}
-
-
 def with_gross(label: str, every: int, worse: float = 1.0) -> StoredCell:
     """A cell of which each so-many-th error of k/m is 20 times the bound's."""
     cell = stored(label, worse)
@@ -283,45 +254,35 @@ def with_gross(label: str, every: int, worse: float = 1.0) -> StoredCell:
     return replace(cell, rows=rows, summary=summarise(rows, BOUND))
 
 
-def test_gross_errors_are_counted_apart_from_the_error_over_the_bound() -> None:
-    """Ten of forty errors are beyond five times the bound: the others alone make the excess."""
-    cell = with_gross("mcmc", 4)
-    good = [row.scores["k_over_m_error_pct"] for i, row in enumerate(cell.rows) if i % 4]
-    (result,) = results(cell)
-    assert core_excess(result, "k_over_m_error_pct") == pytest.approx(
-        math.sqrt(np.mean(np.square(good))) / 0.5, rel=1e-6
-    )
-    found = advice(ANY, [ScenarioPanel(tuple(results(stored("ls"), cell)), ())])
-    assert [one.label for one in found.advised] == ["ls"]
-    (wild,) = found.fragile
-    assert (wild.label, wild.gross, wild.fits) == ("mcmc", 10, 40)
-    assert binom.cdf(10, 40, wild.risk_at_most) == pytest.approx(0.05, abs=1e-6)
+def test_a_first_tier_is_named_whole_and_its_fastest_said() -> None:
+    """By construction: ls and mcmc differ by 0.1 %, mcmc is slower; sindy is lost in ten of forty fits."""
+    slow = stored("mcmc")
+    slow = replace(slow, rows=tuple(replace(row, cpu_s=0.5) for row in slow.rows))
+    found = advice(ANY, [panel_of(slow, stored("ls"), with_gross("sindy", 4))])
+    row = home.advice_row(found)
+    assert {label for _, label in row.methods} == {"ls", "mcmc"}
+    assert (row.fastest, row.more, row.time) == ("LS, finite differences", 0, "10 ms")
+    wild = found.ranking[-1]
+    assert (wild.label, wild.tier, wild.lost, wild.fits) == ("sindy", 2, 10, 40)
+    assert home.lost_text(wild).startswith("10 of 40 = 25 % (at most ")
+    assert binom.cdf(10, 40, home.at_most(wild)) == pytest.approx(0.05, abs=1e-6)
 
 
-def test_a_method_that_did_not_run_on_all_scenarios_is_not_advised() -> None:
+def test_of_a_long_tier_the_number_of_others_is_said() -> None:
+    row = home.advice_row(advice(ANY, [panel_of(*map(stored, ("ls", "mcmc", "sindy", "era", "ekf", "ukf")))]))
+    assert (len(row.methods), row.more) == (4, 2)
+
+
+def test_a_method_that_did_not_run_on_all_scenarios_stands_beside() -> None:
     panels = [ScenarioPanel(tuple(results(stored("ls"), stored("mcmc"))), ()), panel_of(stored("ls", snr=10.0))]
     found = advice(ANY, panels)
-    assert [one.label for one in found.advised] == ["ls"]
-    assert [one.label for one in found.partial] == ["mcmc"]
+    assert [one.label for one in found.first_tier] == ["ls"]
+    assert [home.standing_text(one) for one in found.ranking] == ["tier 1", "beside: serves 1 of 2 scenarios"]
 
 
 def test_where_all_are_wrong_none_is_advised() -> None:
     assert advice(ANY, [panel_of(with_gross("ls", 1), with_gross("mcmc", 1))]).hopeless
     assert not advice(ANY, [panel_of(stored("ls"))]).hopeless
-
-
-def test_the_atlas_counts_tests_that_tell_something_and_are_unambiguous(tmp_path: Path) -> None:
-    head = "method,aliased,fits,seconds,bound_k_over_m,bound_c_over_m,k_over_m_core,c_over_m_core,"
-    head += "k_over_m_gross,c_over_m_gross"
-    lines = [head]
-    lines += ["a,False,50,0.1,0.01,0.1,1.2,1.0,0.1,0.0", "b,False,50,0.1,0.01,0.1,1.0,1.0,0.0,0.0"]
-    lines += ["a,True,50,0.1,0.01,0.1,9,9,1,1", "b,True,50,0.1,0.01,0.1,9,9,1,1"]
-    lines += ["a,False,50,0.1,0.9,0.9,9,9,1,1", "b,False,50,0.1,0.9,0.9,9,9,1,1"]
-    (tmp_path / "atlas.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
-    found, points = atlas_records(tmp_path)
-    assert points == 1
-    assert (found["a"].gross, found["a"].fits, found["a"].excess) == (5, 50, pytest.approx(1.1))
-    assert unsteady(found) == {"a"}
 
 
 # ---- the leaderboard's numbers
