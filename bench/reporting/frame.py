@@ -30,7 +30,7 @@ from bench.scoring.row import Row
 from bench.scoring.statistics import bias_share, wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import MARK, SUBMITTED, StoredCell
+from bench.store.stored import MARK, SUBMITTED, CellHead, StoredCell
 from bench.store.version import settings_version
 from bench.systems import System, make_system
 
@@ -456,34 +456,33 @@ def experiment_frame(experiment: str, store: Store) -> Frame:
 
 def supplied_results(store: Store, questions: Collection[str]) -> list[Result]:
     """Return stored cells of a method whose settings name what another package supplies, on some questions."""
+
+    def supplied(head: CellHead) -> bool:
+        method, card = head.cell.get("method"), cards().get(str(head.cell.get("method")))
+        if card is None or not card.choices:
+            return False
+        return bool(settings_version(str(method), head.cell["data"]["system"], head.cell["settings"]).supplied)
+
+    return [result for result in _of_today(store, supplied) if result.question in questions]
+
+
+def submitted_results(store: Store) -> list[Result]:
+    """Return the cells of a store that were submitted."""
+    return _of_today(store, lambda head: head.label.endswith(MARK))
+
+
+def _of_today(store: Store, wanted: Callable[[CellHead], bool]) -> list[Result]:
+    """Return stored cells as cells of the present code describes them, without those it has no method for."""
     results = []
     for head in store.heads():
-        card = cards().get(str(head.cell.get("method")))
-        if head.problem or card is None or not card.choices:
-            continue
-        with contextlib.suppress(InputError):  # it is not installed here, or does not load
-            settings = head.cell["settings"]
-            if not settings_version(head.cell["method"], head.cell["data"]["system"], settings).supplied:
-                continue
-            stored = store.load(head.identity)
-            result = Result.of_cell(stored_as_cell(stored), stored) if stored else None
-            results += [result] if result and result.question in questions else []
+        with contextlib.suppress(InputError):  # the method, or what its settings name, is not installed here
+            if not head.problem and wanted(head) and (stored := store.load(head.identity)):
+                results.append(Result.of_cell(stored_as_cell(stored), stored))
     return results
 
 
 SHOWING_SUBMITTED = ("paper", "systems", "open")
 """Forms of tables whose rows are methods, any of which may be another's."""
-
-
-def submitted_results(store: Store) -> list[Result]:
-    """The cells of a store that were submitted, as cells of the present code describes them."""
-    found = []
-    for head in store.heads():
-        stored = store.load(head.identity) if head.label.endswith(MARK) and not head.problem else None
-        if stored is not None:
-            with contextlib.suppress(InputError):  # its method is not installed here: the page shows it, no table
-                found.append(Result.of_cell(stored_as_cell(stored), stored))
-    return found
 
 
 def with_submitted(frame: Frame, submitted: Sequence[Result]) -> Frame:
