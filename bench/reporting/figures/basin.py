@@ -12,10 +12,10 @@ from bench.dynamics.simulate import simulate
 from bench.entrants.reference import REFERENCES
 from bench.reporting.figures.beside import Name, height_of, name_beside
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
-from bench.reporting.figures.response import Arrays, samples_of, with_record
 from bench.reporting.figures.style import FULL, MM, SMALL, Look, entry, legend_below, plain_logarithmic, pyplot, wrapped
 from bench.reporting.frame import Result
 from bench.reporting.pictures.panels import LEVEL, C, K, bound_covariance
+from bench.reporting.pictures.responses import Arrays, samples_of, with_record
 
 FAR = (8.0, 30.0)
 """How many times more and less than the truth the wide panel shows of k/m and c/m."""

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from bench.reporting.figures.band import draw_band
 from bench.reporting.figures.basin import draw_basin
 from bench.reporting.figures.failures import draw_failures
 from bench.reporting.figures.family import draw_family
 from bench.reporting.figures.gallery import Gallery, Picture
-from bench.reporting.figures.response import draw_reconstruction, draw_record
 from bench.reporting.figures.style import save_figure
-from bench.reporting.figures.training import draw_training
-from bench.reporting.figures.two_masses import draw_two_masses
 from bench.reporting.pictures.panels import draw_coverage, draw_noise, draw_scatter
+from bench.reporting.pictures.responses import (
+    draw_band,
+    draw_reconstruction,
+    draw_record,
+    draw_training,
+    draw_two_masses,
+)
 from bench.reporting.pictures.rows import draw_forest, draw_profiles, draw_time
 from bench.reporting.pictures.style import FULL, HALF, save_chart, specification
 

@@ -30,7 +30,7 @@ SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F
 """M. Okabe, K. Ito, 2008: told apart by those who see colours differently, on white and on black."""
 ONE = alt.InlineData([{}])
 """The data of a mark that stands once in each panel."""
-SEARCHES = 4
+SEARCHES = 6
 """Drawings at most that find the width of the panels."""
 DIGITS = 6
 """Significant digits of the numbers in a specification."""
@@ -67,6 +67,7 @@ def theme(dark: bool = False) -> dict[str, Any]:
         },
         "title": {"fontSize": NORMAL, "fontWeight": "normal", "color": ink, "orient": "bottom", "offset": 5},
         "text": {"fontSize": SMALL, "color": ink},
+        "mark": {"color": SERIES[0]},
         "line": {"strokeWidth": 1.1},
         "style": {
             "truth": {"color": ink, "strokeWidth": 0.9},
@@ -127,8 +128,9 @@ def specification(chart: Any, width: float, dark: bool = False) -> dict[str, Any
             break
         before, factor = (factor, whole), following
         whole = drawn_width(_scaled(spec, factor))
-        if whole == before[1]:
-            break
+        if whole == before[1]:  # the legend is wider than the panels
+            following = 1.5 * factor
+            continue
         following = factor + (width - whole) * (factor - before[0]) / (whole - before[1])
     return dict(_scaled(spec, factor))
 

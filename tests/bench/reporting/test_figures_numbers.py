@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,10 +24,15 @@ pytest.importorskip("matplotlib")
 from bench.reporting.figures.basin import clusters, draw_basin, misfit
 from bench.reporting.figures.failures import draw_failures, share
 from bench.reporting.figures.gallery import Gallery, Nothing
-from bench.reporting.figures.response import draw_reconstruction, draw_record, simulated
-from bench.reporting.figures.training import draw_training
-from bench.reporting.figures.two_masses import band, draw_two_masses
 from bench.reporting.pictures.panels import bound_covariance, covered, draw_coverage, draw_noise, draw_scatter, ellipse
+from bench.reporting.pictures.responses import (
+    band,
+    draw_reconstruction,
+    draw_record,
+    draw_training,
+    draw_two_masses,
+    simulated,
+)
 from bench.reporting.pictures.rows import SHARES, draw_profiles, draw_time, excess_interval, factors
 
 REFERENCE_COVARIANCE = np.array([[SD_K**2, CORRELATION * SD_K * SD_C], [CORRELATION * SD_K * SD_C, SD_C**2]])
@@ -41,19 +45,13 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def curves(axis: Any, colour: str) -> list[np.ndarray]:
-    """The lines of one colour on an axis, each (2, n)."""
-    return [np.array(line.get_data(), float) for line in axis.get_lines() if line.get_color() == colour]
-
-
 def test_the_record_is_the_stored_one(store: Store) -> None:
     fill(store, ["shooting"])
-    axis = draw_record(Gallery(store)).figure.axes[0]
+    shown = draw_record(Gallery(store)).figure.data
     values = displacement(np.linspace(0, 10, 25)) + NOISE * np.random.default_rng(0).standard_normal(25)
-    drawn = [np.array(line.get_data()) for line in axis.get_lines() if len(line.get_xdata()) == 25]
-    assert np.allclose(drawn[0], [np.linspace(0, 10, 25), values], atol=1e-6)
-    bars = axis.collections[0].get_segments()
-    assert np.allclose([np.ptp(bar[:, 1]) for bar in bars], 2 * NOISE)
+    drawn = shown[shown.samples.notna()]
+    assert np.allclose(drawn[["time", "samples"]].T, [np.linspace(0, 10, 25), values], atol=1e-5)
+    assert np.allclose(drawn.high - drawn.low, 2 * NOISE, rtol=1e-3)
 
 
 def test_a_method_without_a_reconstruction_is_shown_by_its_parameters(store: Store) -> None:
@@ -73,7 +71,7 @@ def test_a_method_without_a_reconstruction_is_shown_by_its_parameters(store: Sto
             basis = free_basis(k, c, arrays["sample_times"])
             start = np.linalg.lstsq(basis, arrays["sample_values"], rcond=None)[0]
             assert np.allclose(curve[0], free_basis(k, c, arrays["dense_times"]) @ start, atol=1e-4)
-    assert len(draw_reconstruction(gallery).figure.axes) == 1
+    assert draw_reconstruction(gallery).figure.data.panel.nunique() == 1
 
 
 def free_basis(k: float, c: float, times: np.ndarray) -> np.ndarray:
@@ -343,11 +341,10 @@ def test_methods_far_from_the_bound_are_pale_but_named(store: Store) -> None:
 
 def test_training_draws_the_stored_traces(store: Store) -> None:
     fill(store, ["pinn"])
-    gallery = Gallery(store)
-    loss, data = draw_training(gallery).figure.axes[:2]
+    shown = draw_training(Gallery(store)).figure.data.set_index("panel")
     steps = np.arange(1.0, 31.0)
-    assert np.allclose(curves(loss, gallery.looks["pinn"].colour)[0], [steps, 1e4 / steps**2], rtol=1e-5)
-    assert np.allclose(curves(data, gallery.looks["pinn"].colour)[0], [steps, 1.0 / steps], rtol=1e-5)
+    for panel, values in (("whole loss", 1e4 / steps**2), ("data", 1.0 / steps)):
+        assert np.allclose(shown.loc[panel, ["evaluations", "value"]].T, [steps, values], rtol=1e-5)
 
 
 CHAIN = {"m1": 1.0, "m2": 0.8, "c1": 0.2, "c2": 0.15, "k1": 12.0, "k2": 9.0}
@@ -389,11 +386,11 @@ def test_the_band_of_two_masses_is_that_of_the_stated_covariance(store: Store) -
     want = 0.01 * np.abs(slope)
     assert np.allclose(sd, want, atol=0.12 * want.max())
     assert np.mean(sd) == pytest.approx(np.mean(want), rel=0.1)
-    axes = draw_two_masses(gallery).figure.axes
     error = 1000 * (chain_response(times, 12.05) - chain_response(times))
-    for dof in (0, 1):
-        drawn = curves(axes[2 * dof + 1], gallery.looks["shooting"].colour)[0]
-        assert np.allclose(drawn[1], error[dof], atol=1e-2)
+    for dof, row in enumerate(draw_two_masses(gallery).figure.vconcat):
+        drawn = row.hconcat[1].data
+        assert np.allclose(drawn.error, error[dof], atol=1e-2)
+        assert np.allclose(drawn.high - drawn.low, 2000 * 1.96 * sd[dof], rtol=1e-3, atol=1e-3)
 
 
 def test_a_mass_without_a_sensor_has_no_samples(store: Store) -> None:
@@ -404,11 +401,10 @@ def test_a_mass_without_a_sensor_has_no_samples(store: Store) -> None:
     assert stored is not None
     store.save(replace(stored, arrays=first))
     gallery = Gallery(store)
-    assert len(draw_record(gallery).figure.axes) == 1
+    assert draw_record(gallery).figure.data.panel.nunique() == 1
     assert "40 noisy samples of the displacement" in draw_record(gallery).caption
-    left = draw_two_masses(gallery).figure.axes[::2]
-    sizes = [[len(line.get_xdata()) for line in axis.get_lines() if line.get_marker() == "o"] for axis in left]
-    assert sizes == [[40], [0]]
+    left = [row.hconcat[0].data for row in draw_two_masses(gallery).figure.vconcat]
+    assert [own.samples.notna().sum() for own in left] == [40, 0]
 
 
 def test_no_band_is_made_up_where_the_start_was_not_told(store: Store) -> None:
