@@ -19,11 +19,10 @@ SHARED = ("scenario", "quantity", "bound", "prior")
 COLUMNS = ("method", "standing", "rms", "excess", "median", "low", "high", "gross", "ok", "n", "seconds")
 """Of each line; names are places in the lists of methods, quantities and standings."""
 STANDINGS = (
-    "best", "level", "only method", "undecided (fewer data)", "behind", "not ranked", "reference", "all failed",
+    "tied with the best", "only method", "undecided (fewer data)", "behind", "not ranked", "reference", "all failed",
     "failed", "unsupported",
 )  # fmt: skip
 """In the order in which a board is sorted at first."""
-PLACES = {"best": "best", "level": "level", "behind": "behind", "alone": "only method", "all failed": "all failed"}
 Rankings = dict[tuple[int, str], Ranking | None]
 """By the scenario's place and by metric."""
 Line = list[float | int | None]
@@ -89,4 +88,4 @@ def standing_of(result: Result, ranking: Ranking | None) -> str:
         return "not ranked"
     if result.label in ranking.weak:
         return "undecided (fewer data)"
-    return PLACES.get(ranking.places.get(result.label, ""), "not ranked")
+    return ranking.places.get(result.label, "not ranked")

@@ -371,7 +371,7 @@ def scenario_page(site: Site, place: int) -> str:
     columns: Columns[Result] = {
         "Method": lambda cell: site.method("../", cell.label, cell.title),
         "Error over the bound": lambda cell: number(pooled(cell, panel)),
-        "Best or level in": lambda cell: standing(site, place, cell),
+        "Tied with the best in": lambda cell: standing(site, place, cell),
         "Displacement’s median error (m)": lambda cell: number(cell.statistic("rmse", "median")),
         "Fits ok": lambda cell: f"{cell.n_ok}/{cell.n}",
         "Time per fit": lambda cell: seconds(fit_seconds(cell)),
@@ -389,7 +389,7 @@ def _last(value: float) -> float:
 
 
 def standing(site: Site, place: int, cell: Result) -> str:
-    """In how many of the quantities that the data tell a method is best or level with the best."""
+    """In how many of the quantities that the data tell a method is tied with the best."""
     panel = site.panels[place]
     if cell.is_reference:
         return "reference"
@@ -398,7 +398,7 @@ def standing(site: Site, place: int, cell: Result) -> str:
     ]
     if not named or named[0] in ("unsupported", "failed"):
         return named[0] if named else "–"
-    return f"{sum(own in ('best', 'level', 'only method') for own in named)} of {len(named)}"
+    return f"{sum(own in ('tied with the best', 'only method') for own in named)} of {len(named)}"
 
 
 def situation_page(site: Site, one: Advice) -> str:
