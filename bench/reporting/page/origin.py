@@ -1,20 +1,25 @@
-"""Where the cells come from: commits, packages, machines, and when."""
+"""Where the cells come from, whether they are current, and what failed."""
 
 from __future__ import annotations
 
+import subprocess
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 
 from bench.contract.estimate import Status
+from bench.errors import InputError
 from bench.reporting.frame import Result
 from bench.reporting.page.reading import decibels
 from bench.store.stored import StoredCell
+from bench.store.version import settings_version
 
 
-def origin(results: Sequence[Result]) -> list[tuple[str, str]]:
-    """Lines for the page: name and text; of several values each with the number of its cells."""
+def origin(results: Sequence[Result]) -> list[tuple[str, str, str]]:
+    """Lines for the page: name, text, and what is behind it, folded; of several values each with its cells."""
     cells = [result.stored for result in results if result.stored]
     packages: dict[str, Counter[str]] = {}
     for cell in cells:
@@ -26,17 +31,43 @@ def origin(results: Sequence[Result]) -> list[tuple[str, str]]:
     )
     cpu = sum(float(np.nansum(cell.columns.numbers("cpu_s"))) for cell in cells)
     fits = sum(len(cell.columns) for cell in cells)
-    named = [f"{name} {_several(found)}" for name, found in sorted(packages.items())]
+    older = Counter(filter(None, map(changed, cells)))
+    machines = Counter(_machine(cell) for cell in cells)
     return [
-        (
-            "Cells (one method, with its settings, on all data sets of one scenario)",
-            f"{len(cells)}, of {fits} fits, {cpu / 60:.0f} minutes of processor time",
-        ),
-        ("Computed", f"{_moment(moments[0])} to {_moment(moments[-1])} UTC" if moments else "not recorded"),
-        ("Commit", _several(commits)),
-        ("Machine", _several(Counter(_machine(cell) for cell in cells))),
-        ("Packages", ", ".join(named) or "not recorded"),
-    ]
+        ("Results", f"{len(cells):,} cells (a method with its settings on the data sets of a scenario), {fits:,} fits, "
+         f"{cpu / 3600:.1f} hours of processor time", ""),
+        ("Stale", f"{older.total():,} of {len(cells):,} cells were computed by another version of their method, system or scoring "
+         "than today's", _several(older)),
+        ("Computed", f"{_moment(moments[0])} to {_moment(moments[-1])} UTC" if moments else "not recorded", ""),
+        ("Commits", _commits(cells), _several(commits)),
+        ("Machines", str(len(machines)), _several(machines)),
+        ("Packages", ", ".join(sorted(packages)) or "not recorded",
+         ", ".join(f"{name} {_several(found)}" for name, found in sorted(packages.items()))),
+    ]  # fmt: skip
+
+
+def changed(cell: StoredCell) -> str:
+    """Which version has changed since a cell was computed; nothing where none has."""
+    method, system = str(cell.cell.get("method")), str((cell.cell.get("data") or {}).get("system"))
+    try:
+        return settings_version(method, system, cell.cell.get("settings", {})).changed_since(cell.version)
+    except InputError:
+        return "not installed here"
+
+
+def _commits(cells: Sequence[StoredCell]) -> str:
+    """How many commits, and how many of them the repository of this checkout holds."""
+    named = sorted({str(cell.provenance["commit"]) for cell in cells if cell.provenance.get("commit")})
+    done = None
+    with suppress(OSError):
+        command = ["git", "cat-file", "--batch-check"]
+        done = subprocess.run(
+            command, input="\n".join(named), text=True, capture_output=True, cwd=Path(__file__).parent
+        )
+    if done is None or done.returncode:
+        return str(len(named))
+    there = sum(line.split()[1] == "commit" for line in done.stdout.splitlines())
+    return f"{len(named)}, of which this repository holds {there}"
 
 
 def _moment(text: str) -> str:

@@ -428,7 +428,7 @@ def provenance_values(site: Site) -> dict[str, Any]:
         return table(rows, {name: lambda row, i=i: str(row[i]) for i, name in enumerate(headers)})  # type: ignore[misc]
 
     return {
-        "origin": origin.origin(results), "hidden": site.reading.hidden,
+        "origin": origin.origin([*results, *site.reading.drawn]), "hidden": site.reading.hidden,
         "failures": lines(("Fits", "Method", "Status", "Scenario", "Message"), origin.failures(results)),
         "unsupported": lines(("Fits", "Method", "Reason"), origin.unsupported(results)),
     }  # fmt: skip

@@ -35,6 +35,7 @@ from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
 from bench.store.stored import StoredCell
+from bench.store.version import settings_version
 
 pytest.importorskip("jinja2")
 pytest.importorskip("mkdocs")
@@ -327,6 +328,16 @@ def test_data_that_a_method_cannot_take_are_no_failure() -> None:
     found = origin.unsupported(results(unable, stored("ls", failed=3)))
     assert found == [(40, "Eigensystem realisation", "it takes one record")]
     assert board.standing_of(results(unable)[0], None) == "unsupported"
+
+
+def test_stale_results_are_counted_and_commits_looked_up() -> None:
+    older = stored("ls")
+    version = settings_version("ls", "sdof", {})
+    today = replace(stored("mcmc"), version=settings_version("mcmc", "sdof", {}).as_json())
+    lines = {name: (text, behind) for name, text, behind in origin.origin(results(older, today))}
+    assert lines["Stale"][0].startswith("1 of 2 cells were computed by another version")
+    assert f"method version not stated, today {version.method}" in lines["Stale"][1]
+    assert lines["Commits"][0] in ("1", "1, of which this repository holds 0")
 
 
 def unpack(text: str) -> np.ndarray:
