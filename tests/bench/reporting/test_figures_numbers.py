@@ -22,8 +22,8 @@ from bench.store.store import Store
 pytest.importorskip("matplotlib")
 
 from bench.reporting.figures.basin import clusters, draw_basin, misfit
-from bench.reporting.figures.failures import draw_failures, share
 from bench.reporting.figures.gallery import Gallery, Nothing
+from bench.reporting.pictures.maps import draw_failures, share
 from bench.reporting.pictures.panels import bound_covariance, covered, draw_coverage, draw_noise, draw_scatter, ellipse
 from bench.reporting.pictures.responses import (
     band,
@@ -294,11 +294,8 @@ def test_failures_tell_unsupported_from_failed(store: Store) -> None:
     own = share(cell)
     assert (own.failed, own.status, own.absent) == (0.25, Status.DIVERGED, Status.UNSUPPORTED)
     picture = draw_failures(gallery)
-    axis = picture.figure.axes[0]
-    assert [text.get_text() for text in axis.texts] == ["25\nd"]
-    assert len(axis.patches) == 1
-    assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof"]
-    assert [text.get_text() for text in axis.get_xticklabels()] == ["Multiple shooting"]
+    (entry,) = picture.figure.data.to_dict("records")
+    assert entry == {"test": "sdof", "method": "Multiple shooting", "failed": 25.0, "shown": "25\nd"}
     assert "No fit of these failed there: LS, finite differences; SINDy." in picture.caption
     assert "Of all 56 replicates that were tried 5 failed" in picture.caption
 
@@ -310,9 +307,7 @@ def test_a_row_of_failures_is_the_noise_level_with_most_and_rows_without_any_are
     absent = [Row(i, Status.UNSUPPORTED) for i in range(20)]
     save(store, {**described("sindy", n=20, duration=5.0), "system": "elsewhere"}, absent)
     picture = draw_failures(Gallery(store))
-    axis = picture.figure.axes[0]
-    assert [text.get_text() for text in axis.texts] == ["75\nt"]
-    assert [text.get_text() for text in axis.get_yticklabels()] == ["sdof"]
+    assert picture.figure.data[["test", "shown"]].to_numpy().tolist() == [["sdof", "75\nt"]]
     assert "1 of 2 kinds of test" in picture.caption
 
 
@@ -433,4 +428,4 @@ def test_what_cannot_be_drawn_says_why(store: Store) -> None:
     for draw in (draw_record, draw_scatter, draw_training, draw_two_masses, draw_profiles, draw_coverage):
         with pytest.raises(Nothing, match=r"stored|needs"):
             draw(gallery)
-    assert [text.get_text() for text in draw_failures(gallery).figure.axes[0].texts] == ["100\no"]
+    assert draw_failures(gallery).figure.data.shown.tolist() == ["100\no"]
