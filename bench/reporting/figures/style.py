@@ -141,28 +141,6 @@ def panels(n: int, columns: int, height: float, xlabel: str, **shared: Any) -> t
     return figure, list(axes.flat[:n])
 
 
-ROW = 4.4
-"""Height of a method (mm) in a picture whose rows are methods."""
-
-
-def rows_of_methods(shown: Sequence[Look], columns: int, row: float = ROW) -> tuple[Any, list[Any]]:
-    """A figure whose rows are methods, named on the left, first on top, and so many columns: figure and axes.
-
-    A method's row is its number from 0 on.
-    """
-    figure, axes = pyplot().subplots(
-        1, columns, figsize=(FULL, (18.0 + row * len(shown)) * MM), layout="constrained", sharey=True, squeeze=False
-    )
-    for axis in axes[0]:
-        for i in range(1, len(shown), 2):
-            axis.axhspan(i - 0.5, i + 0.5, color="0.955", lw=0, zorder=0)
-        axis.tick_params(axis="y", length=0)
-        axis.grid(axis="x")
-    axes[0][0].set_yticks(range(len(shown)), [look.title for look in shown])
-    axes[0][0].set_ylim(len(shown) - 0.4, -0.6)
-    return figure, list(axes[0])
-
-
 def entry(**style: Any) -> Any:
     """A legend's entry: a line with properties of matplotlib's."""
     from matplotlib.lines import Line2D
@@ -232,19 +210,6 @@ def plain_logarithmic(axis: Any) -> None:
     plain = low >= 1e-4 and high < 1e5
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}") if plain else LogFormatterMathtext())
     axis.set_minor_formatter(NullFormatter())
-
-
-def decibels(axis: Any, snrs: Sequence[float]) -> None:
-    """A horizontal axis of SNR, least noise on the left as in the paper."""
-    apart = 0.08 * (max(snrs) - min(snrs))
-    named: list[float] = []
-    for snr in sorted(snrs, key=lambda own: (own % 10 != 0, -own)):
-        if all(abs(snr - other) >= apart for other in named):
-            named.append(snr)
-    axis.set_xticks(sorted(named), [f"{snr:.3g}" for snr in sorted(named)])
-    axis.minorticks_off()
-    axis.set_xlabel("signal-to-noise ratio (dB)")
-    axis.set_xlim(max(snrs) + 2.5, min(snrs) - 2.5)
 
 
 def save_figure(figure: Any, folder: Path, name: str, caption: str, svg: Path | None = None) -> list[Path]:
