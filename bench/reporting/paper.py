@@ -49,11 +49,12 @@ def _lines() -> tuple[dict[str, str], ...]:
 def printed() -> tuple[Printed, ...]:
     """All numbers of the paper, in its order."""
     return tuple(
-        Printed(table, ROWS.get(table, line["row"]), line["method"], metric, *[float(line[column])] * 2, snr_db)
+        Printed(table, ROWS.get(table, line["row"]), line["method"], metric, value, value, float(line["snr_db"]))
         for line in _lines()
-        for table, snr_db in [(int(line["table"]), float(line["snr_db"]))]
+        for table in [int(line["table"])]
         for metric, column in COLUMNS.items()
         if line[column]
+        for value in [float(line[column])]
     )
 
 
