@@ -9,7 +9,6 @@ import shutil
 import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from importlib.metadata import version
 from importlib.resources import as_file, files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -60,8 +59,7 @@ def write_site(out: Path, pages: Iterable[tuple[str, bytes]]) -> None:
                 (docs / name).write_bytes(content)
                 tables += [name] if name.startswith("results/") and name.endswith(".md") else []
             nav = [{title: page} for title, page in NAV.items()] + [{"Tables": tables}] * bool(tables)
-            footer = f"vibration-bench {version('vibration-bench')}"
-            config = load_config(str(shared), docs_dir=folder, site_dir=str(new), nav=nav, copyright=footer)
+            config = load_config(str(shared), docs_dir=folder, site_dir=str(new), nav=nav)
             config.plugins.on_startup(command="build", dirty=False)
             build(config)
             config.plugins.on_shutdown()

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from html import unescape
+from importlib.metadata import version
 from typing import Any
 
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """Where the theme would load from what lets the search work from a folder (iframe-worker, MIT)."""
 DIALOG = 'data-md-component="search" role="dialog"'
+
+
+def on_config(config: Any, **_: Any) -> Any:
+    """Say in the footer of every page whose it is."""
+    config.copyright = f"vibration-bench {version('vibration-bench')} · MIT licence · to cite: CITATION.cff"
+    return config
 
 
 def on_page_context(context: Any, page: Any, **_: Any) -> Any:

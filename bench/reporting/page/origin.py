@@ -36,8 +36,8 @@ def origin(results: Sequence[Result]) -> list[tuple[str, str, str]]:
     return [
         ("Results", f"{len(cells):,} cells (a method with its settings on the data sets of a scenario), {fits:,} fits, "
          f"{cpu / 3600:.1f} hours of processor time", ""),
-        ("Stale", f"{older.total():,} of {len(cells):,} cells were computed by another version of their method, system or scoring "
-         "than today's", _several(older)),
+        ("Stale", f"{older.total():,} of {len(cells):,} cells were computed by another version of their "
+         "method, system or scoring than today's", _several(older)),
         ("Computed", f"{_moment(moments[0])} to {_moment(moments[-1])} UTC" if moments else "not recorded", ""),
         ("Commits", _commits(cells), _several(commits)),
         ("Machines", str(len(machines)), _several(machines)),
