@@ -394,11 +394,11 @@ def test_figures_of_the_results_are_copied_into_the_site(cells: Cells) -> None:
     folder = store.folder.parent
     (folder / "figures").mkdir()
     whole = png.packed(Image.new("RGB", (1378, 700), "white"), 200, "First & foremost_ones. The rest.")
-    (folder / "figures" / "a.png").write_bytes(whole)
+    (folder / "figures" / "a_b.png").write_bytes(whole)
     site = made(store)
-    assert (site / "results" / "figures" / "a.png").read_bytes() == whole
+    assert (site / "results" / "figures" / "a_b.png").read_bytes() == whole
     shown = Page((site / "figures.html").read_text(encoding="utf-8"))
-    assert ("results/figures/a.png", "1378") in [(own.get("src"), own.get("width")) for tag, own in shown.elements]
+    assert ("results/figures/a_b.png", "1378") in [(own.get("src"), own.get("width")) for tag, own in shown.elements]
     assert "First & foremost_ones. The rest." in shown.text
 
 
