@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from bench.reporting.figures.basin import draw_basin
-from bench.reporting.figures.family import draw_family
 from bench.reporting.figures.gallery import Gallery, Picture
 from bench.reporting.figures.style import save_figure
+from bench.reporting.pictures.family import draw_family
 from bench.reporting.pictures.maps import draw_failures
 from bench.reporting.pictures.panels import draw_coverage, draw_noise, draw_scatter
 from bench.reporting.pictures.responses import (

@@ -249,23 +249,22 @@ def full(tmp_path: Path) -> Store:
 
 def test_the_picture_shows_the_error_over_the_bound_at_every_moment(full: Store) -> None:
     pytest.importorskip("matplotlib")
-    from bench.reporting.figures.family import family_picture
+    from bench.reporting.pictures.family import family_picture
     from bench.scoring.traces import MOMENTS
 
     stored = experiment_frame("pinn", full)
-    figure = family_picture(stored).figure
-    assert [axis.get_title("left") for axis in figure.axes] == [
+    panels = family_picture(stored).figure.concat
+    assert [panel.title.text for panel in panels] == [
         "Optimisers, our base", "Optimisers, the paper's base", "Weightings, our base", "Functions of time, our base"
     ]  # fmt: skip
     base = next(one for one in stored if one.label.startswith(FAMILY) and one.stored)
     ends = base.scores("training_s").max()
     seconds = [moment for moment in MOMENTS if moment < ends]
     expected = [base.scores(f"k_over_m_off_pct_at_{moment:g}s")[0] / 0.5 for moment in seconds]
-    line = next(own for own in figure.axes[0].get_lines() if own.get_color() == "black" and len(own.get_xdata()) > 2)
-    assert np.allclose(line.get_xdata(), [*seconds, ends])
-    assert np.allclose(line.get_ydata()[:-1], expected, rtol=1e-4)
-    names = {text.get_text().replace("\n", " ") for text in figure.axes[2].texts}
-    assert names == {CHOICES["weighting"][name].title for name in CHOICES["weighting"]}
+    line = panels[0].data[panels[0].data.base]
+    assert np.allclose(line.seconds, [*seconds, ends])
+    assert np.allclose(line.ratio[:-1], expected, rtol=1e-4)
+    assert set(panels[2].data["name"]) == {CHOICES["weighting"][name].title for name in CHOICES["weighting"]}
 
 
 def test_the_command_draws_it_under_the_family_s_name_and_no_variant_elsewhere(full: Store, tmp_path: Path) -> None:
