@@ -627,7 +627,7 @@ def test_tables_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
 def test_figures_and_site(tmp_path: Path) -> None:
     """figures of the paper (4-11) and ours; a site"""
     run(verb("tables", "what=figures", f"archive={ARCHIVE}", "out=figures"), tmp_path)
-    assert len(list((tmp_path / "figures").glob("*.png"))) >= 15
+    assert len(list((tmp_path / "figures").glob("*.png"))) >= 14
     run(verb("report", f"archive={ARCHIVE}", "out=site"), tmp_path)
     index = (tmp_path / "site" / "index.html").read_text()
     assert "Multiple shooting" in index
