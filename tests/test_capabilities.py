@@ -110,7 +110,7 @@ def run(command: Sequence[str], folder: Path, status: int = 0, stdin: str = "", 
     """Run Python with a command line in a folder, and check its exit status."""
     done = subprocess.run(
         [sys.executable, *command], cwd=folder, env={**environment(), **more}, input=stdin,
-        capture_output=True, text=True, timeout=300,
+        capture_output=True, text=True, timeout=900,
     )  # fmt: skip
     assert done.returncode == status, (command, done.stdout[-2000:], done.stderr[-2000:])
     return done
