@@ -122,7 +122,7 @@ def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = 
         rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
         intervals = stated_intervals(scaled, likelihood, parts, rate_error, measured.comparison)
     intervals |= _with_mass(intervals, measured)
-    intervals = {name: replace(own, unit=measured.unit_of(own.unit)) for name, own in intervals.items()}
+    intervals = {name: replace(interval, unit=measured.unit_of(interval.unit)) for name, interval in intervals.items()}
     reasons, modes = diagnose(likelihood, problem, intervals, missing, estimate.message)
     return Finding(method, measured, estimate, wall_s, intervals, reasons, likelihood, modes)
 
@@ -133,7 +133,7 @@ def _frequency(likelihood: Linearised) -> float:
 
 
 def _fewer_samples(measured: Measured, status: Status) -> str:
-    """Of a fit that ended at its limits, return which decimation would still describe the motion, if one would."""
+    """Return the decimation that would still describe the motion, of a fit that ended at its limits, if any would."""
     factor = spare_factor(measured.problem) if status in (Status.TIMEOUT, Status.OOM) else 1
     return f"; decimate={factor} keeps one sample in {factor}, filtered" if factor > 1 else ""
 

@@ -72,5 +72,5 @@ class Finding:
 
     @property
     def channel_size(self) -> float:
-        """How much one unit of the first channel in ``fit`` is in the channel's own unit."""
+        """The unit of the first channel in ``fit``, in the channel's own unit."""
         return self.problem.natural_units().of(MEASURED[self.problem.records[0].channels[0].measures])

@@ -219,7 +219,7 @@ def limited(interval: StatedInterval, error: float, power: float) -> StatedInter
 
 
 class Heterogeneity(NamedTuple):
-    """How values differ beyond their errors.
+    """Differences of values beyond their errors.
 
     ``variance`` between them beyond a line, ``slope`` of the line, and the ``chance`` that errors alone make as much of
     a difference.

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from bench.records.strongest import strongest_frequency
-from bench.systems import System
 from bench.systems.sums import GROUPS, TERMS, Sum
 
 TIED = 10.0
@@ -28,8 +27,6 @@ PART_OF_PERIOD = 0.25
 """Length of the local polynomials over the strongest period: a cubic has the slope of a sine there to 0.1 %."""
 ROUNDING = 1e-9
 """A speed of less than this part of the record's size in its time is none."""
-SIZES = {"c": 0.04, "k": 1.0, "k3": 0.03, "k3s": 0.03, "c2": 0.03, "mu": 0.03, "b": 0.03, "l": 3.0}
-"""Guesses of parameters over the mass, of a motion of unit rate and amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,16 +98,6 @@ def without(system: Sum, zero: Collection[str]) -> Sum:
 def unit_over_mass(name: str) -> str:
     """Return the unit of a parameter of a sum over the mass."""
     return next((group.unit for group in GROUPS if group.name == f"{name}_over_m"), "")
-
-
-def first_guess(system: System, rate: float, size: float, mass: float = 1.0) -> dict[str, float]:
-    """Guess the parameters of a vibration of angular frequency ``rate`` and amplitude ``size``."""
-    guesses = {}
-    for parameter in system.parameters:
-        dimension = parameter.dimension
-        scale = size**dimension.length * rate**-dimension.time * (mass if dimension.mass else 1.0)
-        guesses[parameter.name] = SIZES.get(parameter.name, 1.0) * scale
-    return guesses
 
 
 def smoothing_velocity(times: np.ndarray, values: np.ndarray, measures: str = "displacement") -> float:

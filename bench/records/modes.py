@@ -125,7 +125,7 @@ class ModalFit:
             by = np.array([[s / rate, w / rate], [w**2 / rate**3, -s * w / rate**3]])
             halves = quantile * np.sqrt(np.diag(by @ covariance[np.ix_(places, places)] @ by.T))
             f, half, ratio = rate / (2 * np.pi), float(halves[0]) / (2 * np.pi), float(s / rate)
-            share = float(np.std(self.basis[:, places] @ self.amplitudes[places]) / np.std(self.values))
+            share = float(np.std(self.basis[:, places] @ self.amplitudes[places]) / (np.std(self.values) or 1.0))
             ends = max(ratio - float(halves[1]), 0.0), ratio + float(halves[1])
             modes.append(Mode(f, f - half, f + half, ratio, *ends, share))
         return tuple(sorted(modes, key=lambda mode: -mode.share))

@@ -47,7 +47,7 @@ class Measured:
 
     @property
     def angle(self) -> bool:
-        """Whether the first channel is of a rotation."""
+        """Return whether the first channel is of a rotation."""
         return self.unit.startswith(ANGLE)
 
     def unit_of(self, unit: str) -> str:

@@ -269,8 +269,10 @@ def free_decay_training(r: Published, f: Facts) -> None:
     quiet, middle, loud = (excesses(r, "pinn_adam", "known", *levels) for levels in ((40, 30), (20,), (10,)))
     fits = r.fits(REFERENCE, [], label="pinn_adam", system="sdof")
     ended = fits.message.str.contains("number of steps")
-    told = {"metric": "rmse", "initial_state": "known", "snr_db": 40}
-    paper = r.value("table5", "paper", method="pinn", **told) / r.value("table5", "bound", method="bound", **told)
+    at_40_db = {"metric": "rmse", "initial_state": "known", "snr_db": 40}
+    paper = r.value("table5", "paper", method="pinn", **at_40_db) / r.value(
+        "table5", "bound", method="bound", **at_40_db
+    )
     engine, steps = (r.study("pinn.md", name) for name in (RIVALS, STEPS))
     at_40 = steps[(steps.index == "40") & (steps["steps of L-BFGS"] == "1,000")]
     held = r.rows("calibration", method=ON_BOUND, snr_db=(30, 20, 10), quantity=("k_over_m", "c_over_m"))

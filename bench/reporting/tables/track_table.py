@@ -88,7 +88,7 @@ class TrackPanel:
 
     @cached_property
     def agreements(self) -> pd.DataFrame:
-        """How siblings agree, a row for each method and quantity."""
+        """Return the agreement of siblings, a row for each method and quantity."""
         rows = []
         for fits in self.by_method:
             head = {"set": self.name, "system": self.system, "method": fits.method, "sibling": "all"}
@@ -116,7 +116,7 @@ class MethodFits:
 
     @cached_property
     def agreements(self) -> dict[str, dict[str, Any]]:
-        """How the siblings whose answers are not withdrawn agree, by quantity."""
+        """Return the agreement of siblings whose answers are not withdrawn, by quantity."""
         known = {**dict.fromkeys(MAIN), **{name: known.value for name, known in self.panel.of.known.items()}}
         answers = {name: self.answers(name) for name in known}
         return {
