@@ -602,15 +602,6 @@ def test_tables_of_a_store(folder: Path) -> None:
     assert re.search(r"prior.*\d+\.\d", (folder / "mine" / "table3.md").read_text())
 
 
-REWORDED = {
-    "calibration.csv", "calibration.md", "sbc.md", "efficiency.md", "table7.md", "table8.md", "table9.md",
-    "pinn_family.md", "leaderboard.csv", "leaderboard.md",
-    *(f"table{i}.{ending}" for i in range(2, 6) for ending in ("csv", "md")),
-}  # fmt: skip
-"""Written anew at the next release: intervals of few replicates are counted, shares of the prior stated, no sentences
-stand above the family, methods are ranked in tiers, and an error that may follow from that of the mass is open."""
-
-
 @pytest.mark.slow
 def test_tables_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
     """all regenerated from the archive by one command each, byte for byte"""
