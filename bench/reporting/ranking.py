@@ -1,14 +1,14 @@
-"""The one ranking of methods: tiers that the scenarios can tell apart, without a winner inside a tier.
+"""The one ranking of methods: tiers that the data can tell apart, without a winner inside a tier.
 
 The loss of a fit is the logarithm of its error over the bound (root mean square over the quantities that the data
 determine), from -log :data:`CAP` to log :data:`CAP`; an outlier fit, a failure, and a refusal of what the method says
 it serves lose log :data:`CAP`. The loss of a method is the mean over scenarios of the mean over a scenario's fits.
 
-Methods are compared on the same scenarios by the paired bootstrap (P. Koehn, Proc. EMNLP 2004, 388; the percentile
-interval of A. C. Davison, D. V. Hinkley, Bootstrap Methods and their Application, 1997, section 5.3): the first tier is
-the method of the least loss with all whose mean difference to it has a 95 % interval that reaches 0 (or 2 %: less is a
-tie for any purpose), the second is found likewise among the rest, and so on. A method that does not serve every
-scenario stands beside the tiers, compared with the first tier on the scenarios that it serves.
+Methods are compared on the same scenarios (of one scenario on the same fits) by the paired bootstrap (P. Koehn, Proc.
+EMNLP 2004, 388; the percentile interval of A. C. Davison, D. V. Hinkley, Bootstrap Methods and their Application, 1997,
+section 5.3): the first tier is the method of the least loss with all whose mean difference to it has a 95 % interval
+that reaches 0 (or 2 %: less is a tie for any purpose), the second is found likewise among the rest, and so on. A method
+that does not serve every scenario stands beside the tiers, compared with the first tier on those that it serves.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 
 import numpy as np
 
@@ -24,12 +24,11 @@ from bench.contract.estimate import Status
 from bench.contract.problem import Problem
 from bench.entrants.registry import make_method
 from bench.errors import InputError
-from bench.reporting.frame import ERROR, Result, group
+from bench.reporting.frame import ERROR, Key, Result, group
 from bench.reporting.labels import in_order
 from bench.reporting.tables.pooling import pooled_quantities
-from bench.scoring.comparison import GROSS, MARGIN
 from bench.scoring.statistics import counts, middle_95
-from bench.scoring.summary import below_chance
+from bench.scoring.summary import GROSS, below_chance
 from bench.store.cell import stored_as_cell
 
 CAP = 10.0
@@ -37,10 +36,15 @@ CAP = 10.0
 LOST = math.log(CAP)
 ON_BOUND = math.exp(-np.euler_gamma / 2)
 """Typical error over bound, 0.75, of two uncorrelated normal errors on it: E log(χ²/2)/2 = -γ/2 of 2 degrees."""
-SAME = math.log1p(MARGIN)
+SAME = math.log(1.02)
 """A difference of losses that decides nothing, however sure it is."""
 UNINFORMATIVE = 100.0
 """A bound (%) from which on data and prior do not determine a quantity: an error over it says nothing."""
+FIRST_TIER = f"""**Bold**: the first tier of this scenario, whose methods these replicates do not tell apart; a tier has
+no winner. Ranked is the mean logarithm of error over bound ({CAP:g} at most, as for no answer and for an error beyond
+{GROSS:g} bounds); in the first tier is the method of the least mean with all whose mean difference to it has a 95 %
+bootstrap interval, over the same replicates, that reaches 0, or 2 %."""
+"""What bold means in a table of scenarios with several replicates."""
 Fits = Mapping[str, Sequence[np.ndarray]]
 """By method, the losses of its fits in each scenario (n,); none where it was not asked or does not serve it."""
 
@@ -68,37 +72,115 @@ class Ranked:
     too_good: bool
 
 
+# ---- tiers of losses
+
+
+def ranked(fits: Fits) -> list[Ranked]:
+    """Rank methods by the losses of their fits; those that stand beside the tiers come last."""
+    means = {label: np.array([np.mean(own) if own.size else np.nan for own in each]) for label, each in fits.items()}
+    served = {label: np.isfinite(mean) for label, mean in means.items() if np.isfinite(mean).any()}
+    only = all(those.size == 1 for those in served.values())  # of one scenario the fits are resampled
+    units = {label: fits[label][0] if only else means[label][those] for label, those in served.items()}
+    in_tiers = tiers({label: units[label] for label, those in served.items() if those.all()})
+    place = {label: i for i, tier in enumerate(in_tiers, 1) for label in tier}
+    first = np.mean([means[label] for label in in_tiers[0]], axis=0) if in_tiers else None
+    rows = []
+    for label in sorted(served, key=lambda label: place.get(label, len(in_tiers) + 1)):
+        those, every = served[label], np.concatenate(fits[label])
+        typical, low, high = np.exp([float(np.mean(units[label])), *interval(units[label])]).tolist()
+        there = math.nan if first is None else math.exp(np.mean(first[those]))
+        too_good = below_chance(math.sqrt(np.mean(np.exp(2.0 * every))), 0.0, every.size)
+        lost = int(np.sum(every == LOST))
+        rows.append(
+            Ranked(
+                label, place.get(label, 0), int(those.sum()), those.size, typical, low, high, there, lost, every.size,
+                too_good,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def leaders(losses: Mapping[Key, np.ndarray]) -> frozenset[Key]:
+    """Return the first tier; none where all are lost, or a method has no rival."""
+    compared = len(losses) > 1 and any((own < LOST).any() for own in losses.values())
+    return frozenset(tiers(losses)[0]) if compared else frozenset()
+
+
+def tiers(losses: Mapping[Key, np.ndarray]) -> list[list[Key]]:
+    """Return the methods by tier, in the order given within it.
+
+    ``losses`` has what each method loses by data set (n,). Those of fewer data sets are compared on the first ones, and
+    are not what others are compared with.
+    """
+    rest, result = dict(losses), list[list[Key]]()
+    while rest:
+        most = max(own.size for own in rest.values())
+        best = min((own for own in rest.values() if own.size == most), key=np.mean)
+        result.append([label for label, own in rest.items() if own is best or not surely_worse(own, best)])
+        rest = {label: own for label, own in rest.items() if label not in result[-1]}
+    return result
+
+
+def surely_worse(losses: np.ndarray, best: np.ndarray) -> bool:
+    """Return whether paired losses are beyond those of the best by chance or :data:`SAME`."""
+    return interval(losses - best[: losses.size])[0] > SAME
+
+
+def interval(values: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval of the mean of ``values`` (n,); one alone has no limits."""
+    if values.size < 2:
+        return -math.inf, math.inf
+    return middle_95(weights(values.size) @ values)
+
+
+@lru_cache(maxsize=16)
+def weights(n: int) -> np.ndarray:
+    """Return the weight of each of n values in each resample, the same ones at every call, shape (resamples, n)."""
+    return counts(n).T / n
+
+
+# ---- losses of stored fits
+
+
 def ranking(results: Iterable[Result]) -> list[Ranked]:
     """Rank the methods of some scenarios, the first tier first; reference rows compete with nobody."""
     return ranked(fits_of(results))
 
 
+def first_tier(results: Iterable[Result], metrics: Iterable[str]) -> frozenset[Result]:
+    """Return the first tier in one scenario by some metrics; reference rows compete with nobody."""
+    rivals = [result for result in results if result.stored and not result.is_reference]
+    bounds = informative_bounds(rivals, metrics)
+    return leaders({result: losses(result, bounds) for result in rivals if bounds})
+
+
 def fits_of(results: Iterable[Result]) -> Fits:
     """Return the losses of all methods' fits in the scenarios whose data determine something."""
     stored = [result for result in results if result.stored]
-    by_scenario = {key: (asked, told_bounds(asked)) for key, asked in group(stored, lambda r: r.question).items()}
-    informative = {key: (asked, bounds) for key, (asked, bounds) in by_scenario.items() if bounds}
+    by_scenario = list(group(stored, lambda result: result.question).values())
+    informative = [(asked, bounds) for asked in by_scenario if (bounds := determined_bounds(asked))]
     labels = in_order(result.label for result in stored if not result.is_reference)
     fits = {label: [np.empty(0)] * len(informative) for label in labels}
-    for place, (asked, bounds) in enumerate(informative.values()):
-        problem = cache(partial(first_problem, asked[0]))
+    for place, (asked, bounds) in enumerate(informative):
+        example = cache(partial(example_problem, asked[0]))
         for result in asked:
-            if not result.is_reference and tried(result, problem):
+            if not result.is_reference and competes(result, example):
                 fits[result.label][place] = losses(result, bounds)
     return fits
 
 
-def told_bounds(asked: Sequence[Result]) -> dict[str, float]:
-    """Return the bounds (%) of the quantities that a scenario's data determine, by metric.
-
-    A method that failed may have stored none: each is the first that any method stored. Of a system that is not
-    registered here nothing is known.
-    """
+def determined_bounds(asked: Sequence[Result]) -> dict[str, float]:
+    """Return the bounds (%) of the quantities that a scenario's data determine, by metric; of unknown systems none."""
     model = asked[0].known_model
     if model is None:
         return {}
     identifiable = {name: told for result in reversed(asked) for name, told in result.identifiable.items()}
-    metrics = [name + ERROR for name in pooled_quantities(model, identifiable)]
+    return informative_bounds(asked, [name + ERROR for name in pooled_quantities(model, identifiable)])
+
+
+def informative_bounds(asked: Iterable[Result], metrics: Iterable[str]) -> dict[str, float]:
+    """Return the bounds of metrics, each from the first method that stored it: one that failed may have none."""
+    asked = list(asked)
     bounds = {
         metric: next((result.bound(metric) for result in asked if math.isfinite(result.bound(metric))), math.nan)
         for metric in metrics
@@ -106,17 +188,20 @@ def told_bounds(asked: Sequence[Result]) -> dict[str, float]:
     return {metric: bound for metric, bound in bounds.items() if 0 < bound < UNINFORMATIVE}
 
 
-def first_problem(result: Result) -> Problem | None:
-    """Return the first data set of a scenario as methods see it; None where this version cannot make it."""
-    assert result.stored is not None
-    try:
-        cell = result.cell or stored_as_cell(result.stored)
-    except InputError:
-        return None
-    return cell.scenario.maker(cell.seed)(0)[0]
+def losses(result: Result, bounds: Mapping[str, float]) -> np.ndarray:
+    """Return the loss of each fit (n,) from the bounds by metric."""
+    errors = np.stack([result.errors(metric) / bound for metric, bound in bounds.items()])
+    with np.errstate(over="ignore"):
+        size = np.sqrt(np.mean(errors**2, axis=0))
+    return np.where(np.max(errors, axis=0) <= GROSS, loss(size), LOST)
 
 
-def tried(result: Result, problem: Callable[[], Problem | None]) -> bool:
+def loss(size: np.ndarray) -> np.ndarray:
+    """Return the loss of errors over bounds."""
+    return np.asarray(np.log(np.clip(size, 1.0 / CAP, CAP)))
+
+
+def competes(result: Result, example: Callable[[], Problem | None]) -> bool:
     """Return whether a method answered, or failed on a problem that it says it serves."""
     if result.status is Status.MISSING_DEPENDENCY:
         return False
@@ -126,67 +211,15 @@ def tried(result: Result, problem: Callable[[], Problem | None]) -> bool:
         method = make_method(result.method, dict(result.settings))
     except InputError:  # a method that is not installed says nothing
         return False
-    example = problem()
-    return example is not None and method.objection(example) is None
+    problem = example()
+    return problem is not None and method.objection(problem) is None
 
 
-def losses(result: Result, bounds: Mapping[str, float]) -> np.ndarray:
-    """Return the loss of each fit (n,) from the bounds by metric."""
-    errors = np.stack([result.errors(metric) / bound for metric, bound in bounds.items()])
-    with np.errstate(over="ignore"):
-        size = np.sqrt(np.mean(errors**2, axis=0))
-    lost = ~(np.max(errors, axis=0) <= GROSS)
-    return np.where(lost, LOST, np.log(np.clip(size, 1.0 / CAP, CAP)))
-
-
-def ranked(fits: Fits) -> list[Ranked]:
-    """Rank methods by the losses of their fits; those that stand beside the tiers come last."""
-    means = {label: np.array([np.mean(own) if own.size else np.nan for own in each]) for label, each in fits.items()}
-    served = {label: np.isfinite(mean) for label, mean in means.items() if np.isfinite(mean).any()}
-    whole = {label: means[label] for label, those in served.items() if those.all()}
-    alone = all(
-        mean.size == 1 for mean in whole.values()
-    )  # the fits of the only scenario are all that can be resampled
-    in_tiers = tiers({label: fits[label][0] for label in whole} if alone else whole)
-    place = {label: i for i, tier in enumerate(in_tiers, 1) for label in tier}
-    first = np.mean([whole[label] for label in in_tiers[0]], axis=0) if in_tiers else None
-    rows = []
-    for label in sorted(served, key=lambda label: place.get(label, len(in_tiers) + 1)):
-        those, every = served[label], np.concatenate(fits[label])
-        low, high = interval(means[label][those])
-        rows.append(
-            Ranked(
-                label, place.get(label, 0), int(those.sum()), those.size,
-                float(np.exp(np.mean(means[label][those]))), math.exp(low), math.exp(high),
-                math.nan if first is None else float(np.exp(np.mean(first[those]))),
-                int(np.sum(every == LOST)), every.size,
-                below_chance(float(np.sqrt(np.mean(np.exp(2.0 * every)))), 0.0, every.size),
-            )
-        )  # fmt: skip
-    return rows
-
-
-def tiers(means: Mapping[str, np.ndarray]) -> list[list[str]]:
-    """Return the methods by tier, in the order given within it.
-
-    ``means`` has the losses of each method by scenario (n,); those of fewer are compared on the first ones.
-    """
-    rest, found = dict(means), []
-    while rest:
-        best = min(rest.values(), key=lambda own: float(np.mean(own)))
-        found.append([label for label, own in rest.items() if own is best or not surely_worse(own, best)])
-        rest = {label: own for label, own in rest.items() if label not in found[-1]}
-    return found
-
-
-def surely_worse(losses: np.ndarray, best: np.ndarray) -> bool:
-    """Return whether paired losses are beyond those of the best by chance or :data:`SAME`."""
-    n = min(losses.size, best.size)
-    return interval(losses[:n] - best[:n])[0] > SAME
-
-
-def interval(values: np.ndarray) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of the mean over scenarios of ``values`` (n,); one alone has no limits."""
-    if values.size < 2:
-        return -math.inf, math.inf
-    return middle_95(values @ counts(values.size) / values.size)
+def example_problem(result: Result) -> Problem | None:
+    """Return a problem as methods see those of a scenario; None where this version cannot make it."""
+    assert result.stored is not None
+    try:
+        cell = result.cell or stored_as_cell(result.stored)
+    except InputError:
+        return None
+    return cell.scenario.example(cell.seed)

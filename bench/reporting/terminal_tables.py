@@ -8,8 +8,6 @@ from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from statistics import median_high
 
-import numpy as np
-
 from bench.contract.estimate import Status
 from bench.reporting.frame import ERROR, Line, Result, group
 from bench.reporting.rounding import answered, excess_text, number, readable, rounded
@@ -97,8 +95,8 @@ def _failures(stored: StoredCell) -> Counter[tuple[str, str]]:
 class Closing:
     """The end of a sweep, gathered cell by cell so that no more than a line of each is held.
 
-    Up to :data:`MOST_LISTED` cells are listed, and the best method of each scenario is marked with all that are tied
-    with it; of more, one line stands for all that differ by seed or settings only, with the medians over them.
+    Up to :data:`MOST_LISTED` cells are listed, and the first tier of each scenario is marked; of more, one line stands
+    for all that differ by seed or settings only, with the medians over them.
     """
 
     def __init__(self, n: int) -> None:
@@ -110,21 +108,23 @@ class Closing:
 
     def add(self, cell: Cell, stored: StoredCell | None) -> None:
         """Take in one cell's result; None where there is none."""
+        from bench.reporting.ranking import losses
+
         self.seen.add(cell.identity)
         if stored is None:
             self.lost += 1
             return
         scenario, result = cell.scenario, Result.of_cell(cell, stored)
         quantity = scenario.make_system().groups[0].name
-        metrics = (quantity + ERROR, "rmse")
-        ranked = self.listed and not result.is_reference
+        metrics, ranked = (quantity + ERROR, "rmse"), self.listed and not result.is_reference
         self.lines.append(
             {
                 "method": cell.label, "system": scenario.label, "dB": f"{scenario.snr_db:g}",
                 "start": scenario.initial_state, "disturbance": disturbance_of(scenario), "group": readable(quantity),
                 "identity": cell.identity, "n_ok": stored.n_ok, "n": len(stored.rows),
                 "statistics": [stored.summary.get(metric, {}) for metric in metrics],
-                "errors": [result.errors(metric) for metric in metrics] if ranked else [], "question": result.question,
+                "losses": [losses(result, {m: result.bound(m)}) for m in metrics] if ranked else [],
+                "question": result.question,
             }
         )  # fmt: skip
         for (status, message), n in _failures(stored).items():
@@ -152,7 +152,7 @@ class Closing:
         for title, identities in zip(titles, best, strict=True):
             headers += [title, *([""] if identities else []), "excess"]
         shared = [f"{name} {line[name]}" for line in self.lines[:1] for name in COLUMNS if name not in varying]
-        legend = "least median error on the same data, or tied with it (Wilcoxon, Holm, 5 %; or 2 % apart)"
+        legend = "first tier: not told from the least error over the bound by these replicates (95 %, or 2 % apart)"
         parts = [
             wrapped(f"every cell: {', '.join(shared)}") if shared else "",
             table(rows, headers, [i for i, name in enumerate(first) if name != "dB"]),
@@ -164,21 +164,12 @@ class Closing:
         return line["identity"] if self.listed else tuple(line[name] for name in ("method", *COLUMNS))
 
     def _best(self, i: int) -> set[str]:
-        """Find the best cells by the i-th metric of all scenarios that several methods were fitted to."""
-        from bench.scoring.comparison import standing
+        """Find the cells of the first tier by the i-th metric, of every scenario that several were fitted to."""
+        from bench.reporting.ranking import leaders
 
-        best: set[str] = set()
-        for lines in group((line for line in self.lines if line["errors"]), lambda line: line["question"]).values():
-            errors = {line["identity"]: line["errors"][i] for line in lines}
-            if all(np.isinf(np.median(own)) for own in errors.values()):
-                continue
-            excess, bounds = (
-                {line["identity"]: line["statistics"][i].get(name, math.nan) for line in lines}
-                for name in ("excess", "bound")
-            )
-            ranking = standing(errors, excess, next(iter(bounds.values())))
-            best |= set(ranking.level) if ranking else set()
-        return best
+        ranked = (line for line in self.lines if line["losses"])
+        by_scenario = group(ranked, lambda line: line["question"]).values()
+        return set().union(*(leaders({line["identity"]: line["losses"][i] for line in own}) for own in by_scenario))
 
     def said_of_failures(self) -> int:
         """Say on the error stream what failed, once a kind, and where a traceback is; the exit status, 0 or 1.

@@ -270,20 +270,13 @@ class Scenario:
     ) -> tuple[Problem, Truth]:
         system = self.make_system()
         measured = list(self.measured_dofs)
-        start = self.start if self.initial_state == "known" else None
         records, ideals, errors, levels = [], [], [], []
-        for number, rig in enumerate(self.rigs()):
+        for number in range(len(self.rigs())):
             if number:
                 clean, sigma = self._response(self.times, seed, number), self.sigmas(seed, number)
             times, ideal, error = self._samples(seed, index, clean, sigma, number)
             ideal, error = ideal[measured], error[measured]
-            channels = tuple(Channel(times, values, dof=i) for i, values in zip(measured, ideal + error, strict=True))
-            added = np.array(rig.added) if isinstance(rig, Loaded) else None
-            forces = []
-            if self.force is not None:
-                rng = self.stream(FORCE_NOISE, seed, index, *_later(number))
-                forces = [self.force.measured(force, rng) for force in self.forces(seed)]
-            records.append(Record(channels, tuple(forces), start, added))
+            records.append(self._record(seed, index, number, times, ideal + error))
             ideals.append(ideal)
             errors.append(error)
             levels.append(sigma[measured])
@@ -301,6 +294,28 @@ class Scenario:
             measured=self.measured,
         )
         return problem, truth
+
+    def example(self, seed: int) -> Problem:
+        """Return replicate 0 with noise in place of the motion, which takes no simulation: what objections look at."""
+        records = []
+        for number in range(len(self.rigs())):
+            rng = self.stream(DISTURBANCE, seed, 0, *_later(number))
+            times = self.disturbance.sampling(self.times, rng)[0] if self.disturbance else self.times
+            noise = self.stream(NOISE, seed, 0, *_later(number)).standard_normal((len(self.measured_dofs), times.size))
+            records.append(self._record(seed, 0, number, times, noise))
+        system = self.make_system()
+        return Problem(system, tuple(records), self.draw_prior(system, seed, 0))
+
+    def _record(self, seed: int, index: int, number: int, times: np.ndarray, values: np.ndarray) -> Record:
+        """Return what methods see of a record whose sensors read ``values`` (measured, n)."""
+        rig = self.rigs()[number]
+        channels = tuple(Channel(times, own, dof=i) for i, own in zip(self.measured_dofs, values, strict=True))
+        added = np.array(rig.added) if isinstance(rig, Loaded) else None
+        forces = []
+        if self.force is not None:
+            rng = self.stream(FORCE_NOISE, seed, index, *_later(number))
+            forces = [self.force.measured(force, rng) for force in self.forces(seed)]
+        return Record(channels, tuple(forces), self.start if self.initial_state == "known" else None, added)
 
     def _samples(
         self, seed: int, index: int, clean: np.ndarray, sigma: np.ndarray, record: int = 0

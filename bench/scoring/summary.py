@@ -14,6 +14,8 @@ from bench.scoring.row import STATISTICS, Row, Rows
 from bench.scoring.statistics import counts, medians, middle_95, wilson_interval
 
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
+GROSS = 5.0
+"""An error beyond this many times the bound is that of an outlier fit."""
 CHANCE = 1e-6
 """Probability at which a root mean square error is too small to be chance: no published cell is, of 22,000."""
 LARGEST_BOUND_PCT = 50.0
@@ -37,6 +39,12 @@ def below_chance(excess: float, bound_pct: float, n: int) -> bool:
     """
     least = math.sqrt(2.0 * gammaincinv(n / 2.0, CHANCE) / n) if n > 0 else 0.0
     return excess < least and bound_pct <= LARGEST_BOUND_PCT
+
+
+def gross(errors: np.ndarray, bound: float) -> np.ndarray:
+    """Return which errors (n,) are of outlier fits or of failures, which are infinite; without a bound only these."""
+    limit = GROSS * bound if np.isfinite(bound) and bound > 0 else np.inf
+    return np.asarray(~(errors <= limit) | np.isinf(errors))
 
 
 def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Line]:

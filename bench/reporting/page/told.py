@@ -10,7 +10,7 @@ import numpy as np
 from bench.reporting.frame import Result, group
 from bench.reporting.page.reading import ScenarioPanel, decibels
 from bench.reporting.page.words import joined, number, quantity
-from bench.scoring.comparison import gross
+from bench.scoring.summary import gross
 
 FEW = 3
 """Quantities that are named; of more, only their range is said."""

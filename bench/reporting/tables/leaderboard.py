@@ -12,7 +12,7 @@ from bench.reporting.ranking import CAP, ranking
 from bench.reporting.tables.open_split import median_time
 from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
 from bench.reporting.verdict import below
-from bench.scoring.comparison import GROSS
+from bench.scoring.summary import GROSS
 
 COLUMNS = (
     "part", "method", "tier", "served", "scenarios", "typical", "low", "high", "first_tier", "lost", "fits",
@@ -34,10 +34,8 @@ gave an answer."""
 
 def parts(results: Sequence[Result]) -> dict[str, list[Result]]:
     """Return the scenarios with more than two samples a cycle, on average, and the others."""
-    split: dict[str, list[Result]] = {name: [] for name in PARTS}
-    for result in results:
-        split[PARTS[beyond_nyquist(result)]].append(result)
-    return split
+    beyond = group(results, beyond_nyquist)
+    return {part: beyond.get(i == 1, []) for i, part in enumerate(PARTS)}
 
 
 def beyond_nyquist(result: Result) -> bool:
@@ -50,9 +48,9 @@ def lines(results: Sequence[Result]) -> list[Line]:
     """Return one line a part and method, the first tier first; those that stand beside the tiers come last."""
     return [
         {"part": part, **asdict(row), "method": row.label, "median_cpu_s": median_time(by_method[row.label])}
-        for part, its in parts(results).items()
-        for by_method in [group(its, lambda result: result.label)]
-        for row in ranking(its)
+        for part, own in parts(results).items()
+        for by_method in [group(own, lambda result: result.label)]
+        for row in ranking(own)
     ]
 
 
@@ -62,21 +60,16 @@ def leaderboard(frame: Frame) -> Mapping[str, str]:
         return {}
     data = lines(frame.results)
     shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, least=1 / CAP, gross=GROSS)]
-    for part in PARTS:
-        own = [line for line in data if line["part"] == part]
-        tiers, beside = [line for line in own if line["tier"]], [line for line in own if not line["tier"]]
-        shown += [f"## {part[0].upper()}{part[1:]}: {max((line['scenarios'] for line in own), default=0)} scenarios"]
-        shown += [listing(tiers, {**TIER, **NAMED, **NUMBERS}) if tiers else ""]
+    for part, own in group(data, lambda line: line["part"]).items():
+        shown += [f"## {part[0].upper()}{part[1:]}: {own[0]['scenarios']} scenarios"]
+        shown += [listing((line for line in own if line["tier"]), {**TIER, **NAMED, **NUMBERS})]
+        beside = [line for line in own if not line["tier"]]
         shown += ["Beside the tiers:", listing(beside, {**NAMED, **SERVED, **NUMBERS})] if beside else []
     too_good = sorted({title(line["method"]) for line in data if line["too_good"]})
-    shown += [f"Errors are {below(too_good)}." if too_good else "", verifications(frame.results)]
+    verifications = {result.title: result.verification for result in frame if result.verification}
+    shown += [f"Errors are {below(too_good)}." if too_good else ""]
+    shown += ["\n".join(f"- {name}: {said}" for name, said in verifications.items())]
     return files("leaderboard", [*shown, f"Regenerate: `{frame.command}`"], data, COLUMNS, 5)
-
-
-def verifications(results: Sequence[Result]) -> str:
-    """Return what was verified of each method that somebody submitted, as a list; empty without one."""
-    said = {result.label: result.verification for result in results if result.verification}
-    return "\n".join(f"- {title(label)}: {text}" for label, text in said.items())
 
 
 TIER: Columns[Line] = {"tier": lambda line: str(line["tier"])}

@@ -268,3 +268,22 @@ def test_settings_that_make_no_sense_are_refused(stated: dict[str, Any], line: s
 
 def test_every_kind_is_tested() -> None:
     assert set(DEFAULTS) == set(kinds())
+
+
+@pytest.mark.parametrize("kind", ["jitter", "irregular", "outliers", "bias"])
+@pytest.mark.parametrize("shape", [BASE, FORCED, replace(BASE, added_mass=(0.5,), initial_state="known")])
+def test_an_example_has_all_of_a_replicate_but_the_motion(shape: Scenario, kind: str) -> None:
+    """Times, forces, added masses, what is known of the start and the prior are those of replicate 0."""
+    scenario = disturbed(kind, shape)
+    example, (problem, _) = scenario.example(3), scenario.maker(3)(0)
+    assert example.prior == problem.prior
+    for blank, record in zip(example.records, problem.records, strict=True):
+        for channel, other in zip(blank.channels, record.channels, strict=True):
+            np.testing.assert_array_equal(channel.times, other.times)
+            assert channel.values.shape == other.values.shape
+            assert not np.any(channel.values == other.values)
+        forces = [[force.values for force in each.forces] for each in (blank, record)]
+        np.testing.assert_array_equal(*forces)
+        assert (blank.added_mass is None, blank.initial_state is None) == (
+            record.added_mass is None, record.initial_state is None
+        )  # fmt: skip
