@@ -39,8 +39,7 @@ def certify(
     if all(path.is_file() for path in request.files):
         start_server(PRELOADED)  # it imports while this process does
     try:
-        import jinja2  # noqa: F401 - before the work, where the page could not be made after it
-        import matplotlib  # noqa: F401
+        import jinja2  # noqa: F401 - before the work: the page needs it after it
 
         from bench.engine.progress import progress_bar
         from bench.face.results import nulls

@@ -43,7 +43,7 @@ def identify_records(overrides: Overrides) -> int:
     if table:
         print(wrapped("the values are not stored: format=json prints all, with residuals"))
     if response is not None and picture:
-        from bench.reporting.fit_picture import fit_picture
+        from bench.reporting.certificate.pictures import fit_picture
 
         write(picture, fit_picture(response), field="picture")
         print(f"picture of the fit: {picture}", file=sys.stdout if table else sys.stderr)
@@ -59,7 +59,9 @@ def _picture(config: Config) -> Path | None:
     path = Path(config.picture)
     if path.suffix.lower() != ".svg":
         raise InputError("picture", config.picture, "a file whose name ends in .svg")
-    if find_spec("matplotlib") is None:
-        raise InputError("picture", config.picture, "needs matplotlib: pip install 'vibration-bench[figures]'")
+    if find_spec("altair") is None or find_spec("vl_convert") is None:
+        raise InputError(
+            "picture", config.picture, "needs altair and vl-convert: pip install 'vibration-bench[report]'"
+        )
     check_file(path, "picture")
     return path

@@ -16,6 +16,8 @@ from bench.records.verdict import Trust
 
 A_CYCLE, FEWEST, MOST = 32, 1000, 20_000
 """Points of the fitted response in a cycle, and on the whole curve at least and at most."""
+MOST_DRAWN = 800
+"""Points of a curve that are drawn at most."""
 BEST_FIRST = (Trust.TRUST, Trust.CAUTION, Trust.NO)
 
 
@@ -143,3 +145,12 @@ def _fitted(finding: Finding, size: float, frequency: float) -> ChannelResponse 
         return ChannelResponse(np.linspace(shown.times[0], shown.times[-1], n), curve, residuals)
     # the samples' own times are known to have a response
     return ChannelResponse(shown.times, shown.values / size - residuals.values, residuals)
+
+
+def thinned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return at most :data:`MOST_DRAWN` points of a curve: the smallest and largest of every stretch, in order."""
+    if x.size <= MOST_DRAWN:
+        return x, y
+    parts = np.array_split(np.arange(x.size), MOST_DRAWN // 2)
+    kept = np.unique([part[i] for part in parts for i in (np.argmin(y[part]), np.argmax(y[part]))])
+    return x[kept], y[kept]

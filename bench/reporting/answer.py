@@ -6,12 +6,21 @@ All take plain values: intervals are those of :class:`bench.records.intervals.St
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-from bench.reporting.grid import Grid
 from bench.reporting.rounding import decimals, number, readable, rounded
 
 Interval = Mapping[str, Any]
+
+
+class Grid(NamedTuple):
+    """A table: headers, rows of text, and a class of style for each row or none."""
+
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    classes: Sequence[str] = ()
+
+
 MEANING = "of a repeat: what another test of the same rig would give; of this record: what its noise leaves open"
 """What the two intervals are, in one line."""
 

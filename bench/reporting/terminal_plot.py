@@ -13,9 +13,8 @@ from typing import TextIO
 
 import numpy as np
 
-from bench.records.response import Response
+from bench.records.response import Response, thinned
 from bench.records.verdict import Trust
-from bench.reporting.certificate.figures import thinned
 from bench.reporting.rounding import number
 from bench.reporting.terminal import colour_shown, columns, wrapped
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,7 +29,7 @@ from bench.reporting.rounding import number
 
 PACKAGES = ("vibration-bench", "numpy", "scipy", "jax", "casadi", "emcee", "torch")
 LAGS = 60
-CHI_LOW, CHI_HIGH = -math.log(0.975), -math.log(0.025)
+WHITE_BAND = (-math.log(0.975), -math.log(0.025))
 """A periodogram's ordinate of white noise over its level is exponential: 95 % of them lie between these."""
 LAG_BAND = 1.96
 OPENING = {
@@ -42,6 +43,7 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
     """Return all of a certificate; ``command`` reproduces it."""
     primary, names = certificate.primary, compared_quantities(certificate.findings)
     values, modes, record = _intervals(primary.intervals), [vars(mode) for mode in primary.modes], _record(certificate)
+    residuals = residuals_of(primary)
     return {
         "answer": answer(values, modes),
         "verdict": primary.trust.value,
@@ -56,7 +58,7 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "runs": {
             run.name: {"estimates": _intervals(run.finding.intervals), "left_out": run.left_out} for run in primary.runs
         },
-        "residuals": _residuals(primary),
+        "residuals": residuals and {key: value for key, value in vars(residuals).items() if key != "values"},
         "prediction": _prediction(certificate),
         "classes": [_class(model, certificate.measured) for model in certificate.classes],
         "compared": names,
@@ -107,11 +109,6 @@ def _intervals(intervals: Mapping[str, StatedInterval]) -> dict[str, dict[str, A
     return {name: vars(interval) for name, interval in intervals.items()}
 
 
-def _residuals(finding: Finding) -> dict[str, Any] | None:
-    residuals = residuals_of(finding)
-    return None if residuals is None else {key: value for key, value in vars(residuals).items() if key != "values"}
-
-
 def _prediction(certificate: Certificate) -> dict[str, float] | None:
     """Return how well the first part of the first channel predicts the rest; None where it predicts nothing."""
     prediction, fit = certificate.prediction, certificate.primary.fit
@@ -153,10 +150,8 @@ def packages() -> dict[str, str]:
     """Return the versions of what computes, of those that are installed."""
     versions = {"Python": platform.python_version()}
     for name in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return versions
 
 
@@ -187,10 +182,9 @@ def series(certificate: Certificate) -> dict[str, Any]:
         "periodogram": density[1:],
         "autoregression": 2.0 * size**2 * noise.spectrum(left.size)[1:] / rate,
         "order": noise.order,
-        "white_band": [level * CHI_LOW, level * CHI_HIGH],
+        "white_band": [level * end for end in WHITE_BAND],
         "natural_frequency": None if natural is None else natural / primary.problem.natural_units().time,
     }
-    band = LAG_BAND / math.sqrt(left.size)
-    lags = min(LAGS, left.size // 4)
-    series["autocorrelation"] = {"values": autocorrelation(left, lags), "band": band}
+    lags = autocorrelation(left, min(LAGS, left.size // 4))
+    series["autocorrelation"] = {"values": lags, "band": LAG_BAND / math.sqrt(left.size)}
     return series

@@ -20,14 +20,9 @@ import pandas as pd
 import vl_convert
 
 from bench.reporting.figures.png import MOST_BYTES, RESOLUTIONS, packed
+from bench.reporting.pictures.theme import FULL, HALF, SERIES, SMALL, theme  # noqa: F401 - taken from here
 from bench.reporting.whole_file import write
 
-HALF, FULL = 85.0 / 25.4 * 72.0, 175.0 / 25.4 * 72.0
-SMALL, NORMAL = 7.0, 7.5
-"""Font sizes."""
-FONT = "DejaVu Sans"
-SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
-"""M. Okabe, K. Ito, 2008: told apart by those who see colours differently, on white and on black."""
 ONE = alt.InlineData([{}])
 """The data of a mark that stands once in each panel."""
 SEARCHES = 6
@@ -42,40 +37,6 @@ def register_font() -> None:
     import matplotlib
 
     vl_convert.register_font_directory(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf"))
-
-
-def theme(dark: bool = False) -> dict[str, Any]:
-    """The configuration of every picture; its named styles are those of marks that are not a series."""
-    ink, quiet, ground, grid = (
-        ("#e8e8e8", "#a0a0a0", "#1c1c1c", "#3c3c3c") if dark else ("#1a1a1a", "#707070", "#ffffff", "#dddddd")
-    )
-    letters = {"labelFontSize": SMALL, "titleFontSize": NORMAL, "titleFontWeight": "normal", "labelColor": ink,
-               "titleColor": ink}  # fmt: skip
-    return {
-        "background": ground,
-        "font": FONT,
-        "view": {"stroke": None},
-        "range": {"category": list(SERIES)},
-        "axis": {
-            **letters, "domainColor": ink, "tickColor": ink, "gridColor": grid, "gridWidth": 0.5, "domainWidth": 0.6,
-            "tickWidth": 0.6, "tickSize": 3, "labelPadding": 2, "titlePadding": 3, "labelLimit": 160,
-        },
-        "header": {"labelFontSize": NORMAL, "labelColor": ink, "labelPadding": 3, "title": None},
-        "legend": {
-            **letters, "orient": "bottom", "title": None, "columnPadding": 12, "rowPadding": 1, "offset": 4,
-            "symbolSize": 30, "labelLimit": 240,
-        },
-        "title": {"fontSize": NORMAL, "fontWeight": "normal", "color": ink, "orient": "bottom", "offset": 5},
-        "text": {"fontSize": SMALL, "color": ink},
-        "mark": {"color": SERIES[0]},
-        "line": {"strokeWidth": 1.1},
-        "style": {
-            "truth": {"color": ink, "strokeWidth": 0.9},
-            "quiet": {"color": quiet, "strokeWidth": 0.9},
-            "broad": {"color": quiet, "opacity": 0.4, "strokeWidth": 6},
-            "region": {"color": quiet, "fillOpacity": 0.2, "strokeWidth": 0.8},
-        },
-    }  # fmt: skip
 
 
 def table(frame: pd.DataFrame) -> pd.DataFrame:

@@ -466,26 +466,6 @@ def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells
     assert drawn["step"] * drawn["fits"]["LS, finite differences"][0] == pytest.approx(1.0, abs=2e-3)
 
 
-def luminance(colour: str) -> float:
-    """Relative luminance of #rrggbb (WCAG 2.2)."""
-    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b
-
-
-@pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
-def test_text_stands_out(scheme: int) -> None:
-    style = (REPOSITORY / "bench" / "reporting" / "page" / "report.css").read_text(encoding="utf-8")
-    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", re.findall(r":root \{(.*?)\}", style, re.S)[scheme]))
-    for ground in ("surface", "raised", "level", "warn"):
-        for ink in ("ink", "muted", "accent"):
-            high, low = sorted((luminance(colours[ink]), luminance(colours[ground])), reverse=True)
-            assert (high + 0.05) / (low + 0.05) >= 4.5, (ink, ground)
-    for series in ("s1", "s2", "s3", "s4"):
-        high, low = sorted((luminance(colours[series]), luminance(colours["surface"])), reverse=True)
-        assert (high + 0.05) / (low + 0.05) >= 3.0, series
-
-
 # ---- in a browser
 
 
