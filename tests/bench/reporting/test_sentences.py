@@ -13,7 +13,7 @@ from conftest import REPOSITORY
 from bench.commands.main import main
 from bench.errors import InputError
 from bench.reporting import sentences
-from bench.reporting.documents import documents, filled, problems, rewritten, used
+from bench.reporting.documents import HOLDS, documents, filled, problems, rewritten, used
 from bench.reporting.sentences import Facts, Published, printed
 
 RESULTS = REPOSITORY / "results"
@@ -35,9 +35,10 @@ def test_documents_and_results_agree() -> None:
 
 
 def test_marks_are_not_seen_by_a_reader() -> None:
-    """A bare name would show outside the site, and Markdown takes a line that begins with a mark for HTML."""
+    """A bare name would show outside the site; Markdown reads a mark that begins a line as HTML, ``5. So`` as a list."""
     for path, text in documents(REPOSITORY).items():
         assert not re.search(r"^\s*<!-- (holds: \w+ -->|\{\{ \w+ \}\} -->.)", text, re.MULTILINE), path
+        assert not re.search(r"^\s*\{\{ \w+ \}\}\. ", HOLDS.sub("", text), re.MULTILINE), path
         assert path.is_relative_to(REPOSITORY / "docs") or not re.search(r"\{\{ \w+ \}\}(?! -->)", text), path
 
 
