@@ -35,7 +35,7 @@ def test_documents_and_results_agree() -> None:
 
 
 def test_marks_are_not_seen_by_a_reader() -> None:
-    """A bare name would show outside the site; Markdown reads a mark that begins a line as HTML, ``5. So`` as a list."""
+    """Outside the site a bare name would show; Markdown reads a mark that begins a line as HTML, ``5. a`` as a list."""
     for path, text in documents(REPOSITORY).items():
         assert not re.search(r"^\s*<!-- (holds: \w+ -->|\{\{ \w+ \}\} -->.)", text, re.MULTILINE), path
         assert not re.search(r"^\s*\{\{ \w+ \}\}\. ", HOLDS.sub("", text), re.MULTILINE), path
