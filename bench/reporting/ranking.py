@@ -142,6 +142,12 @@ def weights(n: int) -> np.ndarray:
 # ---- losses of stored fits
 
 
+def median_time(results: Iterable[Result]) -> float:
+    """Return the median processor time (s) of the fits that gave an answer; NaN without any."""
+    times = np.concatenate([np.empty(0), *(result.cpu_s[result.ok] for result in results if result.stored)])
+    return float(np.nanmedian(times)) if np.isfinite(times).any() else math.nan
+
+
 def ranking(results: Iterable[Result]) -> list[Ranked]:
     """Rank the methods of some scenarios, the first tier first; reference rows compete with nobody."""
     return ranked(fits_of(results))

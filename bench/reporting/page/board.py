@@ -11,26 +11,25 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.reporting.frame import ERROR, Result
 from bench.reporting.page.reading import ScenarioPanel
-from bench.reporting.page.standing import Ranking, fit_seconds, rank
-from bench.scoring.comparison import gross
+from bench.reporting.ranking import first_tier, median_time
+from bench.scoring.summary import gross
 
 SHARED = ("scenario", "quantity", "bound", "prior")
 """What all lines of a block have in common."""
 COLUMNS = ("method", "standing", "rms", "excess", "median", "low", "high", "gross", "ok", "n", "seconds")
 """Of each line; names are places in the lists of methods, quantities and standings."""
-STANDINGS = (
-    "tied with the best", "only method", "undecided (fewer data)", "behind", "not ranked", "reference", "all failed",
-    "failed", "unsupported",
-)  # fmt: skip
+STANDINGS = ("first tier", "behind", "not ranked", "reference", "failed", "unsupported")
 """In the order in which a board is sorted at first."""
-Rankings = dict[tuple[int, str], Ranking | None]
-"""By the scenario's place and by metric."""
+Rankings = dict[tuple[int, str], frozenset[Result]]
+"""The first tier by the scenario's place and by metric."""
 Line = list[float | int | None]
 
 
 def rankings(panels: Sequence[ScenarioPanel]) -> Rankings:
-    """Every scenario's methods by every metric that its data decide."""
-    return {(i, metric): rank(panel, metric) for i, panel in enumerate(panels) for metric in panel.ranked}
+    """Every scenario's first tier by every metric that its data decide."""
+    return {
+        (i, metric): first_tier(panel.results, [metric]) for i, panel in enumerate(panels) for metric in panel.ranked
+    }
 
 
 def blocks(
@@ -47,15 +46,15 @@ def blocks(
     return found
 
 
-def line(result: Result, metric: str, methods: Mapping[str, int], ranking: Ranking | None) -> Line:
+def line(result: Result, metric: str, methods: Mapping[str, int], tier: frozenset[Result] | None) -> Line:
     """A method's numbers; None for what is not there."""
     errors = result.errors(metric)
     unable = result.status is Status.UNSUPPORTED
     off = math.nan if unable or not errors.size else float(np.mean(gross(errors, result.bound(metric))))
     median, low, high, excess = (result.statistic(metric, name) for name in ("median", "ci_low", "ci_high", "excess"))
     measured = [root_mean_square(errors), excess, median, low, high, off]
-    head = [methods[result.label], STANDINGS.index(standing_of(result, ranking))]
-    return [*head, *map(short, measured), result.n_ok, result.n, short(fit_seconds(result))]
+    head = [methods[result.label], STANDINGS.index(standing_of(result, tier))]
+    return [*head, *map(short, measured), result.n_ok, result.n, short(median_time([result]))]
 
 
 def root_mean_square(errors: np.ndarray) -> float:
@@ -76,7 +75,7 @@ def short(value: float) -> float | None:
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
-def standing_of(result: Result, ranking: Ranking | None) -> str:
+def standing_of(result: Result, tier: frozenset[Result] | None) -> str:
     """One of :data:`STANDINGS`."""
     if result.is_reference:
         return "reference"
@@ -84,8 +83,6 @@ def standing_of(result: Result, ranking: Ranking | None) -> str:
         return "unsupported"
     if result.n_ok == 0:
         return "failed"
-    if ranking is None:
+    if not tier:
         return "not ranked"
-    if result.label in ranking.weak:
-        return "undecided (fewer data)"
-    return ranking.places.get(result.label, "not ranked")
+    return "first tier" if result in tier else "behind"

@@ -1,99 +1,83 @@
-"""Advice from what other commands wrote beside the site: the measured track, and the online track."""
+"""The ranking of what other commands wrote beside the site: the measured track, and the online track."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+import contextlib
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from bench.entrants.online import online_card
 from bench.errors import InputError
-from bench.reporting.labels import title
-
-MOST_LEFT_OUT = 0.1
-"""A method that misses more than this share of the online track's lines is not compared with the others there."""
+from bench.reporting.page.situations import Advice
+from bench.reporting.ranking import LOST, Fits, loss, ranked
 
 
-@dataclass(frozen=True)
-class RecordSummary:
-    """A method on real records: ``believed`` of ``fits`` were answers that its own checks do not withdraw."""
-
-    label: str
-    believed: int
-    fits: int
-    held_out: float
-    seconds: float
+def elsewhere(folder: Path) -> list[Advice]:
+    """Rank the methods of the measured track and of the online track, as far as ``folder`` has their tables."""
+    ranked = []
+    for name, (rank, columns) in TABLES.items():
+        with contextlib.suppress(OSError, ValueError):  # there is no such table, or it has other columns
+            ranked.append(rank(pd.read_csv(folder / name, usecols=columns)))
+    return [one for one in ranked if one.ranking]
 
 
-@dataclass(frozen=True)
-class TrackerSummary:
-    """A tracker: median and worst error over the bound along the path, coverage (%), microseconds a sample."""
+def measured(table: pd.DataFrame) -> Advice:
+    """Rank methods on real records, whose truth nobody knows, by what they leave unexplained of samples held out.
 
-    title: str
-    excess: float
-    worst: float
-    coverage: float
-    micros: float
-    ok: int
-    records: int
-
-
-def read_csv(path: Path, needed: set[str]) -> pd.DataFrame | None:
-    """A CSV of this benchmark with at least these columns; None where there is none that can be read."""
-    try:
-        found = pd.read_csv(path)
-    except (OSError, ValueError):
-        return None
-    return found if needed <= set(found.columns) and len(found) else None
-
-
-def measured(folder: Path) -> list[RecordSummary]:
-    """Every method of the measured track, the one with most answers that stand first."""
-    data = read_csv(
-        folder / "table11.csv", {"set", "system", "method", "sibling", "status", "trust", "held_out", "wall_s"}
+    It is divided by the least of all methods on the record. An answer that its own checks withdraw is lost.
+    """
+    fits = table[table.status.notna() & (table.status != "unsupported")]  # without a status: all records together
+    fits = fits.drop_duplicates(["set", "system", "method", "sibling"])
+    stands = (fits.status == "ok") & (fits.trust != "do not trust") & fits.held_out.notna()
+    unexplained = (100 - fits.held_out).where(stands)
+    by_record = unexplained.groupby([fits.set, fits.system, fits.sibling])
+    excess = (unexplained / by_record.transform("min")).fillna(1.0)  # of the best that leaves nothing
+    fits = fits.assign(loss=np.where(stands, loss(excess), LOST), record=fits.set + fits.system)
+    return Advice(
+        "A real record of a rig",
+        "results/table11.md",
+        ranked(_losses(fits)),
+        fits.wall_s.where(fits.status == "ok").groupby(fits.method).median().to_dict(),
+        basis=f"{by_record.ngroups} records of rigs",
+        error="of held-out samples, over the least of any method",
     )
-    if data is None:
-        return []
-    fits = data.drop_duplicates(["set", "system", "method", "sibling"])
-    stands = (fits["status"] == "ok") & (fits["trust"] != "do not trust")
-    found = []
-    for label in dict.fromkeys(fits["method"]):
-        own = fits[fits["method"] == label]
-        good = own[stands.loc[own.index]]
-        held = float(good["held_out"].median()) if len(good) else math.nan
-        found.append(RecordSummary(str(label), len(good), len(own), held, float(own["wall_s"].median())))
-    return sorted(found, key=lambda one: (-one.believed, one.seconds, one.label))
 
 
-def followed(folder: Path) -> list[TrackerSummary]:
-    """The trackers of the online track, the least error over the bound first; those of a few scenarios are left out."""
-    needed = {"scenario", "method", "quantity", "excess", "coverage_pct", "ok", "replicates", "micros_median"}
-    data = read_csv(folder / "table10.csv", needed)
-    if data is None:
-        return []
-    data = data[data["quantity"].notna() & (data["method"] != "bound")]
-    lines = data.groupby("method")["excess"].count()
-    enough = lines[lines >= (1 - MOST_LEFT_OUT) * lines.max()].index
-    found = []
-    for label in dict.fromkeys(data["method"]):
-        own = data[data["method"] == label]
-        if label in enough:
-            each = own.drop_duplicates("scenario")
-            found.append(
-                TrackerSummary(
-                    tracker_title(str(label)), float(own["excess"].median()), float(own["excess"].max()),
-                    float(own["coverage_pct"].median()), float(own["micros_median"].median()),
-                    int(each["ok"].sum()), int(each["replicates"].sum()),
-                )
-            )  # fmt: skip
-    return sorted(found, key=lambda one: (one.excess, one.title))
+def online(table: pd.DataFrame) -> Advice:
+    """Rank trackers by their error over the bound along the path."""
+    lines = table[table.quantity.notna() & (table.method != "bound")]
+    lines = lines.assign(loss=loss(lines.excess.fillna(np.inf)), record=lines.scenario, method=lines.method.map(_title))
+    return Advice(
+        "Parameters that change while the data arrive",
+        "results/table10.md",
+        ranked(_losses(lines)),
+        (lines.micros_median / 1e6).groupby(lines.method).median().to_dict(),
+        basis=f"{lines.scenario.nunique()} scenarios",
+        needs="a first guess",
+    )
 
 
-def tracker_title(label: str) -> str:
-    """A tracker's name for people, where it is registered."""
+def _losses(fits: pd.DataFrame) -> Fits:
+    """Return the losses by method and record."""
+    records = fits.record.unique()
+    return {
+        method: [own.loss[own.record == record].to_numpy() for record in records]
+        for method, own in fits.groupby("method")
+    }
+
+
+def _title(label: str) -> str:
+    """Return a tracker's name for people, where it is registered."""
     try:
-        return online_card(label).title or title(label)
+        return online_card(label).title
     except InputError:
         return label.replace("_", " ")
+
+
+TABLES = {
+    "table11.csv": (measured, ("set", "system", "method", "sibling", "status", "trust", "held_out", "wall_s")),
+    "table10.csv": (online, ("scenario", "method", "quantity", "excess", "micros_median")),
+}
+"""By file, what ranks it, and of which columns."""

@@ -15,7 +15,7 @@ from bench.errors import InputError
 from bench.reporting.frame import group
 from bench.reporting.labels import title
 from bench.reporting.page.board import short
-from bench.reporting.page.elsewhere import RecordSummary, TrackerSummary, followed, measured
+from bench.reporting.page.elsewhere import elsewhere
 from bench.reporting.page.reading import ScenarioPanel, decibels
 from bench.reporting.page.situations import Advice
 from bench.reporting.page.told import accuracy, tells
@@ -51,7 +51,8 @@ class HomeRow:
 def advice_row(one: Advice) -> HomeRow:
     """The line of a situation: the first tier of its ranking."""
     told = tells(one.panels) if one.panels else ""
-    basis = basis_of(one.panels) if one.panels else f"{one.ranking[0].scenarios} scenarios, nothing tuned on them"
+    drawn = f"{one.ranking[0].scenarios} scenarios, nothing tuned on them" if one.ranking else ""
+    basis = basis_of(one.panels) if one.panels else one.basis or drawn
     if one.hopeless:
         least = min((row.lost / row.fits for row in one.first_tier), default=math.nan)
         risk = f"{percent(least)} at best" if math.isfinite(least) else "–"
@@ -63,14 +64,14 @@ def advice_row(one: Advice) -> HomeRow:
     return HomeRow(
         one.words, one.href, basis, named, between([row.typical for row in tier], ratio),
         between([row.lost / row.fits for row in tier], share), seconds(one.seconds[fastest.label]),
-        needs(method_of(one, fastest)), max(len(tier) - MOST_NAMED, 0), quickest, told,
-        accuracy(one.panels, fastest.label) if one.panels else "",
+        one.needs or needs(method_of(one, fastest)), max(len(tier) - MOST_NAMED, 0), quickest, told,
+        accuracy(one.panels, fastest.label) if one.panels else one.error,
     )  # fmt: skip
 
 
 def method_of(one: Advice, row: Ranked) -> str:
     """The registered name of a ranked method."""
-    return next(result.method for result in one.results if result.label == row.label)
+    return next((result.method for result in one.results if result.label == row.label), row.label)
 
 
 def between(values: Sequence[float], text: Any) -> str:
@@ -130,41 +131,9 @@ def needs(name: str) -> str:
     return ("no prior" if free else "a prior") + packages
 
 
-def measured_row(found: Sequence[RecordSummary]) -> list[HomeRow]:
-    """The line of the measured track: there is no truth, so an answer counts that its checks do not withdraw."""
-    if not found or not found[0].believed:
-        return []
-    first = found[0]
-    return [
-        HomeRow(
-            "A real record of a rig", "results/table11.md", f"{first.fits} records of the measured track",
-            ((title(first.label), first.label),), "no truth is known",
-            f"{first.fits - first.believed} of {first.fits} answers withdrawn by their own checks",
-            seconds(first.seconds),
-            needs(first.label),
-            accuracy=f"predicts {number(first.held_out, 2)} % of what was held out",
-        )
-    ]  # fmt: skip
-
-
-def followed_row(found: Sequence[TrackerSummary]) -> list[HomeRow]:
-    """The line of the online track."""
-    if not found:
-        return []
-    first = found[0]
-    return [
-        HomeRow(
-            "Parameters that change while the data arrive", "results/table10.md", f"{first.records} records",
-            ((first.title, ""),), f"{ratio(first.excess)}, worst {ratio(first.worst)}",
-            f"{first.records - first.ok} of {first.records} records lost",
-            f"{seconds(first.micros / 1e6)} a sample", "a first guess",
-        )
-    ]  # fmt: skip
-
-
 def rows(advice: Sequence[Advice], folder: Any) -> list[HomeRow]:
     """The whole table."""
-    return [*map(advice_row, advice), *measured_row(measured(folder)), *followed_row(followed(folder))]
+    return [*map(advice_row, advice), *map(advice_row, elsewhere(folder))]
 
 
 def forest(one: Advice) -> dict[str, Any]:

@@ -27,12 +27,11 @@ from bench.reporting.page.markdown import code, escaped, link, rendered, table
 from bench.reporting.page.pictures import PagePicture, pictures
 from bench.reporting.page.reading import ScenarioPanel, StoreReading, decibels, read
 from bench.reporting.page.scenario_data import scenario_data
-from bench.reporting.page.situations import Advice, advise
+from bench.reporting.page.situations import Advice, advice, advise
 from bench.reporting.page.sketch import sketch
-from bench.reporting.page.standing import fit_seconds
 from bench.reporting.page.untold import untold
 from bench.reporting.page.words import heading, number, percent, quantity, seconds, unbroken
-from bench.reporting.ranking import Ranked
+from bench.reporting.ranking import Ranked, median_time
 from bench.reporting.tables.leaderboard import parts
 from bench.reporting.tables.render import Columns
 from bench.store.store import Store
@@ -113,7 +112,7 @@ class Site:
     def drawn(self) -> list[Advice]:
         """The rankings of the open split, below and beyond Nyquist."""
         split = parts(self.reading.drawn).items()
-        return [Advice(f"One mass, drawn tests, {part}", LEADERBOARD, tuple(its)) for part, its in split if its]
+        return [advice(f"One mass, drawn tests, {part}", LEADERBOARD, its) for part, its in split if its]
 
     @cached_property
     def pictures(self) -> list[PagePicture]:
@@ -371,10 +370,10 @@ def scenario_page(site: Site, place: int) -> str:
     columns: Columns[Result] = {
         "Method": lambda cell: site.method("../", cell.label, cell.title),
         "Error over the bound": lambda cell: number(pooled(cell, panel)),
-        "Tied with the best in": lambda cell: standing(site, place, cell),
+        "First tier in": lambda cell: standing(site, place, cell),
         "Displacement’s median error (m)": lambda cell: number(cell.statistic("rmse", "median")),
         "Fits ok": lambda cell: f"{cell.n_ok}/{cell.n}",
-        "Time per fit": lambda cell: seconds(fit_seconds(cell)),
+        "Time per fit": lambda cell: seconds(median_time([cell])),
     }
     return rendered(
         "scenario", site=site, panel=panel, slug=site.scenarios[place], words=site.words[place],
@@ -389,7 +388,7 @@ def _last(value: float) -> float:
 
 
 def standing(site: Site, place: int, cell: Result) -> str:
-    """In how many of the quantities that the data tell a method is tied with the best."""
+    """In how many of the quantities that the data tell a method is in the first tier."""
     panel = site.panels[place]
     if cell.is_reference:
         return "reference"
@@ -398,7 +397,7 @@ def standing(site: Site, place: int, cell: Result) -> str:
     ]
     if not named or named[0] in ("unsupported", "failed"):
         return named[0] if named else "–"
-    return f"{sum(own in ('tied with the best', 'only method') for own in named)} of {len(named)}"
+    return f"{named.count('first tier')} of {len(named)}"
 
 
 def situation_page(site: Site, one: Advice) -> str:

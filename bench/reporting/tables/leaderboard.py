@@ -8,8 +8,7 @@ from dataclasses import asdict
 
 from bench.reporting.frame import Frame, Line, Result, group
 from bench.reporting.labels import title
-from bench.reporting.ranking import CAP, ranking
-from bench.reporting.tables.open_split import median_time
+from bench.reporting.ranking import CAP, median_time, ranking
 from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
 from bench.reporting.verdict import below
 from bench.scoring.summary import GROSS

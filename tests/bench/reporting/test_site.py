@@ -29,8 +29,8 @@ from bench.reporting.page import board, home, origin, pictures, scenario_data, t
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
 from bench.reporting.page.first_replicate import first_replicate, stated_interval
 from bench.reporting.page.reading import ScenarioPanel, TableOfExperiment
-from bench.reporting.page.situations import Situation, advice
-from bench.reporting.page.standing import rank
+from bench.reporting.page.situations import Advice, advice
+from bench.reporting.ranking import first_tier
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
@@ -242,7 +242,9 @@ def test_different_names_have_different_addresses() -> None:
 
 # ---- what is advised
 
-ANY = Situation("any", "Any", lambda panel: True)
+
+def advice_on(*panels: ScenarioPanel) -> Advice:
+    return advice("Any", "any.md", [result for panel in panels for result in panel.results], panels)
 
 
 def with_gross(label: str, every: int, worse: float = 1.0) -> StoredCell:
@@ -259,7 +261,7 @@ def test_a_first_tier_is_named_whole_and_its_fastest_said() -> None:
     """By construction: ls and mcmc differ by 0.1 %, mcmc is slower; sindy is lost in ten of forty fits."""
     slow = stored("mcmc")
     slow = replace(slow, rows=tuple(replace(row, cpu_s=0.5) for row in slow.rows))
-    found = advice(ANY, [panel_of(slow, stored("ls"), with_gross("sindy", 4))])
+    found = advice_on(panel_of(slow, stored("ls"), with_gross("sindy", 4)))
     row = home.advice_row(found)
     assert {label for _, label in row.methods} == {"ls", "mcmc"}
     assert (row.fastest, row.more, row.time) == ("LS, finite differences", 0, "10 ms")
@@ -270,41 +272,32 @@ def test_a_first_tier_is_named_whole_and_its_fastest_said() -> None:
 
 
 def test_of_a_long_tier_the_number_of_others_is_said() -> None:
-    row = home.advice_row(advice(ANY, [panel_of(*map(stored, ("ls", "mcmc", "sindy", "era", "ekf", "ukf")))]))
+    row = home.advice_row(advice_on(panel_of(*map(stored, ("ls", "mcmc", "sindy", "era", "ekf", "ukf")))))
     assert (len(row.methods), row.more) == (4, 2)
 
 
 def test_a_method_that_did_not_run_on_all_scenarios_stands_beside() -> None:
     panels = [ScenarioPanel(tuple(results(stored("ls"), stored("mcmc"))), ()), panel_of(stored("ls", snr=10.0))]
-    found = advice(ANY, panels)
+    found = advice_on(*panels)
     assert [one.label for one in found.first_tier] == ["ls"]
     assert [home.standing_text(one) for one in found.ranking] == ["tier 1", "beside: serves 1 of 2 scenarios"]
 
 
 def test_where_all_are_wrong_none_is_advised() -> None:
-    assert advice(ANY, [panel_of(with_gross("ls", 1), with_gross("mcmc", 1))]).hopeless
-    assert not advice(ANY, [panel_of(stored("ls"))]).hopeless
+    assert advice_on(panel_of(with_gross("ls", 1), with_gross("mcmc", 1))).hopeless
+    assert not advice_on(panel_of(stored("ls"))).hopeless
 
 
 # ---- the leaderboard's numbers
 
 
-def test_equal_methods_are_level_and_a_worse_one_is_behind() -> None:
+def test_equal_methods_share_the_first_tier_and_a_worse_one_is_behind() -> None:
     """By construction: two methods differ by 0.1 % at most, one has twice their errors on the same data."""
     panel = panel_of(stored("ls"), stored("mcmc"), stored("sindy", 2.0))
-    ranking = rank(panel, "k_over_m_error_pct")
-    said = {cell.label: board.standing_of(cell, ranking) for cell in panel.results}
-    assert said["ls"] == said["mcmc"] == "tied with the best"
+    tier = first_tier(panel.results, ["k_over_m_error_pct"])
+    said = {cell.label: board.standing_of(cell, tier) for cell in panel.results}
+    assert said["ls"] == said["mcmc"] == "first tier"
     assert said["sindy"] == "behind"
-
-
-def test_fewer_data_leave_a_method_undecided() -> None:
-    panel = panel_of(stored("ls", n=40), stored("mcmc", n=10))
-    ranking = rank(panel, "k_over_m_error_pct")
-    assert ranking is not None
-    assert ranking.weak == {"mcmc"}
-    (mcmc,) = [cell for cell in panel.results if cell.label == "mcmc"]
-    assert board.standing_of(mcmc, ranking) == "undecided (fewer data)"
 
 
 def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
@@ -606,7 +599,7 @@ def test_errors_in_percent_are_those_of_the_rows() -> None:
 def test_the_leaderboard_opens_best_first_and_sorts_by_value(shown: tuple[Any, Path]) -> None:
     browser, site = shown
     visit(browser, site, "leaderboard.html#system=sdof&quantity=k/m (%25)")
-    assert column(browser, "Standing")[0] == "tied with the best"
+    assert column(browser, "Standing")[0] == "first tier"
     visit(browser, site, "leaderboard.html#system=sdof&sort=6.desc")
     values = [math.inf if v == "–" else float(v) for v in column(browser, "Median")]
     assert len(values) == 24  # two starts, three methods, four quantities

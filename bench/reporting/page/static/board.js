@@ -29,7 +29,7 @@ bench.index = async (index) => {
   bench.fits = (line, state, but = null) => Object.keys(bench.value).every((name) => name === but || state[name] === ALL
       || bench.value[name](line) === state[name])
     && (but === "budget" || state.budget === ALL || (line[at.seconds] !== null && line[at.seconds] <= Number(state.budget)))
-    && (but === "level" || !state.level || line[at.standing] <= 1);
+    && (but === "level" || !state.level || line[at.standing] === 0);
   fillChoices(index);
   makeTable(index);
   await readAddress();
@@ -96,7 +96,7 @@ function makeTable(index) {
     ],
     order: [[3, "asc"], [2, "asc"]],
     createdRow: (row, line) => {
-      row.classList.toggle("level", line[at.standing] <= 1);
+      row.classList.toggle("level", line[at.standing] === 0);
       row.classList.toggle("ref", index.standings[line[at.standing]] === "reference");
     },
   });
