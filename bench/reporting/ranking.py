@@ -103,22 +103,23 @@ def ranked(fits: Fits) -> list[Ranked]:
 def leaders(losses: Mapping[Key, np.ndarray]) -> frozenset[Key]:
     """Return the first tier; none where all are lost, or a method has no rival."""
     compared = len(losses) > 1 and any((own < LOST).any() for own in losses.values())
-    return frozenset(tiers(losses)[0]) if compared else frozenset()
+    return frozenset(first_of(losses)) if compared else frozenset()
 
 
 def tiers(losses: Mapping[Key, np.ndarray]) -> list[list[Key]]:
-    """Return the methods by tier, in the order given within it.
-
-    ``losses`` has what each method loses by data set (n,). Those of fewer data sets are compared on the first ones, and
-    are not what others are compared with.
-    """
+    """Return the methods by tier, in the order given within it, from what each loses by data set (n,)."""
     rest, result = dict(losses), list[list[Key]]()
     while rest:
-        most = max(own.size for own in rest.values())
-        best = min((own for own in rest.values() if own.size == most), key=np.mean)
-        result.append([label for label, own in rest.items() if own is best or not surely_worse(own, best)])
+        result.append(first_of(rest))
         rest = {label: own for label, own in rest.items() if label not in result[-1]}
     return result
+
+
+def first_of(losses: Mapping[Key, np.ndarray]) -> list[Key]:
+    """Return the first tier; who has fewer data sets is compared on the first ones, and nobody with him."""
+    most = max(own.size for own in losses.values())
+    best = min((own for own in losses.values() if own.size == most), key=lambda own: float(np.mean(own)))
+    return [label for label, own in losses.items() if own is best or not surely_worse(own, best)]
 
 
 def surely_worse(losses: np.ndarray, best: np.ndarray) -> bool:
