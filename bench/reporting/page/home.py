@@ -7,20 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from scipy.stats import beta
 
 from bench.entrants.registry import load_method
 from bench.errors import InputError
-from bench.reporting.frame import group
 from bench.reporting.labels import title
-from bench.reporting.page.board import short
 from bench.reporting.page.elsewhere import elsewhere
 from bench.reporting.page.reading import ScenarioPanel, decibels
 from bench.reporting.page.situations import Advice
 from bench.reporting.page.told import accuracy, tells
 from bench.reporting.page.words import joined, number, percent, seconds
-from bench.reporting.ranking import ON_BOUND, Ranked, fits_of
+from bench.reporting.ranking import Ranked
 
 MOST_NAMED = 4
 """Methods of a tier that the first screen names; of more it says how many."""
@@ -134,19 +131,3 @@ def needs(name: str) -> str:
 def rows(advice: Sequence[Advice], folder: Any) -> list[HomeRow]:
     """The whole table."""
     return [*map(advice_row, advice), *map(advice_row, elsewhere(folder))]
-
-
-def forest(one: Advice) -> dict[str, Any]:
-    """The picture: by method and noise level, the typical error over the bound, and how often a fit is lost."""
-    levels = {snr: fits_of(its) for snr, its in group(one.results, lambda result: result.snr_db).items()}
-    points, lines = [], []
-    for row in one.ranking:
-        if row.tier:
-            means = {snr: [float(np.mean(fit)) for fit in fits[row.label]] for snr, fits in levels.items()}
-            own = {snr: math.exp(float(np.mean(values))) for snr, values in means.items() if values}
-            said = f"tier {row.tier}, {seconds(one.seconds[row.label])}"
-            low, high = short(min(own.values())), short(max(own.values()))
-            name = title(row.label)
-            lines.append({"m": name, "l": low, "h": high, "t": said, "g": row.tier > 1})
-            points += [{"m": name, "d": float(decibels(snr)), "e": short(value)} for snr, value in own.items()]
-    return {"points": points, "lines": lines, "bound": ON_BOUND}

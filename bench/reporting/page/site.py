@@ -7,7 +7,6 @@ the documentation.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +25,6 @@ from bench.reporting.page.addresses import scenario_slugs, slugs
 from bench.reporting.page.markdown import code, escaped, link, rendered, table
 from bench.reporting.page.pictures import PagePicture, pictures
 from bench.reporting.page.reading import ScenarioPanel, StoreReading, decibels, read
-from bench.reporting.page.scenario_data import scenario_data
 from bench.reporting.page.situations import Advice, advice, advise
 from bench.reporting.page.sketch import sketch
 from bench.reporting.page.untold import untold
@@ -36,8 +34,6 @@ from bench.reporting.tables.leaderboard import parts
 from bench.reporting.tables.render import Columns
 from bench.store.store import Store
 
-BUDGETS = (0.001, 0.01, 0.1, 1.0, 10.0)
-"""Seconds a fit that the leaderboard offers as a limit."""
 NAV = {
     "Which method?": "index.md", "Leaderboard": "leaderboard.md", "Methods": "methods.md", "Systems": "systems.md",
     "Scenarios": "scenarios.md", "Figures": "figures.md", "Can I trust these numbers?": "provenance.md",
@@ -91,8 +87,8 @@ class Site:
         return slugs(list(self.systems))
 
     @cached_property
-    def rankings(self) -> board.Rankings:
-        return board.rankings(self.panels)
+    def first_tiers(self) -> board.FirstTiers:
+        return board.first_tiers(self.panels)
 
     @cached_property
     def cards(self) -> list[cards.Description]:
@@ -144,50 +140,9 @@ def site_files(store: Store, results: Path) -> Iterator[tuple[str, bytes]]:
         yield from (
             (f"{name}/{item.name}", item.read_bytes()) for item in items if item.name.endswith((".js", ".css", ".txt"))
         )
-    for path, call, value in _data(site):
-        yield path, f"bench.{call}({_json(value)});\n".encode()
+    yield from board.data_files(site)
     for path, text in _pages(site):
         yield path, text.encode()
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def _data(site: Site) -> Iterator[tuple[str, str, Any]]:
-    """The data files: path, the function that they call, and what they hand it."""
-    yield "data/index.js", "index", index(site)
-    places, metrics = ({name: i for i, name in enumerate(names)} for names in (site.labels, site.metrics))
-    for system, own in site.systems.items():
-        blocks = [block for i in own for block in board.blocks(i, site.panels[i], site.rankings, places, metrics)]
-        slug = site.system_slugs[system]
-        yield f"data/board/{slug}.js", "board", {"system": slug, "blocks": blocks}
-    for slug, panel in zip(site.scenarios, site.panels, strict=True):
-        yield f"data/scenario/{slug}.js", "scenario", {"slug": slug, **scenario_data(site.store, panel)}
-    if site.advice:
-        yield "data/home.js", "home", home.forest(site.advice[0])
-
-
-def index(site: Site) -> dict[str, Any]:
-    """What every choice of the leaderboard is made of."""
-    systems = list(site.systems)
-    return {
-        "shared": board.SHARED,
-        "columns": board.COLUMNS,
-        "standings": board.STANDINGS,
-        "methods": [[label, title(label), site.methods[label]] for label in site.labels],
-        "quantities": [heading(metric) for metric in site.metrics],
-        "metrics": site.metrics,
-        "systems": [[name, site.system_slugs[name], describe.system_words(site.panels[own[0]].facts)]
-                    for name, own in site.systems.items()],
-        "scenarios": [
-            [slug, systems.index(p.facts.system), decibels(p.facts.snr_db), p.facts.initial_state, p.kind,
-             ", ".join(one.said for one in p.experiments), words]
-            for slug, words, p in zip(site.scenarios, site.words, site.panels, strict=True)
-        ],
-        "budgets": BUDGETS,
-        "first": first_choice(site),
-    }  # fmt: skip
 
 
 def first_choice(site: Site) -> dict[str, str]:
@@ -195,19 +150,13 @@ def first_choice(site: Site) -> dict[str, str]:
     own = list(site.advice[0].panels) if site.advice else list(site.panels[:1])
     level = told.usual(own)
     panel = next(p for p in own if p.facts.snr_db == level)
-    return {**choices(panel), **({"quantity": heading(panel.ranked[0])} if panel.ranked else {})}
-
-
-def choices(panel: ScenarioPanel) -> dict[str, str]:
-    """A scenario as the leaderboard's choices."""
-    facts = panel.facts
-    return {"system": facts.system, "snr": decibels(facts.snr_db), "start": facts.initial_state, "data": panel.kind}
+    return {**board.choices(panel), **({"Error of": heading(panel.ranked[0])} if panel.ranked else {})}
 
 
 def _pages(site: Site) -> Iterator[tuple[str, str]]:
     """The pages by path."""
     yield "index.md", home_page(site)
-    yield "leaderboard.md", rendered("leaderboard")
+    yield "leaderboard.md", rendered("leaderboard", first=urlencode(first_choice(site)), hidden=",".join(board.HIDDEN))
     yield "methods.md", rendered("methods", table=table(site.cards, methods_columns(site)))
     yield "systems.md", rendered("systems", table=table(site.systems, systems_columns(site)))
     yield "scenarios.md", rendered("scenarios", table=scenario_table(site, "", range(len(site.panels))))
@@ -315,7 +264,7 @@ def system_page(site: Site, name: str) -> str:
     return rendered(
         "system", name=name, words=describe.system_words(facts), sketch=Markup(sketch(facts)),
         about=about.replace("``", ""), values=describe.values(facts), shares=shares,
-        address=urlencode({"system": name}),
+        address=urlencode({"System": board.choices(site.panels[own[0]])["System"]}),
         table=scenario_table(site, "../", own),
     )  # fmt: skip
 
@@ -378,7 +327,7 @@ def scenario_page(site: Site, place: int) -> str:
     return rendered(
         "scenario", site=site, panel=panel, slug=site.scenarios[place], words=site.words[place],
         told=describe.told(panel), again=describe.again(panel), sketch=Markup(sketch(panel.facts)),
-        untold=untold(panel), address=urlencode(choices(panel)), table=table(order, columns),
+        untold=untold(panel), address=urlencode(board.choices(panel)), table=table(order, columns),
         situations=[site.situation("../", one) for one in site.advice if panel in one.panels],
     )  # fmt: skip
 
@@ -393,7 +342,9 @@ def standing(site: Site, place: int, cell: Result) -> str:
     if cell.is_reference:
         return "reference"
     named = [
-        board.standing_of(cell, site.rankings.get((place, metric))) for metric in panel.ranked if metric in cell.summary
+        board.standing_of(cell, site.first_tiers.get((place, metric)))
+        for metric in panel.ranked
+        if metric in cell.summary
     ]
     if not named or named[0] in ("unsupported", "failed"):
         return named[0] if named else "–"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import math
@@ -25,12 +26,10 @@ from bench.contract.estimate import Status
 from bench.information.fisher import Bound
 from bench.reporting.figures import png
 from bench.reporting.frame import Result
-from bench.reporting.page import board, home, origin, pictures, scenario_data, told
+from bench.reporting.page import board, charts, home, origin, pictures, told
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
-from bench.reporting.page.first_replicate import first_replicate, stated_interval
 from bench.reporting.page.reading import ScenarioPanel, TableOfExperiment
 from bench.reporting.page.situations import Advice, advice
-from bench.reporting.ranking import first_tier
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
@@ -206,9 +205,9 @@ def test_names_are_text_and_nothing_else(cells: Cells) -> None:
         assert "<script>alert(1)" not in path.read_text(encoding="utf-8"), path
     assert HOSTILE in text_of(site / "provenance.html")
     assert f"One mass, free decay ({HOSTILE})" in text_of(next((site / "systems").glob("script*.html")))
-    index = data_of(site / "data" / "index.js")
-    assert {HOSTILE, OTHER_SCRIPTS, "a$b$_c"} <= {label for label, _, _ in index["methods"]}
-    assert all(re.fullmatch(r"[a-z0-9_.-]+", address) for _, _, address in index["methods"])
+    methods = data_of(site / "data" / "board.js")[0]
+    assert set(methods["values"]) == {HOSTILE, OTHER_SCRIPTS, "a$b$_c"}
+    assert all(re.fullmatch(r"methods/[a-z0-9_.-]+\.html", address) for address in methods["links"])
 
 
 def test_every_link_leads_to_a_page_and_nothing_comes_from_elsewhere(cells: Cells) -> None:
@@ -291,27 +290,28 @@ def test_where_all_are_wrong_none_is_advised() -> None:
 # ---- the leaderboard's numbers
 
 
-def test_equal_methods_share_the_first_tier_and_a_worse_one_is_behind() -> None:
+def test_equal_methods_are_in_the_first_tier_and_a_worse_one_is_behind() -> None:
     """By construction: two methods differ by 0.1 % at most, one has twice their errors on the same data."""
     panel = panel_of(stored("ls"), stored("mcmc"), stored("sindy", 2.0))
-    tier = first_tier(panel.results, ["k_over_m_error_pct"])
+    tier = board.first_tiers([panel])[0, "k_over_m_error_pct"]
     said = {cell.label: board.standing_of(cell, tier) for cell in panel.results}
-    assert said["ls"] == said["mcmc"] == "first tier"
-    assert said["sindy"] == "behind"
+    assert said == {"ls": "first tier", "mcmc": "first tier", "sindy": "behind"}
 
 
 def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
+    """Root mean square and share of gross errors, counted from the rows."""
     cell = stored("mcmc", 1.5, failed=4)
-    panel = panel_of(cell)
-    metric = "k_over_m_error_pct"
-    block = next(b for b in board.blocks(0, panel, {}, {"mcmc": 0}, {m: i for i, m in enumerate(SIZES)}) if b[1] == 0)
-    assert block[2] == pytest.approx(0.5)
-    line = dict(zip(board.COLUMNS, block[4][0], strict=True))
-    errors = [row.scores[metric] for row in cell.rows[4:]]
-    assert line["rms"] == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 36), rel=1e-3)
-    assert line["rms"] / block[2] == pytest.approx(line["excess"], rel=2e-3)
-    assert (line["ok"], line["n"]) == (36, 40)
-    assert line["gross"] == pytest.approx((4 + sum(e > 2.5 for e in errors)) / 40)
+    columns = board.board([panel_of(cell)], {}, ["A scenario"], ["address"], {"mcmc": "mcmc"})
+    lines = [{own["title"]: own["values"][own["codes"][i]] for own in columns} for i in range(len(SIZES))]
+    line = next(line for line in lines if line["Error of"] == "k/m (%)")
+    errors = [row.scores["k_over_m_error_pct"] for row in cell.rows[4:]]
+    rms = math.sqrt(sum(e**2 for e in errors) / 36)
+    assert (line["Bound"], line["Fits ok"]) == ("0.5", "36/40")
+    assert float(line["RMS error"]) == pytest.approx(rms, rel=0.005)
+    assert float(line["× bound"]) == pytest.approx(rms / 0.5, rel=0.005)
+    assert line["Gross"] == f"{100 * (4 + sum(e > 2.5 for e in errors)) / 40:.2g} %"
+    sorted_values = [float(text) for text in columns[2]["values"]]
+    assert sorted_values == sorted(sorted_values)
 
 
 def test_data_that_a_method_cannot_take_are_no_failure() -> None:
@@ -333,19 +333,12 @@ def test_stale_results_are_counted_and_commits_looked_up() -> None:
     assert lines["Commits"][0] in ("1", "1, of which this repository holds 0")
 
 
-def unpack(text: str) -> np.ndarray:
-    """The reverse of the packing, from its description: two letters of base 64, decades -4 to 5, the last a failure."""
-    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
-    places = np.array([64 * letters.index(a) + letters.index(b) for a, b in zip(text[::2], text[1::2], strict=True)])
-    return np.where(places == 4095, math.inf, 10.0 ** (9 * places / 4094 - 4))
-
-
-def test_errors_survive_their_packing_to_half_a_percent() -> None:
-    errors = np.array([*np.geomspace(1e-4, 1e5, 999), math.inf, 0.0])
-    back = unpack(scenario_data.packed(errors))
-    assert back[:999] == pytest.approx(errors[:999], rel=0.005)
-    assert back[999] == math.inf
-    assert back[1000] == pytest.approx(1e-4)
+def test_errors_survive_their_packing() -> None:
+    """Half-precision numbers have 11 digits of two."""
+    errors = np.array([*np.geomspace(1e-4, 6e4, 999), math.inf, 1e9])
+    back = np.frombuffer(base64.b64decode(charts.packed(errors)), "<f2").astype(float)
+    assert back[:999] == pytest.approx(errors[:999], rel=2**-10)
+    assert np.isinf(back[999:]).all()
 
 
 # ---- tables and figures
@@ -417,46 +410,6 @@ def test_a_store_of_failures_says_so(cells: Cells) -> None:
     site = made(cells(stored("ls", failed=40, message="no luck"), stored("mcmc", failed=40, message="none either")))
     assert "no luck" in text_of(site / "provenance.html")
     assert "failed" in text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
-
-
-def response(m: float, c: float, k: float, times: np.ndarray) -> np.ndarray:
-    """Free decay from x = 1, v = 0 in closed form."""
-    omega, decay = math.sqrt(k / m), c / (2 * m)
-    damped = math.sqrt(omega**2 - decay**2)
-    return np.exp(-decay * times) * (np.cos(damped * times) + decay / damped * np.sin(damped * times))
-
-
-@pytest.mark.parametrize("agrees", [True, False])
-def test_a_fit_is_made_again_only_if_its_stored_error_agrees(agrees: bool, cells: Cells) -> None:
-    times, dense = np.linspace(0, 10, 25), np.linspace(0, 10, 1000)
-    truth, fit = response(1.0, 0.4, 8.0, dense), response(1.01, 0.42, 8.3, dense)
-    error = float(np.sqrt(np.mean((fit - truth) ** 2)))
-    cell = stored("ls", told="known")
-    scores = {"m_ratio": 1.01, "c_ratio": 1.05, "k_ratio": 8.3 / 8, "rmse_simulated": error * (1 if agrees else 1.1)}
-    rows = (Row(0, Status.OK, scores=scores), *cell.rows[1:])
-    covariance = np.diag([0.02, 0.05, 0.03]) ** 2
-    arrays = {
-        "sample_times": times, "sample_values": response(1.0, 0.4, 8.0, times), "sample_dof": np.zeros(25, int),
-        "dense_times": dense, "true_displacement": truth[None], "mean": np.log([1.01, 0.42, 8.3]),
-        "covariance": covariance,
-    }  # fmt: skip
-    store = cells()
-    saved = replace(cell, rows=rows, arrays=arrays)
-    result = Result.of_stored(saved)
-    one = first_replicate(store, result)
-    assert one is not None
-    if not agrees:
-        assert one.fit is None
-        return
-    assert one.fit == pytest.approx(fit, abs=1e-4)
-    interval = stated_interval(store, result, "k_over_m")
-    # log(k/m) is a difference: variances add
-    half = 2 * math.sqrt(0.02**2 + 0.03**2)
-    centre = 8.3 / 1.01 / 8
-    assert interval == pytest.approx((centre * math.exp(-half), centre * math.exp(half)), rel=1e-5)
-    drawn = scenario_data.record(store, panel_of(saved))
-    assert drawn is not None
-    assert drawn["step"] * drawn["fits"]["LS, finite differences"][0] == pytest.approx(1.0, abs=2e-3)
 
 
 # ---- in a browser

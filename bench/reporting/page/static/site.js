@@ -1,117 +1,139 @@
-// Tables that sort, are searched, and are exported as CSV, JSON, Markdown or LaTeX (DataTables); data files beside the pages.
+// Tables that sort, are searched and can be taken as files (DataTables), and charts in the page's colours (Vega-Lite).
 "use strict";
+
+const SERIES = { // M. Okabe, K. Ito, 2008: told apart by those who see colours differently
+  light: ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F7F7F"],
+  dark: ["#56B4E9", "#E69F00", "#30C495", "#E3A0C6", "#A8A8A8"],
+};
+const SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"; // a name; nothing is loaded from there
+
+// By the ending of a file's name, what a table's lines (arrays of texts, the headings first) are in it.
+const FORMATS = {
+  json: ([head, ...rows]) => {
+    const record = (row) => Object.fromEntries(head.map((name, i) => [name, row[i]]));
+    return JSON.stringify(rows.map(record), null, 1);
+  },
+  md: ([head, ...rows]) => {
+    const line = (cells) => `| ${cells.map((cell) => cell.replaceAll("|", "\\|")).join(" | ")} |`;
+    return [head, head.map(() => "---"), ...rows].map(line).join("\n");
+  },
+  tex: (lines) => {
+    const marks = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}", "×": "$\\times$" };
+    const text = (cell) => cell.replace(/[\\&%$#_{}~^×]/g, (mark) => marks[mark] || `\\${mark}`);
+    const [head, ...rows] = lines.map((row) => `${row.map(text).join(" & ")} \\\\`);
+    const begin = `\\begin{tabular}{${"l".repeat(lines[0].length)}}`;
+    return [begin, "\\hline", head, "\\hline", ...rows, "\\hline", "\\end{tabular}"].join("\n");
+  },
+};
+const TITLES = { json: "JSON", md: "Markdown", tex: "LaTeX" };
+
+// The number that a cell begins with, such as "0.38 ×0.97", "3/4" or "12 ms" (in seconds); other cells are the last.
+const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)( ms\b| µs\b)?/i;
+const UNITS = { " ms": 1e-3, " µs": 1e-6 };
+const EMPTY = /^(–|-|failed|no answer|)$/;
+const plain = (cell) => String(cell).replace(/<[^>]*>/g, "").trim();
+const leading = (cell) => {
+  const match = LEADING.exec(plain(cell));
+  return match ? Number(match[1].replaceAll(",", "").replace("−", "-")) * (UNITS[match[2]] || 1) : Infinity;
+};
+DataTable.type("leading", {
+  className: "",
+  detect: {
+    oneOf: (cell) => LEADING.test(plain(cell)),
+    allOf: (cell) => EMPTY.test(plain(cell)) || LEADING.test(plain(cell)),
+  },
+  order: { pre: leading },
+});
+Object.assign(DataTable.defaults.language, {
+  search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)", infoEmpty: "no line",
+  zeroRecords: "No line has this.",
+});
+const HEADING = "preceding::*[self::h1 or self::h2 or self::h3][1]/text()";
 
 window.bench = {
   root: new URL("..", document.currentScript.src).href,
-  waiting: new Map(),
+  errors: {}, // of each scenario that is loaded, by quantity and method
+  drawn: {},
 
-  // Loads a data file once; the file calls one of the functions of the page with what it holds.
-  load(path) {
-    if (!this.waiting.has(path)) {
-      this.waiting.set(path, new Promise((resolve, reject) => {
-        const script = document.createElement("script");
-        script.src = this.root + path;
-        script.onload = resolve;
-        script.onerror = () => reject(new Error(`${path} is not beside this page`));
-        document.body.append(script);
-      }));
-    }
-    return this.waiting.get(path);
+  // What a scenario's file holds: the charts of its page, and errors for the comparison of methods.
+  scenario({ slug, charts, errors }) {
+    this.errors[slug] = errors;
+    this.draw(charts);
   },
 
-  save(name, type, text) {
+  save(name, text) {
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([text], { type }));
+    link.href = URL.createObjectURL(new Blob([text]));
     link.download = name;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   },
 
-  markdown({ header, body }) {
-    const line = (cells) => `| ${cells.map((cell) => String(cell).replaceAll("|", "\\|")).join(" | ")} |`;
-    return [line(header), line(header.map(() => "---")), ...body.map(line)].join("\n") + "\n";
-  },
-
-  latex({ header, body }) {
-    const marks = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "×": "$\\times$" };
-    const text = (cell) => String(cell).replace(/[\\&%$#_{}~^×]/g, (mark) => marks[mark] || `\\${mark}`);
-    const line = (cells) => `${cells.map(text).join(" & ")} \\\\`;
-    return `\\begin{tabular}{${"l".repeat(header.length)}}\n\\hline\n${line(header)}\n\\hline\n${body.map(line).join("\n")}\n\\hline\n\\end{tabular}\n`;
-  },
-
-  records({ header, body }) {
-    return JSON.stringify(body.map((row) => Object.fromEntries(row.map((cell, i) => [header[i], cell]))), null, 1) + "\n";
-  },
-
-  copy(text) {
-    const area = document.createElement("textarea");
-    area.value = text;
-    area.setAttribute("aria-label", "Text to copy");
-    document.body.append(area);
-    area.select();
-    document.execCommand("copy"); // the clipboard's newer interface is closed to pages from a disk
-    area.remove();
-    const note = document.getElementById("note") || document.createElement("output");
-    note.id = "note";
-    note.textContent = "Copied.";
-    document.querySelector("article").append(note);
-    setTimeout(() => { note.textContent = ""; }, 3000);
-  },
-
-  // The buttons of a table whose files are called `name`; what is exported is what is shown, in its order.
-  buttons(name, more = []) {
-    const shown = (table) => table.buttons.exportData({ columns: ":visible", orthogonal: "export", modifier: { search: "applied", order: "applied" } });
-    const file = name.toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "") || "table";
-    const button = (text, act) => ({ text, action: (event, table) => act(shown(table)) });
-    return [
-      { extend: "csv", text: "CSV", filename: file, title: null, exportOptions: { columns: ":visible", orthogonal: "export" } },
-      button("JSON", (data) => this.save(`${file}.json`, "application/json", this.records(data))),
-      button("Copy as Markdown", (data) => this.copy(this.markdown(data))),
-      button("Copy as LaTeX", (data) => this.copy(this.latex(data))),
+  // Makes an element a table; a phone shows each heading before its cell, and a file has what is shown.
+  table(element, more = {}) {
+    const name = document.evaluate(HEADING, element, null, XPathResult.STRING_TYPE).stringValue.trim();
+    const heads = more.columns ?? Array.from(element.rows[0].cells, (cell) => ({ title: cell.textContent }));
+    const file = name.toLowerCase().replace(/[^a-z0-9]+/g, "-") || "table";
+    const exportOptions = { columns: ":visible", orthogonal: "export" };
+    const button = (kind) => ({ text: TITLES[kind], action: (event, table) => {
+      const { header, body } = table.buttons.exportData(exportOptions);
+      this.save(`${file}.${kind}`, `${FORMATS[kind]([header, ...body])}\n`);
+    } });
+    const csv = { extend: "csv", text: "CSV", filename: file, title: null, exportOptions };
+    const files = { extend: "collection", text: "Export", buttons: [csv, ...Object.keys(TITLES).map(button)] };
+    const rows = element.tBodies[0]?.rows.length ?? Infinity;
+    const [some, long] = [rows > 12, rows > 60];
+    element.classList.add("cards");
+    const table = new DataTable(element, {
+      order: [], autoWidth: false, paging: long, pageLength: 50, info: long, searching: some,
+      layout: {
+        topStart: { buttons: [files, ...(more.buttons ?? [])] }, topEnd: some && !more.data ? "search" : null,
+        bottomStart: long ? "info" : null, bottomEnd: long ? "paging" : null,
+      },
+      createdRow: (row, data, place, cells) => cells.forEach((cell, i) => { cell.dataset.label = heads[i].title; }),
       ...more,
-    ];
+    });
+    const scrolled = { className: "scroll", tabIndex: 0, role: "region", ariaLabel: name }; // by keyboard, too
+    Object.assign(element.parentElement, scrolled);
+    return table;
   },
 
-  // A table that is wider than the page is scrolled, by keyboard too.
-  scrolled(table, name) {
-    const region = document.createElement("div");
-    for (const [key, value] of Object.entries({ class: "scroll", tabindex: "0", role: "region", "aria-label": name })) region.setAttribute(key, value);
-    table.replaceWith(region);
-    region.append(table);
+  // Draws charts, each in the element of that name, where the page has it.
+  async draw(charts) {
+    Object.assign(this.drawn, charts);
+    const style = getComputedStyle(document.body);
+    const colour = (how) => style.getPropertyValue(`--md-default-fg-color${how}`);
+    const [ink, quiet, grid, series] = [colour(""), colour("--light"), colour("--lightest"), SERIES[scheme()]];
+    const letters = { labelColor: ink, titleColor: ink, labelFontSize: 12, titleFontSize: 12, titleFontWeight: 400 };
+    const axis = { gridColor: grid, domainColor: quiet, tickColor: quiet, labelLimit: innerWidth < 640 ? 120 : 260 };
+    const config = {
+      background: "transparent", font: "system-ui, sans-serif", view: { stroke: null },
+      axis: { ...letters, ...axis },
+      legend: { ...letters, orient: "top", title: null, labelLimit: 500, symbolLimit: 8 },
+      text: { color: ink, fontSize: 11 }, mark: { color: series[0] }, rule: { color: series[0] },
+      range: { category: series },
+      style: { ink: { color: ink }, quiet: { color: quiet, strokeWidth: 2 }, region: { color: grid } },
+    };
+    const actions = { export: true, source: false, compiled: false, editor: false };
+    const options = { ast: true, renderer: "svg", logLevel: vega.Error, config, actions, tooltip: { theme: scheme() } };
+    for (const [id, chart] of Object.entries(charts)) {
+      const place = document.getElementById(id);
+      if (place && !chart) place.textContent = "Nothing is stored that could be drawn here.";
+      if (!place || !chart) continue;
+      await vegaEmbed(place, { $schema: SCHEMA, width: "container", ...chart }, { ...options, downloadFileName: id });
+      place.querySelector("summary").ariaLabel = "Save this chart as SVG or PNG";
+      place.querySelector("svg.marks").ariaLabel = place.nextElementSibling.textContent.trim();
+    }
   },
 };
 
-Object.assign(DataTable.defaults.language, {
-  paginate: { first: "First", previous: "Previous", next: "Next", last: "Last" },
-  aria: { ...DataTable.defaults.language.aria, paginate: { first: "First page", previous: "Previous page", next: "Next page", last: "Last page", number: "Page " } },
-  search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)", infoEmpty: "no line", zeroRecords: "No line has this.", lengthMenu: "_MENU_ lines a page" });
-
-// A column of cells that begin with a number, such as "0.384 ×0.97", "3/4 (2/4)" or "12 ms", sorts by it.
-const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)( ms\b| µs\b)?/i;
-const UNITS = { " ms": 1e-3, " µs": 1e-6 };
-const plainText = (value) => String(value).replace(/<[^>]*>/g, "");
-DataTable.type("leading", {
-  className: "",
-  detect: { oneOf: (value) => typeof value === "string" && LEADING.test(plainText(value)),
-    allOf: (value) => typeof value !== "string" || /^\s*([–-]|failed|no answer|)\s*$/.test(plainText(value)) || LEADING.test(plainText(value)) },
-  order: { pre: (value) => {
-    const match = LEADING.exec(plainText(value));
-    return match ? Number(match[1].replace(/,/g, "").replace("−", "-")) * (UNITS[match[2]] || 1) : Infinity;
-  } },
-});
-
-for (const table of document.querySelectorAll("article table:not([id]):not(.highlighttable)")) {
-  const rows = table.tBodies[0] ? table.tBodies[0].rows : [];
-  if (rows.length < 2) continue;
-  const before = Array.from(document.querySelectorAll("article h1, article h2, article h3")).filter((head) => head.compareDocumentPosition(table) & Node.DOCUMENT_POSITION_FOLLOWING);
-  const name = (before.pop()?.firstChild?.textContent || document.title).trim();
-  const heads = Array.from(table.tHead.rows[0].cells, (cell) => cell.textContent); // a phone shows them before each cell
-  for (const row of rows) Array.from(row.cells).forEach((cell, i) => { cell.dataset.label = heads[i]; });
-  table.classList.add("cards");
-  bench.scrolled(table, name);
-  new DataTable(table, {
-    order: [], autoWidth: false, paging: rows.length > 60, pageLength: 50, searching: rows.length > 12, info: rows.length > 60,
-    layout: { topStart: { buttons: [{ extend: "collection", text: "Export", buttons: bench.buttons(name) }] },
-      topEnd: rows.length > 12 ? "search" : null, bottomStart: rows.length > 60 ? "info" : null, bottomEnd: rows.length > 60 ? "paging" : null },
-  });
+const scheme = () => (document.body.dataset.mdColorScheme === "slate" ? "dark" : "light");
+const paint = () => {
+  document.documentElement.classList.toggle("dark", scheme() === "dark"); // for DataTables
+  if (Object.keys(bench.drawn).length) bench.draw(bench.drawn);
+};
+paint();
+new MutationObserver(paint).observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
+for (const table of document.querySelectorAll("article table:not([id], .highlighttable)")) {
+  if (table.tBodies[0]?.rows.length > 1) bench.table(table);
 }

@@ -1,0 +1,226 @@
+"""The site's interactive charts, as Vega-Lite without colours: ``static/site.js`` has those of the page.
+
+Marks that are not a series have a named style: ``ink``, ``quiet`` or ``region``.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bench.errors import InputError
+from bench.reporting.frame import ERROR, Result, group
+from bench.reporting.labels import title
+from bench.reporting.page.reading import ScenarioPanel, decibels
+from bench.reporting.page.situations import Advice
+from bench.reporting.page.words import heading, quantity, seconds
+from bench.reporting.pictures.responses import samples_of, simulated
+from bench.reporting.ranking import ON_BOUND, fits_of
+
+POINTS = 80
+MOST_SAMPLES = 200
+MOST_FITS = 4
+MOST_ABOVE = 3.0
+"""A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""
+LOWEST, HIGHEST = 0.7, 6.0
+"""Errors over the bound at the ends of the first screen's chart; what is beyond is cut off."""
+RECORD = {"sample_times", "sample_values", "sample_dof", "dense_times", "true_displacement"}
+UP = "displacement (m)"
+Spec = dict[str, Any]
+
+
+def scenario_data(panel: ScenarioPanel) -> dict[str, Any]:
+    """What a scenario's page draws, and by quantity and method every error over the bound, in 16 bits each."""
+    errors = {
+        heading(metric): {
+            cell.title: packed(cell.errors(metric) / unit(panel, metric))
+            for cell in panel.methods
+            if metric in cell.summary
+        }
+        for metric in panel.ranked
+    }
+    return {"charts": {"record": record(panel), "spread": spread(panel)}, "errors": errors}
+
+
+def packed(errors: np.ndarray) -> str:
+    """Errors (n,), infinite where a fit failed, as half-precision numbers in base 64."""
+    with np.errstate(over="ignore"):
+        return base64.b64encode(errors.astype("<f2").tobytes()).decode()
+
+
+def bound_of(panel: ScenarioPanel, metric: str) -> float:
+    """The bound on the root mean square of a metric; NaN where no cell has one."""
+    return next((cell.bound(metric) for cell in panel.results if metric in cell.summary), math.nan)
+
+
+def unit(panel: ScenarioPanel, metric: str) -> float:
+    """What errors are counted in: the bound, where there is one."""
+    bound = bound_of(panel, metric)
+    return bound if math.isfinite(bound) and bound > 0 else 1.0
+
+
+def forest(one: Advice) -> Spec:
+    """By method and noise level the typical error over the bound, and its tier and time."""
+    levels = {snr: fits_of(its) for snr, its in group(one.results, lambda result: result.snr_db).items()}
+    points: list[dict[str, Any]] = []
+    ranked = [row for row in one.ranking if row.tier]
+    for row in ranked:
+        time = seconds(one.seconds[row.label])
+        said = {"method": title(row.label), "tier": row.tier, "text": f"tier {row.tier}, {time}"}
+        for snr, fits in levels.items():
+            if means := [float(np.mean(fit)) for fit in fits[row.label]]:
+                points.append({**said, "SNR (dB)": decibels(snr), "error": math.exp(float(np.mean(means)))})
+    colours = [decibels(snr) for snr in sorted(levels, reverse=True)]
+    scale = {"type": "log", "domain": [LOWEST, HIGHEST], "nice": False}
+    axis = {"values": [0.75, 1, 1.5, 2, 3, 5], "grid": True}
+    across = {"type": "quantitative", "scale": scale, "axis": axis, "title": "error over the bound (log scale)"}
+    x = {**across, "field": "error"}
+    y = {"field": "method", "type": "nominal", "sort": [title(row.label) for row in ranked], "title": None}
+    ends = {"x": {**x, "aggregate": "min"}, "x2": {"field": "error", "aggregate": "max"}}
+    legend = {"title": "SNR (dB)", "titleOrient": "left", "direction": "horizontal"}
+    shade = {"scheme": {"name": "viridis", "extent": [0.25, 1]}, "domain": colours, "reverse": True}
+    colour = {"field": "SNR (dB)", "type": "ordinal", "scale": shade, "legend": legend}
+    later = {"x": {"datum": LOWEST, "type": "quantitative", "scale": scale}, "x2": {"datum": HIGHEST}}
+    return {
+        "height": {"step": 19},
+        "data": inline(points),
+        "encoding": {"y": y},
+        "layer": [
+            {"transform": [{"filter": "datum.tier > 1"}, {"aggregate": [], "groupby": ["method"]}],
+             "mark": {"type": "bar", "style": "region", "height": 18, "aria": False}, "encoding": later},
+            {"data": {"values": [{}]}, "mark": {"type": "rule", "style": "ink", "aria": False},
+             "encoding": {"x": {**across, "datum": ON_BOUND}, "y": None}},
+            {"mark": {"type": "rule", "style": "quiet", "clip": True, "aria": False}, "encoding": ends},
+            {"mark": {"type": "point", "filled": True, "size": 62, "opacity": 1, "clip": True, "tooltip": True},
+             "encoding": {"x": x, "color": colour, "tooltip": tips("method", "SNR (dB)", "error")}},
+            {"transform": [{"aggregate": [], "groupby": ["method", "text"]}],
+             "mark": {"type": "text", "align": "left", "dx": 6},
+             "encoding": {"text": {"field": "text"}, "x": {"value": "width"}}},
+        ],
+    }  # fmt: skip
+
+
+def inline(rows: Any) -> Spec:
+    """A table as the data of a chart, in the fewest letters: CSV."""
+    text = pd.DataFrame(rows).to_csv(index=False, float_format="%.4g", lineterminator="\n")
+    return {"values": text, "format": {"type": "csv"}}
+
+
+def tips(*fields: str) -> list[dict[str, str]]:
+    """What a chart says of a mark under the pointer."""
+    return [{"field": name, "title": name} for name in fields]
+
+
+def chosen(cells: Sequence[Result]) -> list[Result]:
+    """A few that differ: the least error of the displacement, one not far above it, and evenly between."""
+    order = sorted((c for c in cells if math.isfinite(_median(c))), key=lambda cell: (_median(cell), cell.label))
+    order = [cell for cell in order if _median(cell) <= MOST_ABOVE * _median(order[0])]
+    places = np.linspace(0, len(order) - 1, min(MOST_FITS, len(order))).round()
+    return [order[int(i)] for i in places]
+
+
+def _median(cell: Result) -> float:
+    return cell.statistic("rmse", "median")
+
+
+def displacement(cell: Result, arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """The first replicate's identified response (n_dof, n_dense); None where it is not known."""
+    fit = arrays.get("displacement")
+    if fit is None and cell.known_model is not None and not cell.truth_drawn and cell.ok[0]:
+        with suppress(InputError, np.linalg.LinAlgError):
+            fit = simulated(cell, arrays)
+    return None if fit is None or not np.isfinite(fit).all() else np.atleast_2d(fit)
+
+
+def record(panel: ScenarioPanel) -> Spec | None:
+    """The first data set: samples, truth, and some methods' fits; None where no arrays are kept."""
+    found = {cell.title: (cell, cell.arrays()) for cell in [*chosen(panel.methods), *panel.results]}
+    found = {name: own for name, own in found.items() if set(own[1]) >= RECORD}
+    if not found:
+        return None
+    first = next(iter(found.values()))[1]
+    dof, truth = int(first["sample_dof"][0]), np.atleast_2d(first["true_displacement"])
+    places = np.unique(np.linspace(0, first["dense_times"].size - 1, POINTS).round().astype(int))
+    drawn = {cell.title: displacement(*found[cell.title]) for cell in chosen(panel.methods) if cell.title in found}
+    fits = {name: fit[dof, places] for name, fit in drawn.items() if fit is not None and fit.shape == truth.shape}
+    curves = pd.DataFrame({"time (s)": first["dense_times"][places], "truth": truth[dof, places], **fits})
+    samples = pd.DataFrame(np.transpose(samples_of(first, dof)), columns=["time (s)", UP]).head(MOST_SAMPLES)
+    x = {"field": "time (s)", "type": "quantitative"}
+    y = {"field": UP, "type": "quantitative", "title": f"{UP}, mass {dof + 1} of {len(truth)}" if dof else UP}
+    method = {"field": "method", "type": "nominal", "sort": list(fits)}
+    fold = {"fold": [escaped_field(name) for name in fits], "as": ["method", UP]}
+    said = tips("method", "time (s)", UP)
+    return {
+        "height": 300,
+        "data": inline(curves),
+        "encoding": {"x": x},
+        "layer": [
+            {"mark": {"type": "line", "strokeWidth": 6, "style": "region"}, "encoding": {"y": {**y, "field": "truth"}}},
+            {"transform": [fold], "mark": {"type": "line", "strokeWidth": 1.6},
+             "encoding": {"y": y, "color": method, "strokeDash": method, "tooltip": said}},
+            {"data": inline(samples), "mark": {"type": "point", "filled": True, "size": 28, "style": "ink"},
+             "encoding": {"y": y, "tooltip": said[1:]}},
+        ],
+    }  # fmt: skip
+
+
+def escaped_field(name: str) -> str:
+    """The name of a column as Vega reads it, for which dots and brackets are paths."""
+    return re.sub(r"([.\[\]\\'\"])", r"\\\1", name)
+
+
+def spread(panel: ScenarioPanel) -> Spec | None:
+    """By method, worst first, how far off the truth (%) the middle 95 % of its data sets are, and the first one."""
+    quantities = [metric for metric in panel.ranked if metric != "rmse"]
+    rows = [row for metric in quantities for row in _spreads(panel, metric)]
+    if not rows:
+        return None
+    frame = pd.DataFrame(rows, columns=["quantity", "method", "from", "to", "first data set"])
+    bounds = {quantity(metric): 1.96 * bound_of(panel, metric) for metric in quantities}
+    widest = frame.assign(width=frame[["from", "to"]].abs().max(axis=1)).groupby("quantity")["width"].quantile(0.75)
+    reach = (1.1 * np.fmax(widest, 1.5 * pd.Series(bounds))).clip(1e-3, 1e4).round(4)
+    ends = {"domainMin": {"expr": "-reach[quantity]"}, "domainMax": {"expr": "reach[quantity]"}, "nice": False}
+    x = {"field": "from", "type": "quantitative", "title": "off the truth (%)", "scale": ends}
+    y = {"field": "method", "type": "nominal", "sort": None, "title": None}
+    offered = {"input": "select", "options": list(bounds), "name": "Quantity "}
+    limits = [{"quantity": name, "from": -value, "to": value} for name, value in bounds.items()]
+    return {
+        "height": {"step": 22},
+        "params": [
+            {"name": "quantity", "value": next(iter(bounds)), "bind": offered},
+            {"name": "reach", "value": reach.to_dict()},
+        ],
+        "transform": [{"filter": "datum.quantity == quantity"}],
+        "layer": [
+            {"data": inline(limits), "mark": {"type": "rect", "style": "region", "clip": True, "aria": False},
+             "encoding": {"x": x, "x2": {"field": "to"}}},
+            {"mark": {"type": "rule", "style": "ink", "aria": False}, "encoding": {"x": {"datum": 0}}},
+            {"data": inline(frame), "encoding": {"y": y, "tooltip": tips(*frame.columns[1:])}, "layer": [
+                {"mark": {"type": "rule", "strokeWidth": 5, "clip": True}, "encoding": {"x": x, "x2": {"field": "to"}}},
+                {"mark": {"type": "point", "filled": True, "size": 30, "style": "ink", "clip": True},
+                 "encoding": {"x": {**x, "field": "first data set"}}},
+            ]},
+        ],
+    }  # fmt: skip
+
+
+def _spreads(panel: ScenarioPanel, metric: str) -> Iterator[tuple[Any, ...]]:
+    """The lines of one quantity."""
+    for cell in sorted(panel.results, key=lambda c: (-_excess(c, metric), c.label)):
+        ratios = cell.scores(name := f"{metric.removesuffix(ERROR)}_ratio")
+        ratios = ratios[np.isfinite(ratios)]
+        if cell.method != "prior" and ratios.size:
+            off = 100 * (np.array([*np.percentile(ratios, (2.5, 97.5)), cell.first(name)]) - 1)
+            yield quantity(metric), cell.title, *off
+
+
+def _excess(cell: Result, metric: str) -> float:
+    value = cell.excess(metric)
+    return value if math.isfinite(value) else math.inf
