@@ -59,7 +59,7 @@ def write_site(out: Path, pages: Iterable[tuple[str, bytes]]) -> None:
                 (docs / name).write_bytes(content)
                 tables += [name] if name.startswith("results/") and name.endswith(".md") else []
             nav = [{title: page} for title, page in NAV.items()] + [{"Tables": tables}] * bool(tables)
-            config = load_config(str(shared), docs_dir=folder, site_dir=str(new), nav=nav)
+            config = load_config(str(shared), docs_dir=folder, site_dir=str(new.resolve()), nav=nav)
             config.plugins.on_startup(command="build", dirty=False)
             build(config)
             config.plugins.on_shutdown()
