@@ -122,7 +122,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
             print(f"bench: {counted(planned)}", file=sys.stderr)
 
     results = compute(cells, config, Launch(tuple(launcher), config.cells_per_job), say)
-    closing = Closing(len(results))
+    closing = Closing()
     for result in results:
         if result.cell.identity not in closing.seen:  # a cell may stand in several tables
             closing.add(result.cell, result.stored)
@@ -134,7 +134,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
         if len(jobs) > 1:
             print(closing.table())
         print(_whereabouts(results.store, results.cells))
-    return closing.said_of_failures()
+    return closing.report_failures()
 
 
 def _whereabouts(store: Any, cells: Sequence[Any]) -> str:

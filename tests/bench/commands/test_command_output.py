@@ -21,7 +21,7 @@ from bench.contract.estimate import Status
 from bench.records.intervals import StatedInterval
 from bench.reporting.record_page import record_page
 from bench.reporting.rounding import rounded
-from bench.reporting.terminal import clipped, columns, help_page, table, wrapped
+from bench.reporting.terminal import columns, help_page, table, wrapped
 from bench.reporting.terminal_tables import Closing, cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -109,11 +109,9 @@ def test_a_table_is_aligned_on_the_screen_whatever_script_its_names_are_in() -> 
 
 
 @pytest.mark.parametrize("text", ["word " * 60, "語" * 150, "a" * 150])
-def test_sentences_and_clipped_lines_fit(text: str, terminal: int) -> None:
+def test_sentences_fit(text: str, terminal: int) -> None:
     assert columns() == terminal
     assert widest(wrapped(text, start="  ")) <= terminal
-    assert places(clipped(text)) < terminal
-    assert clipped("short") == "short"
 
 
 @pytest.mark.parametrize("system", ["sdof", "chain10"])
@@ -128,7 +126,7 @@ def test_the_scores_of_a_cell_fit(system: str, terminal: int) -> None:
 
 
 def closing_of(*entries: tuple[Cell, StoredCell]) -> Closing:
-    closing = Closing(len(entries))
+    closing = Closing()
     for cell, stored in entries:
         closing.add(cell, stored)
     return closing
@@ -169,6 +167,20 @@ def test_a_sweep_says_once_what_all_its_cells_share(terminal: int) -> None:
     assert [line.split()[:2] for line in lines if "20/20" in line] == [
         ["ls", "40"], ["ls", "20"], ["collocation", "40"], ["collocation", "20"]
     ]  # fmt: skip
+
+
+def test_what_differs_is_a_column_and_many_rows_are_taken_together() -> None:
+    """120 seeds at two noise levels: no row of each seed, but the medians over them of each level."""
+    errors = np.linspace(1.0, 2.0, 20)
+    cells = [cell_of("method=ls", f"snr={snr}", f"seed={seed}") for snr in (40, 20) for seed in range(120)]
+    few, many = (
+        closing_of(*((cell, stored_of(cell, errors)) for cell in part)).table() for part in (cells[118:122], cells)
+    )
+    assert [line.split()[:3] for line in few.splitlines() if "20/20" in line] == [
+        ["ls", "40", "118"], ["ls", "40", "119"], ["ls", "20", "0"], ["ls", "20", "1"]
+    ]  # fmt: skip
+    rows = [line.split() for line in many.splitlines() if line.startswith("ls")]
+    assert [row[:4] for row in rows] == [["ls", "40", "120", "2400/2400"], ["ls", "20", "120", "2400/2400"]]
 
 
 def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(terminal: int) -> None:
@@ -239,7 +251,7 @@ def test_a_table_too_wide_becomes_a_list_with_all_of_its_numbers(width: int, mon
 def test_a_page_of_usage_goes_on_where_its_explanations_begin(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
     field = "  out   [results] the folder in which all of the files are"
-    page = f"usage: some command\n\nfields:\n{field}\nA sentence\nof two lines."
+    page = f"usage: some command\n\nfields:\n{field}\n\nA sentence\nof two lines."
     lines = help_page(page).splitlines()
     assert lines[:3] == ["usage: some command", "", "fields:"]
     assert lines[3].startswith("  out   [results] the folder")

@@ -11,7 +11,6 @@ from scipy import stats
 
 from bench import Estimate, Normal, Status
 from bench.information.fisher import compute_bound
-from bench.reporting.terminal import coloured
 from bench.reporting.verdict import good, verdict
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
@@ -88,13 +87,3 @@ def test_fits_without_an_answer_are_counted_and_few_give_no_verdict() -> None:
     assert good(verdict(cell(GOOD, COVER)))
     assert verdict(cell(GOOD, COVER, 4, 96)).startswith("no verdict: 4 of 100")
     assert verdict(cell({"k_over_m": math.nan}, {})).startswith("no verdict: nothing")
-
-
-def test_colour_is_for_terminals_that_want_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert coloured("x", "green") == "x"
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    assert coloured("x", "green") == "\x1b[32mx\x1b[0m"
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert coloured("x", "green") == "x"
