@@ -67,11 +67,11 @@ def _panels(
 ) -> Iterator[TrackPanel]:
     """Yield the panel of each system of a set, of what the store has; it says so where the files are not there."""
     from bench.records.free_run import free_runs
-    from bench.reporting.tables.track_table import MISSING, TrackPanel
+    from bench.reporting.tables.track_table import NOT_MADE, TrackPanel
 
     absent = {"status": f"not found under data_root={root or ''}: {of.folder}/{of.files[0]}"}
     for system in of.systems:
         mine = [fit for fit in fits if fit.request.system == system]
-        rows = [row for fit in mine for row in fit.read(store) or [{**fit.head, "status": MISSING}]]
+        rows = [row for fit in mine for row in fit.read(store) or [{**fit.head, "status": NOT_MADE}]]
         panel = TrackPanel.of_rows(name, of, system, rows or [absent])
         yield replace(panel, free_runs=list(free_runs(of, system, panel.rows, root)))

@@ -39,7 +39,7 @@ def tables(
     submitted, written = submitted_results(opened), 0
     for name in table_experiments():
         frame = with_submitted(experiment_frame(name, opened), submitted)
-        files = table_files(frame, opened)
+        files = table_files(frame)
         if files:
             _warn_if_stale(frame)
         else:

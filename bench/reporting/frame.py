@@ -27,7 +27,7 @@ from bench.errors import InputError
 from bench.reporting.labels import cards, title
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.scoring.statistics import bias_share, wilson_interval
+from bench.scoring.statistics import wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import MARK, SUBMITTED, CellHead, StoredCell
@@ -368,6 +368,11 @@ class Frame:
         return f"Table {self.number}. {self.title}" if self.number else self.title
 
     @property
+    def form(self) -> str:
+        """What its table looks like."""
+        return str(self.table.get("form", "paper"))
+
+    @property
     def any_stored(self) -> bool:
         return any(result.stored for result in self.results)
 
@@ -377,42 +382,9 @@ class Frame:
         return f"python -m bench -m experiment={self.experiment} && python -m bench tables"
 
 
-def _statistic(name: str) -> Callable[[Result, str], float]:
-    return lambda result, metric: result.statistic(metric, name)
-
-
-STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
-VALUES: Mapping[str, Callable[[Result, str], Any]] = {
-    "system": lambda result, metric: result.system,
-    "initial_state": lambda result, metric: result.initial_state,
-    "snr_db": lambda result, metric: result.snr_db,
-    "disturbance": lambda result, metric: result.disturbance or "none",
-    "size": lambda result, metric: result.disturbance_size,
-    "method": lambda result, metric: result.label,
-    "metric": lambda result, metric: metric,
-    "quantity": lambda result, metric: quantity(metric),
-    **{name: _statistic(name) for name in STATISTICS},
-    "prior_share": lambda result, metric: result.prior_share.get(quantity(metric), math.nan),
-    "bias_share": lambda result, metric: bias_share(result.successful(f"{quantity(metric)}_ratio")),
-    "bias_pct": lambda result, metric: result.bias_pct(quantity(metric)),
-    "coverage_95": lambda result, metric: result.coverage(quantity(metric))[0],
-    "low_95": lambda result, metric: result.coverage(quantity(metric))[1],
-    "high_95": lambda result, metric: result.coverage(quantity(metric))[2],
-    "n_ok": lambda result, metric: result.n_ok,
-    "n": lambda result, metric: result.n,
-    "state": lambda result, metric: result.state,
-}
-"""By column of a tidy table, what stands there for a result and a metric; the columns of all tables mean the same."""
-
-
 def quantity(metric: str) -> str:
     """The quantity of which a metric is the error."""
     return metric.removesuffix(ERROR)
-
-
-def line(result: Result, metric: str, columns: Iterable[str]) -> dict[str, Any]:
-    """A line of a tidy table: those of the columns that have a value for every result."""
-    return {name: VALUES[name](result, metric) for name in columns if name in VALUES}
 
 
 def share(hits: np.ndarray) -> tuple[float, float, float]:
@@ -487,7 +459,7 @@ SHOWING_SUBMITTED = ("paper", "systems", "open")
 
 def with_submitted(frame: Frame, submitted: Sequence[Result]) -> Frame:
     """The frame of an experiment with the submitted methods that have every scenario of it behind its own."""
-    if str(frame.table.get("form", "paper")) not in SHOWING_SUBMITTED:
+    if frame.form not in SHOWING_SUBMITTED:
         return frame
     asked = {result.question for result in frame if not result.is_reference}
     found: list[Result] = []

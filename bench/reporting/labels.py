@@ -71,8 +71,13 @@ def warns(label: str) -> bool:
 
 def in_order(labels: Iterable[str]) -> list[str]:
     """Each label once, in the order that their cards give, all others behind by name."""
-    known = {label: card.order for label, card in cards().items()}
-    return sorted(set(labels), key=lambda label: (known.get(unmarked(label), 1000), label))
+    return sorted(set(labels), key=place_of)
+
+
+def place_of(label: str) -> tuple[float, str]:
+    """What sorts a label."""
+    card = card_of(label)
+    return card.order if card else 1000, label
 
 
 def told(method: str) -> str:

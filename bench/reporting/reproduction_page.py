@@ -15,7 +15,7 @@ from bench.reporting.labels import title
 from bench.reporting.paper import own_method, paper_value, printed
 from bench.reporting.reproduction import ASSUMPTIONS, WIDE_MASS, Place, judged_labels, simple
 from bench.reporting.rounding import number
-from bench.reporting.tables.paper_tables import HEADINGS
+from bench.reporting.tables.estimates import HEADINGS
 from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form

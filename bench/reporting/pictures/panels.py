@@ -17,7 +17,7 @@ from bench.reporting.frame import Result
 from bench.reporting.labels import beside_paper, cards, title
 from bench.reporting.paper import own_method, printed
 from bench.reporting.pictures.style import ONE, in_lines, layered, panel_names, plain, table
-from bench.reporting.tables.calibration import FEWEST
+from bench.reporting.tables.estimates import FEWEST
 
 LEVEL = 5.991
 """The 95 % quantile of chi-squared with two degrees of freedom."""

@@ -163,12 +163,9 @@ def _accuracy(section: Section, places: Sequence[Place]) -> Rows:
             cells += [{**head, "place": place, "values": _values(on_fewer.get(place), n)} for place in places]
     return panel(
         cells,
-        lambda cell: cell["row"],
-        {"row": lambda own: own[0]["row"], "n": lambda own: own[0]["n"]},
-        lambda cell: cell["place"],
+        lambda cell: {"row": cell["row"], "n": cell["n"]},
         lambda cell: {
-            f"{cell['place'][0]:g} dB: {name}" if not i else name: partial(_entry, quantity)
-            for i, (quantity, name) in enumerate(ACCURACY.items())
+            f"{cell['place'][0]:g} dB: {name}": _entry(quantity, cell) for quantity, name in ACCURACY.items()
         },
     )
 
@@ -234,15 +231,10 @@ def _combinations(family: Family) -> list[str | Rows]:
         return f"{both} ({text('fit_s', median(one.cpu_s))} s)"
 
     down = [0, *range(2, len(settings))]
-    first: Columns[Sequence[tuple[object, ...]]] = {
-        words[i]: partial(lambda i, own: names.of(settings[i], own[0][i]), i) for i in down
-    }
     table = panel(
         sorted(product(*values), key=lambda one: [values[i].index(one[i]) for i in down]),
-        lambda one: tuple(one[i] for i in down),
-        first,
-        lambda one: one[1],
-        lambda any_one: {names.of(settings[1], any_one[1]): entry},
+        lambda one: {words[i]: names.of(settings[i], one[i]) for i in down},
+        lambda one: {names.of(settings[1], one[1]): entry(one)},
     )
     explanation = (
         f"Errors of k/m and c/m over the bound on the first {n} data sets ({PLACE[0]:g} dB, start {PLACE[1]}), and "

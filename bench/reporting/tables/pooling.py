@@ -1,16 +1,15 @@
-"""What is pooled over the quantities of a system: errors over bounds, coverage, and modes; of one result."""
+"""Statistics over several quantities, results or replicates: errors over bounds, coverage, modes, medians, times."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
 
 from bench.dynamics.modal import Modes, agreement, modes, modes_of_all
-from bench.reporting.frame import ERROR, Result
-from bench.scoring.statistics import wilson_interval
+from bench.reporting.frame import Result
 from bench.systems import System
 
 MODAL = {
@@ -30,17 +29,11 @@ def pooled_quantities(system: System, identifiable: Mapping[str, bool]) -> tuple
     return tuple(name for name in groups if identifiable.get(name)) or system.names
 
 
-def pooled_bound(result: Result, names: Sequence[str]) -> float:
-    """The root mean square of the quantities' bounds (%)."""
-    bounds = [result.bound(name + ERROR) for name in names]
-    return math.sqrt(float(np.mean(np.square(bounds)))) if bounds else math.nan
-
-
 @cache
-def pooled_errors(result: Result, names: tuple[str, ...]) -> np.ndarray:
-    """By replicate, the root mean square over the quantities of error over bound; infinite where it failed."""
-    bounds = np.array([result.bound(name + ERROR) for name in names])
-    errors = np.stack([result.errors(name + ERROR) for name in names], axis=1)
+def pooled_errors(result: Result, metrics: tuple[str, ...]) -> np.ndarray:
+    """By replicate, the root mean square over the metrics of error over bound; infinite where it failed."""
+    bounds = np.array([result.bound(metric) for metric in metrics])
+    errors = np.stack([result.errors(metric) for metric in metrics], axis=1)
     usable = np.isfinite(bounds) & (bounds > 0)
     if not usable.any():
         return np.full(result.n, np.inf)
@@ -49,46 +42,32 @@ def pooled_errors(result: Result, names: tuple[str, ...]) -> np.ndarray:
         return np.asarray(np.sqrt(np.mean(ratios**2, axis=1)))
 
 
-@cache
-def pooled_excess(result: Result, names: tuple[str, ...]) -> float:
+def pooled_excess(result: Result, metrics: tuple[str, ...]) -> float:
     """Root mean square of the pooled errors over the successful replicates; NaN without any."""
-    errors = pooled_errors(result, names)
-    good = errors[np.isfinite(errors) & result.ok]
-    return root_mean_square(good)
+    errors = pooled_errors(result, metrics)
+    return root_mean_square(errors[np.isfinite(errors) & result.ok])
 
 
-@cache
-def pooled_coverage(result: Result, names: tuple[str, ...], level: int = 95) -> tuple[float, float, float]:
-    """Share of the intervals of these quantities that held the truth, with Wilson's interval over the replicates.
-
-    Intervals of one replicate are not independent of each other: the interval counts replicates, not intervals.
-    """
-    hits = np.stack([result.scores(f"{name}_coverage_{level}") for name in names])[:, result.ok]
-    counts = np.sum(np.isfinite(hits), axis=0)
-    shares = np.nansum(hits, axis=0)[counts > 0] / counts[counts > 0]
-    if not shares.size:
-        return math.nan, math.nan, math.nan
-    low, high = wilson_interval(round(sum(shares.tolist())), shares.size)
-    return float(np.mean(shares)), low, high
+def pooled_coverage(result: Result, names: Sequence[str]) -> float:
+    """The share of the 95 % intervals of these quantities that held the truth, replicate by replicate; NaN of none."""
+    hits = np.stack([result.scores(f"{name}_coverage_95") for name in names])[:, result.ok]
+    hits = hits[:, np.isfinite(hits).any(axis=0)]
+    return float(np.mean(np.nanmean(hits, axis=0))) if hits.size else math.nan
 
 
 def identified(result: Result) -> dict[str, np.ndarray]:
     """The parameters by replicate (n,), over the gauge mass where a method gives groups only; NaN where it failed."""
     scenario = result.scenario
     system = scenario.make_system()
-    direct = {name: scenario.parameters[name] * _ratios(result, name) for name in system.names}
+    direct = {name: scenario.parameters[name] * result.scores(f"{name}_ratio") for name in system.names}
     over_gauge = {system.gauge: np.ones(result.n)}
     for group in system.groups:
         name = next(n for n, power in group.exponents.items() if power > 0)
-        over_gauge[name] = _ratios(result, group.name) * float(group.value(scenario.parameters))
+        over_gauge[name] = result.scores(f"{group.name}_ratio") * float(group.value(scenario.parameters))
     whole = np.all(np.isfinite(list(direct.values())), axis=0)
     missing = np.full(result.n, np.nan)
     found = {name: np.where(whole, own, over_gauge.get(name, missing)) for name, own in direct.items()}
     return {name: np.where(result.ok, own, np.nan) for name, own in found.items()}
-
-
-def _ratios(result: Result, name: str) -> np.ndarray:
-    return result.scores(f"{name}_ratio")
 
 
 @cache
@@ -121,3 +100,9 @@ def lower_median(values: np.ndarray) -> float:
 def root_mean_square(values: np.ndarray) -> float:
     """The root of the mean square; NaN of nothing."""
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def median_time(results: Iterable[Result]) -> float:
+    """The median processor time (s) of the fits that gave an answer; NaN without any."""
+    times = np.concatenate([np.empty(0), *(result.cpu_s[result.ok] for result in results if result.stored)])
+    return float(np.median(times)) if times.size else math.nan

@@ -1,34 +1,28 @@
-"""What every table is made with: rows from a specification of its columns, and its files as Markdown, CSV and LaTeX.
-
-A table says which items (lines of the frame, or results) stand in a row, which of these side by side, and what is shown
-of each: a mapping of headings to functions that return a text. :func:`panel` and :func:`listing` make the rows.
-"""
+"""What every table is made with: rows by a specification of what is shown, and files as Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Line, Result, group
 from bench.reporting.labels import title
 from bench.reporting.terminal import width as width_of
-from bench.scoring.comparison import ScenarioRanking, standing
 
-PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
-"""The metrics that methods are ranked on in Tables 2 to 5: what the data tell."""
 Item = TypeVar("Item")
 Columns = Mapping[str, Callable[[Item], str]]
 """By heading, the text of an item."""
 Rows = tuple[list[list[str]], list[str]]
 """The rows of a table, and its headers."""
+Texts = Mapping[str, str]
+"""By heading, what stands in a row."""
 MISSING = "-"
 """What stands for an item that is not there."""
-NAMED: Columns[Sequence[Line]] = {"method": lambda own: title(own[0]["method"])}
-NOISE: Columns[Sequence[Line]] = {"SNR (dB)": lambda own: f"{own[0]['snr_db']:g}"}
-"""Columns that many tables begin with."""
 
 
 def listing(items: Iterable[Item], columns: Columns[Item]) -> Rows:
@@ -36,36 +30,87 @@ def listing(items: Iterable[Item], columns: Columns[Item]) -> Rows:
     return [[text(item) for text in columns.values()] for item in items], list(columns)
 
 
-def texts(rows: Iterable[Mapping[str, str]], headers: Sequence[str]) -> Rows:
-    """Rows of texts by heading; nothing where a row has none."""
-    return [[row.get(name, "") for name in headers] for row in rows], list(headers)
+def named(line: Line) -> Texts:
+    """The method of a line, which begins its row."""
+    return {"method": title(line["method"])}
+
+
+def nothing(_: Any) -> Texts:
+    """No column."""
+    return {}
 
 
 def panel(
-    items: Sequence[Item],
-    row: Callable[[Item], Hashable],
-    first: Columns[Sequence[Item]],
-    across: Callable[[Item], Hashable],
-    each: Callable[[Item], Columns[Item]],
-    last: Columns[Sequence[Item]] | None = None,
-    rest: str = MISSING,
-    order: Callable[[Iterable[Any]], Iterable[Any]] = list,
+    items: Iterable[Item],
+    row: Callable[[Item], Texts],
+    entry: Callable[[Item], Texts],
+    last: Callable[[Sequence[Item]], Texts] = nothing,
 ) -> Rows:
-    """A row for all items of which ``row`` is the same; ``each`` makes the columns of those that share ``across``.
+    """Items side by side: those of the same ``row`` stand in one, each with its ``entry`` under headings of its own.
 
-    ``first`` and ``last`` are columns before and behind them, of all items of the row. ``each`` is given any item that
-    stands there; where a row has none, a dash stands in the first of its columns, and ``rest`` in the others. ``order``
-    puts the rows in order.
+    ``last`` ends a row, by its items. A column in which nothing stands is left out.
     """
-    places, last = {key: each(own[0]) for key, own in group(items, across).items()}, last or {}
-    rows, by_row = [], group(items, row)
-    for own in (by_row[key] for key in order(by_row)):
-        at, cells = {across(item): item for item in reversed(own)}, [text(own) for text in first.values()]
-        for key, columns in places.items():
-            here = [text(at[key]) for text in columns.values()] if key in at else []
-            cells += here or [MISSING, *[rest] * (len(columns) - 1)]
-        rows.append([*cells, *(text(own) for text in last.values())])
-    return rows, [*first, *(heading for columns in places.values() for heading in columns), *last]
+    import pandas as pd
+
+    rows = group(items, lambda item: tuple(row(item).items()))
+    entries = pd.DataFrame([entry(item) for own in rows.values() for item in own])
+    place = [i for i, own in enumerate(rows.values()) for _ in own]
+    ends = pd.DataFrame([last(own) for own in rows.values()])
+    whole = pd.concat([pd.DataFrame(map(dict, rows)), entries.groupby(place).first(), ends], axis=1).fillna(MISSING)
+    shown = whole.loc[:, ~whole.isin([MISSING, ""]).all()]
+    return shown.to_numpy().tolist(), list(shown)
+
+
+@dataclass(frozen=True)
+class TableForm:
+    """The table of an experiment: the lines of its CSV, and what of them is shown.
+
+    Attributes:
+        legend: What is said above it; what its experiment states stands in braces.
+        columns: Of the CSV.
+        lines: Makes the lines of the results.
+        section: The heading under which a line stands.
+        row: What begins the row of a line.
+        entry: What a line adds to its row.
+        last: What ends a row, by its lines.
+        order: Sorts the lines of a section.
+        beside: What stands below a section, by its lines.
+        below: What stands below all sections.
+        own: Whether a result is of this table alone; without one that is stored, the table is not written.
+        in_csv: Whether a line stands in the CSV.
+        digits: Significant digits of its numbers.
+        latex: Whether there are tables in LaTeX.
+    """
+
+    legend: str
+    columns: Sequence[str]
+    lines: Callable[[Frame], list[Line]]
+    section: Callable[[Line], str]
+    entry: Callable[[Line], Texts]
+    row: Callable[[Line], Texts] = named
+    last: Callable[[Sequence[Line]], Texts] = nothing
+    order: Callable[[Line], Any] = lambda line: 0
+    beside: Callable[[Sequence[Line]], Iterable[str | Rows]] = lambda lines: ()
+    below: Callable[[Frame, Sequence[Line]], Iterable[str | Rows]] = lambda frame, lines: ()
+    own: Callable[[Result], bool] = lambda result: True
+    in_csv: Callable[[Line], bool] = lambda line: True
+    digits: int = 6
+    latex: bool = False
+
+    def files(self, frame: Frame) -> dict[str, str]:
+        """The files by name; none where the store holds no cell of the table's own."""
+        if not any(result.stored and self.own(result) for result in frame):
+            return {}
+        data = self.lines(frame)
+        shown: dict[str, Rows] = {}
+        legend = self.legend.format(name=frame.experiment, **frame.table)
+        parts: list[str | Rows] = [f"# {frame.heading}", textwrap.fill(legend, 120, break_on_hyphens=False)]
+        for heading, lines in group(data, self.section).items():
+            shown[heading] = panel(sorted(lines, key=self.order), self.row, self.entry, self.last)
+            parts += [f"## {heading}", shown[heading], *self.beside(lines)]
+        parts += [*self.below(frame, data), f"Regenerate: `{frame.command}`"]
+        captioned = [(f"{frame.title}. {heading}", rows) for heading, rows in shown.items()] if self.latex else ()
+        return files(frame.name, parts, filter(self.in_csv, data), self.columns, self.digits, captioned)
 
 
 def files(
@@ -81,53 +126,33 @@ def files(
     Args:
         name: What they are called.
         parts: Paragraphs, headings and rows in order; empty ones are left out.
-        lines: Those of the CSV.
+        lines: Those of the CSV, nothing for what is NaN or not there.
         columns: Of the CSV; all that the lines have, without.
         digits: Significant digits of its numbers.
         latex: Captions with rows, for an article.
     """
-    texts = [part if isinstance(part, str) else markdown_table(*part) for part in parts if part]
-    found = {f"{name}.md": "\n\n".join(texts) + "\n", f"{name}.csv": csv(lines, digits, columns)}
-    return {**found, f"{name}.tex": latex_tables(latex)} if latex else found
-
-
-def csv(lines: Iterable[Line], digits: int = 6, columns: Sequence[str] | None = None) -> str:
-    """Lines as CSV, nothing for what is NaN or not there."""
     import pandas as pd
 
-    frame = pd.DataFrame(list(lines), columns=columns)
-    return str(frame.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n"))
-
-
-def ranked(results: Iterable[Result], metric: str) -> ScenarioRanking | None:
-    """Where the methods of one scenario stand by a metric; reference rows and cells that were not run left out."""
-    own = {result.label: result for result in results if result.stored and not result.is_reference}
-    return standing(
-        {label: result.errors(metric) for label, result in own.items()},
-        {label: result.excess(metric) for label, result in own.items()},
-        next((result.bound(metric) for result in own.values()), math.nan),
-    )
+    texts = [part if isinstance(part, str) else markdown_table(*part) for part in parts if any(part)]
+    data = pd.DataFrame(list(lines), columns=columns)
+    csv = data.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
+    found = {f"{name}.md": "\n\n".join(texts) + "\n", f"{name}.csv": csv}
+    return {**found, f"{name}.tex": latex_tables(latex)} if latex else found
 
 
 def failure_notes(results: Iterable[Result]) -> str:
     """What failed, how often and with what sentence, as a list; empty where nothing did."""
-    notes: dict[str, int] = {}
-    missing = 0
-    for result in results:
-        missing += result.stored is None
-        for status, message in zip(result.statuses, result.messages, strict=True):
-            if status is not Status.OK:
-                text = f"{result.title}: {status.value}, {message}"
-                notes[text] = notes.get(text, 0) + 1
-    lines = [f"- {n} × {text}" for text, n in notes.items()]
-    lines += [f"- {missing} cells were not run"] if missing else []
-    return "\n".join(lines)
-
-
-def ending(frame: Frame) -> list[str]:
-    """The last parts of a table: what failed, and the command that makes it again."""
-    notes = failure_notes(frame)
-    return [f"## What failed\n\n{notes}" if notes else "", f"Regenerate: `{frame.command}`"]
+    known = list(dict.fromkeys(results))
+    notes = Counter(
+        f"{result.title}: {status.value}, {message}"
+        for result in known
+        for status, message in zip(result.statuses, result.messages, strict=True)
+        if status is not Status.OK
+    )
+    missing = sum(result.stored is None for result in known)
+    return "\n".join(
+        [f"- {n} × {text}" for text, n in notes.items()] + [f"- {missing} cells were not run"] * (missing > 0)
+    )
 
 
 def bold(text: str, marked: bool) -> str:
@@ -146,17 +171,13 @@ def _line(texts: Iterable[str]) -> str:
     return f"| {' | '.join(texts)} |"
 
 
-HEADING_GAP = 2
-"""Places by which a column is wider than its heading."""
-
-
 def _aligned(rows: Iterable[Sequence[str]], headers: Sequence[str]) -> Iterator[tuple[str, ...]]:
     """Return the lines of a table, headings first, with every text filled up to the width of its column."""
     columns = []
     for column in zip(headers, *rows, strict=True):
         texts = [text.strip() for text in column]
         widths = list(map(width_of, texts))
-        whole = max(widths[0] + HEADING_GAP, *widths)
+        whole = max(widths[0] + 2, *widths)
         columns.append([text + " " * (whole - width) for text, width in zip(texts, widths, strict=True)])
     return zip(*columns, strict=True)
 
@@ -168,8 +189,6 @@ LATEX = str.maketrans(
     }
 )  # fmt: skip
 """Signs with a meaning in LaTeX, or that it has no letter for, as LaTeX prints them."""
-BOLD, TEXTBF = r"\*\*(.+?)\*\*", r"\\textbf{\1}"
-"""Bold in Markdown and in LaTeX."""
 
 
 def latex_tables(captioned: Iterable[tuple[str, Rows]]) -> str:
@@ -180,12 +199,19 @@ def latex_tables(captioned: Iterable[tuple[str, Rows]]) -> str:
 
 def _latex_table(caption: str, rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
     head, *body = (
-        f" {' & '.join(re.sub(BOLD, TEXTBF, text.translate(LATEX)) for text in line)} \\\\"
+        " & ".join(re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", text.translate(LATEX)) for text in line)
         for line in _aligned(rows, headers)
     )
-    lines = (
-        r"\begin{table}", r"\centering", r"\small", f"\\caption{{{caption.translate(LATEX)}}}",
-        f"\\begin{{tabular}}{{{'l' * len(headers)}}}", r"\toprule", head, r"\midrule", *body, r"\bottomrule",
-        r"\end{tabular}", r"\end{table}",
-    )  # fmt: skip
-    return "\n".join(lines) + "\n"
+    lines = "".join(rf" {text} \\" + "\n" for text in body)
+    return rf"""\begin{{table}}
+\centering
+\small
+\caption{{{caption.translate(LATEX)}}}
+\begin{{tabular}}{{{"l" * len(headers)}}}
+\toprule
+ {head} \\
+\midrule
+{lines}\bottomrule
+\end{{tabular}}
+\end{{table}}
+"""

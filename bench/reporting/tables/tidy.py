@@ -1,92 +1,90 @@
-"""The frame of everything: a line a cell and metric of every experiment that describes a table.
+"""What the columns of a tidy table mean, the same in all tables, and the frame of everything.
 
-What a line holds is the same in all tables (:data:`bench.reporting.frame.VALUES`); here stand the columns that depend
-on the other methods of a scenario, or on the paper.
+A line holds what is known of a result by one metric; some columns depend on the other methods of the same question, or
+on the paper.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from functools import partial
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from bench.errors import InputError
-from bench.reporting.frame import ERROR, VALUES, Frame, Line, Result, group, line
+from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity
 from bench.reporting.paper import paper_number, row_name
+from bench.reporting.ranking import first_tier
 from bench.reporting.ratios import judged
 from bench.reporting.rounding import excess_text, number, percent
-from bench.reporting.tables.render import PRIMARY, Columns, listing, ranked
+from bench.reporting.tables.render import listing
 from bench.reporting.terminal import table, wrapped
+from bench.scoring.statistics import bias_share
 
 if TYPE_CHECKING:
     import pandas as pd
 
+PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
+"""The metrics that methods are compared on: what free vibration tells."""
 PAPERS = (2, 3, 4, 5)
 """The tables that the paper has, too."""
+
+
+def _statistic(name: str) -> Callable[[Result, str], float]:
+    return lambda result, metric: result.statistic(metric, name)
+
+
+VALUES: Mapping[str, Callable[[Result, str], Any]] = {
+    "system": lambda result, metric: result.system,
+    "initial_state": lambda result, metric: result.initial_state,
+    "snr_db": lambda result, metric: result.snr_db,
+    "disturbance": lambda result, metric: result.disturbance or "none",
+    "size": lambda result, metric: result.disturbance_size,
+    "method": lambda result, metric: result.label,
+    "metric": lambda result, metric: metric,
+    "quantity": lambda result, metric: quantity(metric),
+    **{name: _statistic(name) for name in ("mean", "median", "ci_low", "ci_high", "bound", "excess")},
+    "prior_share": lambda result, metric: result.prior_share.get(quantity(metric), math.nan),
+    "bias_share": lambda result, metric: bias_share(result.successful(f"{quantity(metric)}_ratio")),
+    "bias_pct": lambda result, metric: result.bias_pct(quantity(metric)),
+    "coverage_95": lambda result, metric: result.coverage(quantity(metric))[0],
+    "low_95": lambda result, metric: result.coverage(quantity(metric))[1],
+    "high_95": lambda result, metric: result.coverage(quantity(metric))[2],
+    "n_ok": lambda result, metric: result.n_ok,
+    "n": lambda result, metric: result.n,
+    "state": lambda result, metric: result.state,
+}
+"""By column, what stands there for a result and a metric."""
 COLUMNS = ("experiment", "table", "row", *VALUES, "tied", "paper", "verdict")
 
 
-def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
-    """Return the frame of everything, with the columns :data:`COLUMNS`; a cell that was not run is one line."""
-    import pandas as pd
-
-    lines = [one for frame in frames for one in tidy_lines(frame)]
-    return pd.DataFrame(lines, columns=list(COLUMNS)).astype({"table": "Int64", "tied": "boolean"})
+def line(result: Result, metric: str, columns: Iterable[str] = VALUES) -> dict[str, Any]:
+    """Return a line: those of the columns that have a value for every result, and the ``result`` itself."""
+    return {"result": result, **{name: VALUES[name](result, metric) for name in columns if name in VALUES}}
 
 
-def frame_page(data: pd.DataFrame, metric: str) -> str:
-    """Return the lines of a metric as a table for the terminal; raises InputError where no cell has it."""
-    lines = data[data.metric == metric].to_dict("records")
-    if not lines:
-        raise InputError("metric", metric, f"one of: {', '.join(sorted(set(data.metric) - {''})) or 'none is stored'}")
-    first: Columns[Line] = {
-        heading: partial(_text, name) for name, heading in WHERE.items() if name == "method" or data[name].nunique() > 1
-    }
-    words = [i for i, heading in enumerate([*first, *SHOWN]) if heading in WORDS]
-    legend = "+ least median error on the same data, or tied with it; excess: root mean square error over the bound"
-    return f"{table(*listing(lines, {**first, **SHOWN}), words)}\n\n{wrapped(legend)}"
+def errors_of(result: Result) -> list[str]:
+    """Return the metrics that are errors of quantities or of the displacement."""
+    return [metric for metric in result.summary if metric.endswith(ERROR) or metric.startswith("rmse")]
 
 
-def _text(name: str, one: Line) -> str:
-    return f"{one[name]:g}" if isinstance(one[name], float) else str(one[name])
-
-
-WHERE = {"system": "system", "snr_db": "dB", "initial_state": "start", "disturbance": "disturbance", "size": "size",
-         "method": "method"}  # fmt: skip
-SHOWN: Columns[Line] = {
-    "median": lambda one: number(one["median"]),
-    "95 % low": lambda one: number(one["ci_low"]),
-    "95 % high": lambda one: number(one["ci_high"]),
-    "": lambda one: "+" if one["tied"] is True else "",
-    "excess": lambda one: excess_text(one["excess"]),
-    "cover %": lambda one: percent(one["coverage_95"]),
-    "state": lambda one: one["state"],
-}
-"""What the terminal shows of a cell."""
-WORDS = ("system", "start", "disturbance", "method", "state")
-
-
-def tidy_lines(frame: Frame) -> list[Line]:
-    """Return the lines of an experiment: of every cell its errors, and the verdicts on the paper's numbers."""
-    lines: list[Line] = []
-    replicated = frame.table.get("form") != "open"  # each of its scenarios has one data set
-    for results in group(frame, lambda result: result.question).values():
-        oracle = next((result for result in results if result.method == "oracle" and result.stored), None)
-        rankings = {metric: ranked(results, metric) for metric in PRIMARY} if replicated else {}
-        for result in results:
-            row = row_of(frame.number, result)
-            head = {"experiment": frame.experiment, "table": frame.number, "row": row}
-            errors = [metric for metric in result.summary if metric.endswith(ERROR) or metric.startswith("rmse")]
-            for metric in errors or [""]:
-                ranking = rankings.get(metric)
-                lines.append(
-                    {
-                        **head, **line(result, metric, VALUES), **printed(frame.number, result, oracle, metric),
-                        "tied": ranking and not result.is_reference and result.label in ranking.level,
-                    }
-                )  # fmt: skip
-    return lines
+def tidy_lines(
+    frame: Frame, metrics: Callable[[Result], Iterable[str]] = errors_of, columns: Iterable[str] = VALUES
+) -> list[Line]:
+    """Return a line a cell and metric; a cell without any metric is one line."""
+    tied, oracles = {}, {}
+    for question, own in group(frame, lambda result: result.question).items():
+        oracles[question] = next((one for one in own if one.method == "oracle" and one.stored), None)
+        for metric in PRIMARY if frame.form != "open" else ():  # which has one data set of each question
+            tied[question, metric] = first_tier(own, [metric])
+    return [
+        {
+            "experiment": frame.experiment, "table": frame.number, "row": row_of(frame.number, result),
+            **line(result, metric, columns), "tied": result in tied.get((result.question, metric), ()),
+            **_printed(frame.number, result, oracles[result.question], metric),
+        }
+        for result in frame
+        for metric in metrics(result) or [""]
+    ]  # fmt: skip
 
 
 def row_of(table: int | None, result: Result) -> str:
@@ -94,11 +92,45 @@ def row_of(table: int | None, result: Result) -> str:
     return row_name(table, result.system, result.snr_db) if table in PAPERS else ""
 
 
-def printed(table: int | None, result: Result, oracle: Result | None, metric: str) -> Line:
+def _printed(table: int | None, result: Result, oracle: Result | None, metric: str) -> Line:
     """Return the paper's number that a cell stands beside, NaN where there is none, and the verdict on it."""
-    if not result.stored:
-        return {"paper": math.nan, "verdict": "not run"}
     place = paper_number(table, row_of(table, result), result.label, metric) if table in PAPERS else None
-    if place is None:
-        return {"paper": math.nan, "verdict": ""}
+    if not result.stored or place is None:
+        return {"paper": math.nan, "verdict": "" if result.stored else "not run"}
     return {"paper": place.value, "verdict": judged(place, result, oracle).text if oracle else "no oracle stored"}
+
+
+def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
+    """Return the frame of everything, with the columns :data:`COLUMNS`."""
+    import pandas as pd
+
+    lines = [one for frame in frames for one in tidy_lines(frame)]
+    return pd.DataFrame(lines, columns=list(COLUMNS)).astype({"table": "Int64", "tied": "boolean"})
+
+
+WHERE = {"system": "system", "snr_db": "dB", "initial_state": "start", "disturbance": "disturbance", "size": "size",
+         "method": "method"}  # fmt: skip
+SHOWN: Mapping[str, Callable[[Line], str]] = {
+    "median": lambda one: number(one["median"]),
+    "95 % low": lambda one: number(one["ci_low"]),
+    "95 % high": lambda one: number(one["ci_high"]),
+    "": lambda one: "+" if one["tied"] else "",
+    "excess": lambda one: excess_text(one["excess"]),
+    "cover %": lambda one: percent(one["coverage_95"]),
+    "state": lambda one: one["state"],
+}
+"""What the terminal shows of a cell."""
+
+
+def frame_page(data: pd.DataFrame, metric: str) -> str:
+    """Return the lines of a metric as a table for the terminal; raises InputError where no cell has it."""
+    lines = data[data.metric == metric]
+    if lines.empty:
+        raise InputError("metric", metric, f"one of: {', '.join(sorted(set(data.metric) - {''})) or 'none is stored'}")
+    where = {name: heading for name, heading in WHERE.items() if name == "method" or data[name].nunique() > 1}
+    rows, headers = listing(lines.to_dict("records"), SHOWN)
+    places = lines[list(where)].map(lambda value: f"{value:g}" if isinstance(value, float) else str(value))
+    rows = [[*place, *row] for place, row in zip(places.to_numpy().tolist(), rows, strict=True)]
+    words = [i for i, name in enumerate([*where, *headers]) if name not in ("snr_db", "size", *list(SHOWN)[:-1])]
+    legend = "+ the first tier of its scenario; excess: root mean square error over the bound"
+    return f"{table(rows, [*where.values(), *headers], words)}\n\n{wrapped(legend)}"

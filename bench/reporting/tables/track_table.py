@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import pandas as pd
@@ -16,11 +16,12 @@ from bench.records.intervals import ENDS
 from bench.records.sets import MeasuredSet
 from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total
 from bench.records.verdict import Trust
+from bench.reporting.frame import Line
 from bench.reporting.rounding import number, readable
-from bench.reporting.tables.render import Columns, Rows, files, listing
+from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel
 
 MAIN = ("k_over_m", "c_over_m")
-MISSING = "not made yet"
+NOT_MADE = "not made yet"
 """Status of a fit that the store lacks."""
 SCORES = tuple(f"{name}_{kind}" for kind in KINDS for name in IntervalScore._fields)
 COLUMNS = (
@@ -48,7 +49,7 @@ leaves out, more than repeats of the whole record would."""
 class TrackPanel:
     """A set described by a system.
 
-    ``rows``: of its fits (:mod:`bench.records.track`); one with the status :data:`MISSING` is of a fit that was asked
+    ``rows``: of its fits (:mod:`bench.records.track`); one with the status :data:`NOT_MADE` is of a fit that was asked
     for, and one without a method has a status that says why the set is absent. ``free_runs``: models with their errors
     over the test parts.
     """
@@ -75,101 +76,77 @@ class TrackPanel:
         """A row for each fit that was made."""
         return self.rows[self.rows["trust"].notna()].drop_duplicates(["method", "sibling"])
 
-    @property
-    def quantities(self) -> list[str]:
-        """The main ratios, and what is known, as far as there are answers."""
-        answered = set(self.rows["quantity"])
-        return [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in answered]
-
-    @cached_property
-    def by_method(self) -> list[MethodFits]:
-        """The fits that were made, method by method."""
-        return [MethodFits(self, method) for method in self.fits["method"].unique()]
-
     @cached_property
     def agreements(self) -> pd.DataFrame:
-        """Return the agreement of siblings, a row for each method and quantity."""
-        rows = []
-        for fits in self.by_method:
-            head = {"set": self.name, "system": self.system, "method": fits.method, "sibling": "all"}
-            head["withdrawn"] = fits.made["withdrawn"].sum()
-            rows += [{**head, "quantity": name, **fits.agreements[name]} for name in self.quantities]
-        return pd.DataFrame(rows, columns=COLUMNS)
+        """A row for each method and quantity: how siblings agree whose answers are not withdrawn.
 
-
-@dataclass(frozen=True, eq=False)
-class MethodFits:
-    """The fits of a panel by a method."""
-
-    panel: TrackPanel
-    method: str
-
-    @property
-    def made(self) -> pd.DataFrame:
-        """A row for each fit."""
-        return self.panel.fits[self.panel.fits["method"] == self.method]
-
-    def answers(self, quantity: str) -> pd.DataFrame:
-        """Return the rows of a quantity."""
-        rows = self.panel.rows
-        return rows[(rows["method"] == self.method) & (rows["quantity"] == quantity)]
-
-    @cached_property
-    def agreements(self) -> dict[str, dict[str, Any]]:
-        """Return the agreement of siblings whose answers are not withdrawn, by quantity."""
-        known = {**dict.fromkeys(MAIN), **{name: known.value for name, known in self.panel.of.known.items()}}
-        answers = {name: self.answers(name) for name in known}
-        return {
-            name: {"known": value, **compare_siblings(answers[name][answers[name]["withdrawn"] == 0], value)}
-            for name, value in known.items()
-        }
+        The quantities are the main ratios, and what is known, as far as there are answers.
+        """
+        quantities = [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in set(self.rows["quantity"])]
+        head, rows = dict[str, Any](set=self.name, system=self.system, sibling="all", panel=self), []
+        for method, made in self.fits.groupby("method", sort=False):
+            head |= {"method": method, "withdrawn": made["withdrawn"].sum(), "made": made}
+            for name in quantities:
+                answers = self.rows[(self.rows["method"] == method) & (self.rows["quantity"] == name)]
+                known = self.of.known[name].value if name in self.of.known else None
+                agreed = compare_siblings(answers[answers["withdrawn"] == 0], known)
+                rows.append({**head, "quantity": name, "known": known, **agreed, "answers": answers})
+        return pd.DataFrame(rows, columns=[*COLUMNS, "made", "panel", "answers", "n"])
 
 
 def track_table(panels: Sequence[TrackPanel], command: str) -> Mapping[str, str]:
     """Return the files of the table by name."""
-    parts: list[str | Rows] = [HEAD, summary(panels), "## All sets", overview(panels)]
-    for panel in panels:
-        parts += _section(panel)
+    agreements = pd.concat([panel.agreements for panel in panels])
+    parts = [HEAD, *_summary(panels, agreements), "## All sets", _overview(panels)]
+    for one in panels:
+        parts += _section(one)
     parts.append(f"Every sibling's values and intervals are in the CSV. Regenerate: `{command}`")
-    frames = pd.concat([frame for panel in panels for frame in (panel.rows, panel.agreements)])
+    frames = pd.concat([frame for one in panels for frame in (one.rows, one.agreements)])
     by_method = frames.groupby(["set", "system", "method"], sort=False, dropna=False)
     return files("table11", parts, [line for _, rows in by_method for line in rows.to_dict("records")], COLUMNS)
 
 
-def _section(panel: TrackPanel) -> list[str | Rows]:
-    """Return what a set is, the tables of its fits, and what others state."""
-    of, heading = panel.of, f"## {panel.name}, {panel.system}"
+def _section(of_panel: TrackPanel) -> Iterator[str | Rows]:
+    """What a set is, its methods, and what others state."""
+    of = of_panel.of
     note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
-    parts: list[str | Rows] = [heading, f"{of.title}. {of.source}; licence: {of.licence}.{note}"]
-    if panel.absent:
-        return [*parts, f"{panel.absent}."]
-    parts.append(method_rows(panel))
-    if of.known:
+    yield f"## {of_panel.name}, {of_panel.system}"
+    yield f"{of.title}. {of.source}; licence: {of.licence}.{note}"
+    yield f"{of_panel.absent}." if of_panel.absent else method_rows(of_panel)
+    if of.known and not of_panel.absent:
         stated = [f"{readable(name)} {known.value:.6g} ({known.source})" for name, known in of.known.items()]
-        parts.append(f"Known: {'; '.join(stated)}.")
-    if panel.free_runs:
-        runs = [[model, *map(number, errors), "simulated here"] for model, errors in panel.free_runs]
+        yield f"Known: {'; '.join(stated)}."
+    if of_panel.free_runs:
+        yield "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
+        runs = [[model, *map(number, errors), "simulated here"] for model, errors in of_panel.free_runs]
         runs += [[run.model, *map(number, run.errors), f"quoted: {run.source}"] for run in of.quoted]
-        parts.append("Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):")
-        parts.append((runs, ["model", *of.tests, "where from"]))
-    return parts
+        yield runs, ["model", *of.tests, "where from"]
 
 
-def summary(panels: Sequence[TrackPanel]) -> str:
-    """Return the totals in sentences."""
-    agreements, rows = pd.concat([p.agreements for p in panels]), pd.concat([p.rows for p in panels])
-    primary, lines = agreements["method"] == primary_method(), []
-    for who, some in ((f"{primary_method()} alone", agreements[primary]), ("All methods", agreements)):
-        for name in MAIN:
-            named = some[some["quantity"] == name]
-            totals = [f"{kind} {_total(total(named, kind))}" for kind in KINDS if named["counted"].any()]
-            lines += [f"- {who}, {readable(name)}: {'; '.join(totals)}."] if totals else []
-    fits = pd.concat([panel.fits for panel in panels])
-    silent, missing = (fits["status"] != "ok").sum(), (rows["status"] == MISSING).sum()
+def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator[str | Rows]:
+    """The totals over all sets."""
+    primary = primary_method()
+    totals: list[Line] = [
+        {"methods": who, "quantity": readable(name), "kind": kind, **total(some[some["quantity"] == name], kind)}
+        for who, some in ((primary, agreements[agreements["method"] == primary]), ("all", agreements))
+        for name in MAIN
+        for kind in KINDS
+    ]
+    yield "Over all sets: median and worst score, covered, R, and x/÷, by the kind of interval."
+    yield panel(
+        [one for one in totals if one["counted"]],
+        lambda one: {name: one[name] for name in ("methods", "quantity")},
+        lambda one: {
+            one["kind"]: f"{number(one['score'])}, {number(one['worst'])}; {one['covered']}/{one['counted']}; "
+            f"{number(one['ratio'])}; {one['width']:.3f}"
+        },
+    )
+    fits = pd.concat([one.fits for one in panels])
+    silent, missing = (fits["status"] != "ok").sum(), sum((one.rows["status"] == NOT_MADE).sum() for one in panels)
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in _verdicts(fits).items())
-    lines.append(f"- {len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn).")
-    lines += [f"- {missing} fits are not made yet: the same command makes them."] if missing else []
-    return "\n".join([*lines, *(f"- {panel.name}: {panel.absent}" for panel in panels if panel.absent)])
+    lines = [f"{len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn)."]
+    lines += [f"{missing} fits are not made yet: the same command makes them."] if missing else []
+    yield "\n".join(f"- {line}" for line in [*lines, *(f"{one.name}: {one.absent}" for one in panels if one.absent)])
 
 
 def _verdicts(fits: pd.DataFrame) -> dict[str, int]:
@@ -178,97 +155,76 @@ def _verdicts(fits: pd.DataFrame) -> dict[str, int]:
     return {verdict.value: int((answered & (fits["trust"] == verdict.value)).sum()) for verdict in Trust}
 
 
-def _total(scores: Mapping[str, float]) -> str:
-    covered, counted = scores["covered"], scores["counted"]
-    return (
-        f"score {number(scores['score'])} in the median and {number(scores['worst'])} at worst, {covered}/{counted} "
-        f"({covered / counted:.0%}) covered, R {number(scores['ratio'])}, x/÷ {scores['width']:.3f}"
-    )
-
-
 # ------------------------------------------------------------------------------------------------ tables
 
 
-def overview(panels: Iterable[TrackPanel]) -> Rows:
-    """Return a row for each panel: the primary method's scores, and all methods' together."""
-    columns: dict[str, Callable[[MethodFits], str]] = {
-        "set": lambda fits: fits.panel.name,
-        "system": lambda fits: fits.panel.system,
-        "siblings": lambda fits: fits.panel.absent or str(fits.panel.fits["sibling"].nunique()),
-    }
-    for name in MAIN:
-        columns |= {**_agreement(name), f"{readable(name)} score, all methods": partial(_pooled, name)}
-    columns["held-out %"] = partial(_median, "held_out")
-    return listing([MethodFits(panel, primary_method()) for panel in panels], columns)
+def _overview(panels: Sequence[TrackPanel]) -> Rows:
+    """A row for each set: the primary method's scores, and all methods' together."""
+    lines: list[Line] = []
+    for one in panels:
+        own = one.agreements[(one.agreements["method"] == primary_method()) & one.agreements["quantity"].isin(MAIN)]
+        lines += own.to_dict("records") or [{"panel": one, "made": one.fits[:0]}]
+    return panel(
+        lines,
+        lambda one: {
+            "set": one["panel"].name, "system": one["panel"].system,
+            "siblings": one["panel"].absent or str(one["panel"].fits["sibling"].nunique()),
+        },
+        lambda one: {**_agreed(one), **_pooled(one)} if "n" in one else {},
+        lambda own: {"held-out %": number(own[0]["made"]["held_out"].median())},
+    )  # fmt: skip
 
 
-def method_rows(panel: TrackPanel) -> Rows:
-    """Return a row for each method: how the siblings agree on each quantity, then time and verdicts."""
-    columns: dict[str, Callable[[MethodFits], str]] = {"method": lambda fits: fits.method}
-    for name in panel.quantities:
-        columns[readable(name)] = partial(_answer, name, "value", "{:.5g}")
-        if (known := panel.of.known.get(name)) is not None:
-            columns[f"{readable(name)} error"] = partial(_answer, name, "error_pct", "{:.3g} %")
-            if known.sd:
-                columns[f"{readable(name)} white/certified"] = partial(_beside_certified, name, known.sd, known.dof)
-        columns |= _agreement(name)
-    columns |= {
-        "held-out %": partial(_median, "held_out"),
-        "s": partial(_median, "wall_s"),
-        "verdicts": lambda fits: " / ".join(map(str, _verdicts(fits.made).values())),
-        "without an answer": _failures,
-    }
-    return listing(panel.by_method, columns)
+def method_rows(of_panel: TrackPanel) -> Rows:
+    """A row for each method: how the siblings agree on each quantity, then time and verdicts."""
+    return panel(of_panel.agreements.to_dict("records"), lambda one: {"method": one["method"]}, _answer, _made)
 
 
-def _agreement(quantity: str) -> Columns[MethodFits]:
-    """Return columns of how siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
-    cells: Columns[Mapping[str, Any]] = {
-        "score": partial(_beside_white, "score", number),
-        "R": partial(_beside_white, "ratio", number),
-        "cov.": _covered,
-        "x/÷": partial(_beside_white, "width", "{:.3f}".format),
-    }
-    return {f"{readable(quantity)} {what}": partial(_cell, quantity, show) for what, show in cells.items()}
+def _answer(one: Line) -> Texts:
+    """The median, its distance to what is known, and how siblings agree."""
+    name, known = readable(one["quantity"]), one["panel"].of.known.get(one["quantity"])
+    if not one["n"]:
+        return {name: MISSING}
+    texts = {name: f"{one['value']:.5g}"}
+    if known:
+        texts[f"{name} error"] = f"{one['error_pct']:.3g} %"
+    if known and known.sd:
+        widths = one["answers"]["white_high"] - one["answers"]["white_low"]
+        certified = 2.0 * float(standard_quantile(0.975, known.dof)) * known.sd
+        texts[f"{name} white/certified"] = f"{(widths / certified).median():.4f}"
+    return {**texts, **_agreed(one)}
 
 
-def _cell(quantity: str, show: Callable[[Mapping[str, Any]], str], fits: MethodFits) -> str:
-    return show(fits.agreements[quantity])
+def _agreed(one: Line) -> Texts:
+    """How siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
+    counted, limits = one["counted"], one["limits"]
+    covered = [f"{one['covered_repeat']}/{counted} ({one['covered_white']}/{counted})"] if counted else []
+    texts = {
+        "score": _beside_white(one, "score"), "R": _beside_white(one, "ratio"),
+        "cov.": ", ".join([*covered, f"{limits} limits"] if limits else covered) or MISSING,
+        "x/÷": _beside_white(one, "width", "{:.3f}".format),
+    }  # fmt: skip
+    return {f"{readable(one['quantity'])} {heading}": text for heading, text in texts.items()}
 
 
-def _beside_white(name: str, text: Callable[[float], str], agreed: Mapping[str, Any]) -> str:
-    repeat, white = agreed[f"{name}_repeat"], agreed[f"{name}_white"]
-    return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else "-"
+def _beside_white(one: Line, name: str, text: Callable[[float], str] = number) -> str:
+    repeat, white = one[f"{name}_repeat"], one[f"{name}_white"]
+    return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else MISSING
 
 
-def _covered(agreed: Mapping[str, Any]) -> str:
-    counted, limits = agreed["counted"], agreed["limits"]
-    parts = [f"{agreed['covered_repeat']}/{counted} ({agreed['covered_white']}/{counted})"] if counted else []
-    return ", ".join([*parts, f"{limits} limits"] if limits else parts) or "-"
+def _pooled(one: Line) -> Texts:
+    every = one["panel"].agreements
+    same = every[every["quantity"] == one["quantity"]]
+    scores = {f"score_{kind}": total(same, kind)["score"] for kind in KINDS}
+    return {f"{readable(one['quantity'])} score, all methods": _beside_white(scores, "score")}
 
 
-def _pooled(quantity: str, fits: MethodFits) -> str:
-    agreements = fits.panel.agreements
-    pooled = agreements[agreements["quantity"] == quantity]
-    return _beside_white("score", number, {f"score_{kind}": total(pooled, kind)["score"] for kind in KINDS})
-
-
-def _answer(quantity: str, what: str, text: str, fits: MethodFits) -> str:
-    agreed = fits.agreements[quantity]
-    return text.format(agreed[what]) if agreed["n"] else "-"
-
-
-def _beside_certified(quantity: str, sd: float, dof: float | None, fits: MethodFits) -> str:
-    """Return half of the interval assuming white noise over Student's t times the certified standard deviation."""
-    answers = fits.answers(quantity)
-    ratios = (answers["white_high"] - answers["white_low"]) / 2.0 / (float(standard_quantile(0.975, dof)) * sd)
-    return f"{ratios.median():.4f}" if len(answers) else "-"
-
-
-def _median(name: str, fits: MethodFits) -> str:
-    return number(fits.made[name].median())
-
-
-def _failures(fits: MethodFits) -> str:
-    status = fits.made["status"]
-    return ", ".join(f"{n} {name}" for name, n in status[status != "ok"].value_counts(sort=False).items())
+def _made(own: Sequence[Line]) -> Texts:
+    """What a method's fits predict and cost, and what became of them."""
+    made = own[0]["made"]
+    silent = made["status"][made["status"] != "ok"].value_counts(sort=False)
+    return {
+        "held-out %": number(made["held_out"].median()), "s": number(made["wall_s"].median()),
+        "verdicts": " / ".join(map(str, _verdicts(made).values())),
+        "without an answer": ", ".join(f"{n} {name}" for name, n in silent.items()),
+    }  # fmt: skip

@@ -10,8 +10,7 @@ from bench.online.follow import Followed
 from bench.online.forces import HeldForce
 from bench.online.scenario import OnlineScenario
 from bench.online.score import Z95, score, score_bound, scored
-from bench.reporting.frame import Line
-from bench.reporting.tables.online_table import BOUND, best_sentence, tracked
+from bench.reporting.tables.online_table import BOUND, in_order
 
 
 def stepping(samples: int = 200) -> OnlineScenario:
@@ -57,17 +56,10 @@ def test_the_delay_of_the_bound_is_when_its_variance_first_excludes_the_old_valu
     assert found.excess == 1.0
 
 
-def test_the_sentence_names_the_method_whose_worse_quantity_is_least() -> None:
-    made = stepping()
-    stream = made.stream(0, 0)
-    bound = {"k_over_m": np.full(200, 1e-4), "c_over_m": np.full(200, 1e-4)}
-
-    def line(name: str, k: float, c: float) -> list[Line]:
-        scores = {
-            quantity: score(made, [scored(stream, path(stream, np.full(200, off), 0.01), bound, quantity)])
-            for quantity, off in (("k_over_m", k), ("c_over_m", c))
-        }
-        return tracked({"scenario": "x", "method": name, "title": name, "ok": 1, "replicates": 1}, scores)
-
-    lines = [*line(BOUND, 0.01, 0.01), *line("one", 0.011, 0.05), *line("other", 0.02, 0.02)]
-    assert "**other** (excess: k/m 2.00, c/m 2.00)" in best_sentence(lines)
+def test_methods_stand_in_the_order_of_their_worse_quantity() -> None:
+    lines = [
+        {"method": name, "ok": 1, "excess": excess}
+        for name, *own in (("near in k", 1.1, 5.0), ("even", 2.0, 2.0), (BOUND, 1.0, 1.0))
+        for excess in own
+    ]
+    assert list(dict.fromkeys(line["method"] for line in in_order(lines))) == [BOUND, "even", "near in k"]

@@ -96,7 +96,7 @@ def lines(files: Any) -> list[dict[str, str]]:
 def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     rows = [row(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
     panel = TrackPanel.of_rows("s", MeasuredSet(**TINY), "sdof", rows)
-    assert panel.by_method[0].agreements["k_over_m"]["counted"] == 2
+    assert panel.agreements["counted"].tolist() == [2]
     files = track_table([panel], "again")
     assert "2 / 0 / 1" in files["table11.md"]
     assert "2 trust, 0 use with caution, 1 do not trust (withdrawn)" in files["table11.md"]

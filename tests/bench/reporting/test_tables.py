@@ -1,30 +1,46 @@
-"""Tables: from stored rows alone, with every number of the paper found, and the same on every run."""
+"""Tables: numbers of stored rows that follow by hand, every number of the paper, and the same files on every run."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
+from scipy import stats
 
 from bench import Status
 from bench.commands.main import main
-from bench.config.experiment import Experiment
+from bench.config.experiment import Experiment, expand
 from bench.errors import InputError
 from bench.information.fisher import Bound
-from bench.reporting.frame import Frame, Result
+from bench.reporting.frame import ERROR, Frame, Result
 from bench.reporting.paper import paper_value, printed
-from bench.reporting.tables.paper_tables import COLUMNS, HEADINGS, paper_table
+from bench.reporting.residuals import coloured, residuals
+from bench.reporting.tables.estimates import (
+    CALIBRATION,
+    HEADINGS,
+    MISSPECIFIED,
+    PAPER,
+    PAPER_COLUMNS,
+    ROBUSTNESS,
+    calibration_lines,
+    misspecified_lines,
+    ratio,
+    robustness_lines,
+)  # fmt: skip
+from bench.reporting.tables.pooling import identified, modal_scores, pooled_coverage, pooled_errors, pooled_excess
+from bench.reporting.tables.systems import SYSTEMS, describe, system_lines
 from bench.reporting.tables.tidy import frame_page, tidy_frame
+from bench.scenario.disturbance import Disturbance
+from bench.scenario.model_error import SecondMode
 from bench.scenario.scenario import Scenario
+from bench.scenario.truth import closed_form
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.scoring.verdict import judge
@@ -33,175 +49,303 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 
 NAN = math.nan
-PAPER = {
-    # table: (row, method): m, c, k errors in percent, displacement RMSE; read off the printed article once more
-    2: {("identified", "pinn"): (1.11, 1.13, 1.30, NAN)},
-    3: {
-        ("comparison", "ls"): (18.2, 36.9, 20.7, 0.119),
-        ("comparison", "rls"): (13.8, 28.4, 16.5, 0.094),
-        ("comparison", "ddnn"): (9.4, 18.7, 11.2, 0.047),
-        ("comparison", "pinn"): (2.6, 4.8, 2.3, 0.016),
-    },
-    4: {
-        ("1", "pinn"): (2.4, 6.1, 2.9, 0.017),
-        ("2", "pinn"): (1.8, 5.6, 2.1, 0.014),
-        ("3", "pinn"): (2.9, 7.4, 3.4, 0.019),
-        ("4", "pinn"): (3.7, 9.2, 4.6, 0.024),
-        ("5", "pinn"): (4.3, 10.8, 5.4, 0.027),
-    },
-    5: {
-        ("40", "pinn"): (2.1, 4.2, 2.5, 0.013),
-        ("30", "pinn"): (2.8, 5.6, 3.3, 0.016),
-        ("20", "pinn"): (3.9, 7.8, 4.4, 0.021),
-        ("10", "pinn"): (7.1, 12.9, 8.2, 0.035),
-        ("5", "pinn"): (11.8, 18.7, 13.1, 0.056),
-    },
-}
+PRINTED = {
+    # (table, row, method): m, c, k errors in percent, displacement RMSE; read off the printed article once more
+    (2, "identified", "pinn"): (1.11, 1.13, 1.30, NAN),
+    (3, "comparison", "ls"): (18.2, 36.9, 20.7, 0.119), (3, "comparison", "rls"): (13.8, 28.4, 16.5, 0.094),
+    (3, "comparison", "ddnn"): (9.4, 18.7, 11.2, 0.047), (3, "comparison", "pinn"): (2.6, 4.8, 2.3, 0.016),
+    (4, "1", "pinn"): (2.4, 6.1, 2.9, 0.017), (4, "2", "pinn"): (1.8, 5.6, 2.1, 0.014),
+    (4, "3", "pinn"): (2.9, 7.4, 3.4, 0.019), (4, "4", "pinn"): (3.7, 9.2, 4.6, 0.024),
+    (4, "5", "pinn"): (4.3, 10.8, 5.4, 0.027), (5, "40", "pinn"): (2.1, 4.2, 2.5, 0.013),
+    (5, "30", "pinn"): (2.8, 5.6, 3.3, 0.016), (5, "20", "pinn"): (3.9, 7.8, 4.4, 0.021),
+    (5, "10", "pinn"): (7.1, 12.9, 8.2, 0.035), (5, "5", "pinn"): (11.8, 18.7, 13.1, 0.056),
+}  # fmt: skip
 KEYS = ("m_error_pct", "c_error_pct", "k_error_pct", "rmse")
 BOUND = Bound(
-    ("m", "c", "k"),
-    {"m": 0.02, "c": 0.04, "k": 0.02, "k_over_m": 0.005, "c_over_m": 0.035},
+    ("m", "c", "k"), {"m": 0.02, "c": 0.04, "k": 0.02, "k_over_m": 0.005, "c_over_m": 0.035},
     {"m": False, "c": False, "k": False, "k_over_m": True, "c_over_m": True},
-    {"m": 0.999, "c": 0.25, "k": 0.95, "k_over_m": 0.001, "c_over_m": 0.001},
-    0.0107,
-    0.006,
-    (),
-)
-SIZES = dict(zip(HEADINGS, (0.4, 2.8, 0.0107, 1.6, 3.0, 1.6), strict=True))
+    {"m": 0.999, "c": 0.25, "k": 0.95, "k_over_m": 0.001, "c_over_m": 0.001}, 0.0107, 0.006, (),
+)  # fmt: skip
+SIZES = dict(zip(HEADINGS, (0.5, 3.5, 0.0107, 1.6, 3.0, 1.6), strict=True))
 
 
-def stored(cell: Cell, scale: float = 1.0, failures: int = 0) -> StoredCell:
-    """A cell as if it had run: errors half-normal in size, the last replicates failed."""
-    rng = np.random.default_rng(len(cell.label) + int(cell.scenario.snr_db))
-    rows = []
-    for i in range(cell.replicates):
-        scores = {name: scale * size * abs(float(rng.standard_normal())) for name, size in SIZES.items()}
-        scores |= {"rmse_simulated": scores["rmse"], "rmse_forecast": 0.006, "realised_snr_db": 20.0}
-        failed = i >= cell.replicates - failures
-        rows.append(Row(i, Status.DIVERGED, "took too large a step") if failed else Row(i, Status.OK, scores=scores))
-    summary = summarise(rows, BOUND)
+def stored(cell: Cell, scores: Sequence[Mapping[str, float]], failures: int = 0) -> StoredCell:
+    """A cell as if it had run, with these scores and some failures behind them."""
+    rows = [Row(i, Status.OK, scores=dict(own)) for i, own in enumerate(scores)]
+    rows += [Row(len(rows) + i, Status.DIVERGED, "lost") for i in range(failures)]
     described = {**cell.description(), "label": cell.label}
-    shares, known = dict(BOUND.prior_share), dict(BOUND.identifiable)
-    return StoredCell(cell.identity, described, tuple(rows), summary, shares, known, 1.0, {})
+    told = dict(BOUND.prior_share), dict(BOUND.identifiable)
+    return StoredCell(cell.identity, described, tuple(rows), summarise(rows, BOUND), *told, 1.0, {})
 
 
-def result(reference: Scenario, label: str, scale: float = 1.0, failures: int = 0) -> Result:
-    cell = Cell(reference, label, {}, 40, 0, label)
-    return Result.of_cell(cell, stored(cell, scale, failures))
+def normal(cell: Cell, scale: float = 1.0, failures: int = 0) -> Result:
+    """A cell whose errors are half-normal in size."""
+    rng = np.random.default_rng(len(cell.label) + int(cell.scenario.snr_db))
+    sizes = np.abs(rng.standard_normal((cell.replicates - failures, len(SIZES)))) * list(SIZES.values()) * scale
+    scores = [dict(zip(SIZES, own, strict=True)) for own in sizes.tolist()]
+    return Result.of_cell(cell, stored(cell, scores, failures))
 
 
-def tidy(results: list[Result]) -> pd.DataFrame:
-    """The lines of Table 3, as its CSV has them."""
-    return pd.read_csv(io.StringIO(written(results)["table3.csv"]))
+def asked(scenario: Scenario, method: str, n: int = 40) -> Cell:
+    return Cell(scenario, method, {}, n, 0, method)
 
 
-def written(results: list[Result]) -> Mapping[str, str]:
-    """The files of Table 3."""
-    return paper_table(Frame("table3", "Title", {"number": 3}, tuple(results)))
+def written(table: Any, name: str, results: Sequence[Result], **facts: Any) -> tuple[str, list[dict[str, str]]]:
+    """The page and the CSV's lines of a table of results."""
+    files = table.files(Frame(name, "Title", facts, tuple(results)))
+    name = f"table{facts['number']}" if "number" in facts else name
+    return files[f"{name}.md"], list(csv.DictReader(io.StringIO(files[f"{name}.csv"])))
 
 
-def three(reference: Scenario) -> list[Result]:
-    """An oracle, a method about as good, and one that is far off."""
-    return [result(reference, name, scale) for name, scale in (("oracle", 1.0), ("pinn", 1.2), ("ls", 9.0))]
+def row_of(text: str, name: str) -> list[str]:
+    """The texts of the first row of a method."""
+    (line, *_) = [line for line in text.splitlines() if line.startswith(f"| {name}")]
+    return [cell.strip() for cell in line.split("|")[2:-1]]
 
 
-def test_the_papers_59_numbers_are_all_found() -> None:
-    labels = {"ls": ["ls"], "rls": ["rls"], "ddnn": ["ddnn"], "pinn": ["pinn", "pinn_adam"]}
-    found = 0
-    for table, rows in PAPER.items():
-        for (row, method), values in rows.items():
-            for key, value in zip(KEYS, values, strict=True):
-                for label in labels[method]:
-                    ours = paper_value(table, row, label, key)
-                    assert ours == value or (math.isnan(ours) and math.isnan(value)), (table, row, label, key)
-                found += not math.isnan(value)
-    assert found == 59
-    assert len(printed()) == 59
+# ---- Tables 2 to 5
 
 
-@pytest.mark.parametrize(
-    ("table", "row", "method", "metric"),
-    [
-        (3, "comparison", "oracle", "rmse"),
-        (3, "comparison", "pinn", "k_over_m_error_pct"),
-        (2, "identified", "ls", "m_error_pct"),
-        (2, "identified", "pinn", "rmse"),
-        (5, "25", "pinn", "rmse"),
-        (4, "6", "pinn", "rmse"),
-    ],
-)
-def test_what_the_paper_does_not_say_is_nan(table: int, row: str, method: str, metric: str) -> None:
-    assert math.isnan(paper_value(table, row, method, metric))
+def test_the_papers_59_numbers_are_all_found_and_no_others() -> None:
+    for place, values in PRINTED.items():
+        np.testing.assert_equal([paper_value(*place, key) for key in KEYS], values)
+    assert len(printed()) == sum(math.isfinite(value) for values in PRINTED.values() for value in values) == 59
+    assert paper_value(3, "comparison", "pinn_adam", "rmse") == 0.016
+    for place in ((3, "comparison", "oracle"), (2, "identified", "ls"), (5, "25", "pinn"), (4, "6", "pinn")):
+        assert math.isnan(paper_value(*place, "rmse"))
 
 
-def test_tidy_has_a_line_a_metric_with_the_bound_and_the_papers_number(reference: Scenario) -> None:
-    found = three(reference)
-    data = tidy(found)
-    assert tuple(data.columns) == COLUMNS
-    assert set(data.method) == {"bound", "oracle", "pinn", "ls"}
-    lines = data.set_index(["method", "metric"])
-    assert lines.loc[("bound", "rmse")].bound == 0.0107
-    assert math.isnan(lines.loc[("bound", "rmse")]["median"])
-    assert (data.method == "bound").sum() == len(set(data[data.method == "bound"].metric))  # once, not once a method
-    pinn = found[1].stored
-    assert pinn is not None
-    line = lines.loc[("pinn", "rmse")]
-    assert line["median"] == pytest.approx(np.median([row.scores["rmse"] for row in pinn.rows]), rel=1e-5)
-    assert (line.n_ok, line.n, line.paper, line.initial_state, line.snr_db) == (40, 40, 0.016, "known", 20.0)
-    assert "realised_snr_db" not in set(data.metric)
+def test_a_table_of_the_paper_has_bounds_numbers_and_the_verdicts_of_judge(reference: Scenario) -> None:
+    found = [normal(asked(reference, name), scale) for name, scale in (("oracle", 1.0), ("pinn", 1.2), ("ls", 9.0))]
+    found += [normal(asked(reference, "rls"), 3.0, failures=25), Result.of_cell(asked(reference, "sindy"), None)]
+    text, data = written(PAPER, "table3", found, number=3)
+    lines = {(line["method"], line["metric"]): line for line in data}
+    assert len(lines) == len(data)  # the bound once, not once a method
+    assert (lines["bound", "rmse"]["bound"], lines["bound", "rmse"]["median"]) == ("0.0107", "")
+    errors = {result.label: result.errors("rmse") for result in found}
+    pinn = lines["pinn", "rmse"]
+    assert float(pinn["median"]) == pytest.approx(np.median(errors["pinn"]), rel=1e-5)
+    assert [pinn[name] for name in ("n_ok", "n", "paper", "initial_state", "snr_db")] == [
+        "40",
+        "40",
+        "0.016",
+        "known",
+        "20",
+    ]
+    judged = {place for place, line in lines.items() if line["verdict"] and place[0] != "sindy"}
+    assert judged == {(method, key) for method in ("pinn", "ls", "rls") for key in KEYS}
+    assert lines["pinn", "m_error_pct"]["verdict"] == "not decidable (100 % prior)"
+    for method in ("pinn", "ls", "rls"):  # failures are infinite errors
+        paper = PRINTED[3, "comparison", method][3]
+        assert lines[method, "rmse"]["verdict"] == judge(paper, errors[method], errors["oracle"], 0.0).text
+    assert {line["verdict"] for line in data if line["method"] == "sindy"} == {"not run"}
+    assert row_of(text, "SINDy")[-1] == "not run"
+    assert row_of(text, "RLS")[-1] == "15/40"
+    assert row_of(text, "RLS")[0].startswith("failed ×")  # the median is a failure, the excess that of the others
+    assert "- 25 × RLS: diverged, lost\n- 1 cells were not run" in text
+    without_oracle = written(PAPER, "table3", found[1:2], number=3)[1]
+    assert {line["verdict"] for line in without_oracle if line["metric"] == "rmse"} == {"", "no oracle stored"}
 
 
-def test_each_number_of_the_paper_has_the_verdict_of_judge_and_nothing_else_has_one(reference: Scenario) -> None:
-    found = three(reference)
-    lines = tidy(found).set_index(["method", "metric"])
-    with_verdict = lines[lines.verdict.fillna("").astype(bool)]
-    assert set(with_verdict.index) == {(method, key) for method in ("pinn", "ls") for key in KEYS}
-    assert lines.loc[("pinn", "m_error_pct")].verdict == "not decidable (100 % prior)"
-    assert lines.loc[("pinn", "k_error_pct")].verdict == "not decidable (95 % prior)"
-    errors = {
-        name: np.array([row.scores["rmse"] for row in e.stored.rows])  # type: ignore[union-attr]
-        for name, e in zip(("oracle", "pinn", "ls"), found, strict=True)
-    }
-    for method in ("pinn", "ls"):
-        paper = PAPER[3][("comparison", method)][3]
-        assert lines.loc[(method, "rmse")].verdict == judge(paper, errors[method], errors["oracle"], 0.0).text
+def test_the_frame_of_everything_holds_ties_verdicts_and_states() -> None:
+    """The best by errors ten times smaller stands alone, and the oracle competes with nobody."""
+    cells = [cell for cell in Experiment("table3").cells() if cell.scenario.initial_state == "known"]
+    scale = {"ls": 0.1, "rls": 1.0, "oracle": 0.01}
+    results = [normal(cell, scale[cell.label]) if cell.label in scale else Result.of_cell(cell, None) for cell in cells]
+    frame = tidy_frame([Frame("table3", "Comparison", {"number": 3}, tuple(results))])
+    lines = frame.set_index(["method", "metric"])
+    assert [bool(lines.tied[name, "k_over_m_error_pct"]) for name in ("ls", "rls", "oracle")] == [True, False, False]
+    assert lines.paper["rls", "m_error_pct"] == 13.8
+    assert lines.state["pinn", ""] == "missing"
+    assert lines.state["ls", "rmse"] == "stale"  # its cell says nothing of versions
+    page = frame_page(frame, "k_over_m_error_pct")
+    assert [line.split()[0] for line in page.splitlines() if " + " in line] == ["ls"]
+    with pytest.raises(InputError, match="metric"):
+        frame_page(frame, "mass")
 
 
-def test_without_an_oracle_there_is_no_verdict(reference: Scenario) -> None:
-    lines = tidy([result(reference, "pinn")]).set_index(["method", "metric"])
-    assert lines.loc[("pinn", "rmse")].verdict == "no oracle stored"
+# ---- calibration, wrong models, disturbances
 
 
-def test_a_cell_that_was_not_run_is_a_row_that_says_so(reference: Scenario) -> None:
-    missing = Result.of_cell(Cell(reference, "rls", {}, 40, 0, "rls"), None)
-    found = [result(reference, "oracle"), missing]
-    data = tidy(found)
-    lines = data[data.method == "rls"]
-    assert set(lines.metric) == set(HEADINGS)
-    assert set(lines.verdict) == {"not run"}
-    text = written(found)["table3.md"]
-    (row,) = [line for line in text.splitlines() if line.startswith("| RLS")]
-    assert "not run" in row
+def test_honest_and_halved_uncertainties_are_told_apart(reference: Scenario) -> None:
+    """Half the standard deviation doubles every normal score: inside 1.96 is then inside 0.98, which 67 % are."""
+    even = (np.arange(200) + 0.5) / 200
+    levels = {"shooting": even, "pinn": stats.norm.cdf(2.0 * stats.norm.ppf(even)), "ls": np.array([0.5, *[0.999] * 9])}
+    cells = {name: asked(reference, name, own.size) for name, own in levels.items()}
+    scores = {name: [{"k_over_m_pit": v, "band_inside_95": 0.9} for v in own.tolist()] for name, own in levels.items()}
+    found = tuple(Result.of_cell(cell, stored(cell, scores[name])) for name, cell in cells.items())
+    lines = {(one["method"], one["quantity"]): one for one in calibration_lines(Frame("calibration", "T", {}, found))}
+    honest, halved, few = (lines[name, "k_over_m"] for name in levels)
+    assert (honest["verdict"], honest["coverage_95"]) == ("calibrated", pytest.approx(0.95))
+    assert "too sure" in halved["verdict"]
+    assert (halved["rms_z"], halved["coverage_95"]) == (pytest.approx(2.0, rel=0.02), pytest.approx(0.67, abs=0.01))
+    assert (few["coverage_95"], few["verdict"], few["n"]) == (0.1, "-", 10)
+    assert lines["pinn", "c_over_m"]["verdict"] == "-"
+    assert row_of(written(CALIBRATION, "calibration", found)[0], "PINN")[-2:] == ["90.0", "200"]
+
+
+def test_a_wrong_model_has_its_bias_coverage_and_what_was_said(reference: Scenario) -> None:
+    """Ratios of 1.1, 1.3 and 0.9: 10 % too large on average; one interval of three right, one fit of four failed."""
+    assert reference.prior is not None
+    scenarios = (
+        reference, replace(reference, disturbance=SecondMode(0.1)),
+        replace(reference, prior=replace(reference.prior, wrong=True)),
+    )  # fmt: skip
+    cells = [asked(scenario, "ls", 4) for scenario in scenarios]
+    scores = [{"k_over_m_ratio": value, "k_over_m_coverage_95": float(value > 1.2)} for value in (1.1, 1.3, 0.9)]
+    found = tuple(Result.of_cell(cell, stored(cell, scores, failures=1)) for cell in cells)
+    line = misspecified_lines(Frame("misspecified", "T", {}, found))[3]
+    assert (line["wrong"], line["quantity"], line["said"]) == ("second_mode", "k_over_m", 0.25)
+    assert (line["bias_pct"], line["coverage_95"]) == (pytest.approx(10.0), pytest.approx(1 / 3))
+    text, _ = written(MISSPECIFIED, "misspecified", found)
+    headings = [line.split(";")[0] for line in text.splitlines() if line.startswith("## ")]
+    assert headings == [f"## Wrong: {what}" for what in ("nothing", "second mode", "wrong prior")]
+    assert MISSPECIFIED.files(Frame("misspecified", "T", {}, found[:1])) == {}
+
+
+def test_residuals_of_a_wrong_answer_are_coloured_and_those_of_the_truth_are_not(reference: Scenario) -> None:
+    """At 40 dB: k/m right, and 10 % off; the response by the closed form must leave what the data leave."""
+    scenario = replace(reference, snr_db=40.0)
+    cells = {ratio: asked(scenario, method, 20) for ratio, method in ((1.0, "ls"), (1.1, "rls"))}
+    scores = {ratio: [{"k_over_m_ratio": ratio, "c_over_m_ratio": 1.0}] * 20 for ratio in cells}
+    right, off = (Result.of_cell(cell, stored(cell, scores[ratio])) for ratio, cell in cells.items())
+    found = coloured([right, off])
+    assert found[right.identity].mean() <= 0.25
+    assert np.all(found[off.identity])
+    channel = scenario.replicates(0, 1)[0][0].records[0].channels[0]
+    basis = np.stack([closed_form(scenario.parameters, *start, channel.times) for start in np.eye(2)], axis=1)
+    best = np.linalg.lstsq(basis, channel.values, rcond=None)[0]
+    left, start = residuals(channel.times, channel.values[None], np.array([[8.0, 0.4]]))
+    np.testing.assert_allclose(start[0], best, atol=1e-9)
+    np.testing.assert_allclose(left[0], channel.values - basis @ best, atol=1e-9)
+
+
+def test_the_ratio_is_that_of_pairs_and_its_interval_holds_it_as_often_as_it_says() -> None:
+    """Independent normal errors of standard deviation 1 and 1.5; 200 intervals, binomial around 0.95."""
+    errors = np.abs(np.random.default_rng(1).standard_normal(50))
+    failed = np.where(np.arange(50) % 7, errors, math.inf)
+    assert ratio(failed, 2.0 * errors) == pytest.approx((0.5, 0.5, 0.5))
+    assert np.isnan([ratio(np.full(50, math.inf), errors), ratio(errors, np.zeros(50))]).all()
+    rng = np.random.default_rng(2)
+    ends = [ratio(1.5 * rng.standard_normal(100), rng.standard_normal(100))[1:] for _ in range(200)]
+    assert 0.87 <= np.mean([low <= 1.5 <= high for low, high in ends]) <= 0.995
+
+
+def test_a_disturbed_cell_stands_beside_its_undisturbed_one(reference: Scenario) -> None:
+    """Errors 2 and 5 times the bound, known start; 1 and 1 times, unknown start; intervals right in 4 of 10."""
+    hit = Disturbance.from_dict({"kind": "bias", "size": 0.05})
+    sizes = {(None, "known"): 2.0, (hit, "known"): 5.0, (None, "unknown"): 1.0, (hit, "unknown"): 1.0}
+    found = []
+    for (disturbance, start), scale in sizes.items():
+        cell = asked(replace(reference, disturbance=disturbance, initial_state=start), "ls", 10)
+        scores = [{name: scale * size for name, size in SIZES.items()} for _ in range(10)]
+        own = [{**one, "k_over_m_coverage_95": float(i < 4)} for i, one in enumerate(scores)]
+        found.append(
+            Result.of_cell(cell, stored(cell, own[: 10 if start == "known" else 7], 0 if start == "known" else 3))
+        )
+    found.append(Result.of_cell(asked(replace(reference, disturbance=SecondMode(0.1)), "ls", 10), None))
+    lines = robustness_lines(Frame("robustness", "T", {}, tuple(found)))
+    line = next(one for one in lines if (one["disturbance"], one["metric"]) == ("bias", "k_over_m_error_pct"))
+    numbers = [line[name] for name in ("excess", "excess_undisturbed", "ratio", "ratio_low", "coverage_95", "size")]
+    assert numbers == pytest.approx([5.0, 2.0, 2.5, 2.5, 0.4, 0.05], rel=1e-5)
+    text, data = written(ROBUSTNESS, "robustness", found)
+    assert row_of(text, "LS") == ["2.00", "5.00 *", "1.00 (7/10)", "1.00 (7/10)", "not run"]
+    assert len(data) == 3 * len(found)
     assert "1 cells were not run" in text
 
 
-def test_failures_stand_in_the_table_with_their_reason(reference: Scenario) -> None:
-    found = [result(reference, "oracle"), result(reference, "ls", 3.0, failures=25)]
-    data = tidy(found)
-    text = written(found)["table3.md"]
-    (row,) = [line for line in text.splitlines() if line.startswith("| LS, finite differences") and "/40" in line]
-    assert "15/40" in row
-    assert "failed ×" in row  # more than half failed: the median is a failure, the excess that of the others
-    assert "- 25 × LS, finite differences: diverged, took too large a step" in text
-    oracle, ls = ([row.scores.get("rmse", math.inf) for row in e.stored.rows] for e in found if e.stored)
-    verdict = data[(data.method == "ls") & (data.metric == "rmse")].verdict.iloc[0]
-    assert verdict == judge(0.119, np.array(ls), np.array(oracle), 0.0).text
-    assert verdict != judge(0.119, np.array(ls)[np.isfinite(ls)], np.array(oracle), 0.0).text
+# ---- several systems
+
+
+def cell_of(*overrides: str, method: str = "shooting") -> Cell:
+    return expand([f"method={method}", *overrides], multirun=False)[0].cell()
+
+
+def result(
+    errors: Mapping[str, Sequence[float]], bounds: Mapping[str, float], failures: int = 0, **more: Any
+) -> Result:
+    """A result whose replicate i has the errors ``errors[name][i]`` (%), under the given bounds."""
+    cell = more.get("cell") or cell_of("system=sdof_forced")
+    scores = [
+        {f"{name}_error_pct": own[i] for name, own in errors.items()}
+        | {f"{name}_ratio": 1 + own[i] / 100 for name, own in errors.items()}
+        | {f"{name}_coverage_95": own[i] for name, own in more.get("coverage", {}).items()}
+        for i in range(len(next(iter(errors.values()))))
+    ]
+    made = stored(cell, scores, failures)
+    whole = {"mean": 0.0, "median": 1.0, "ci_low": 0.0, "ci_high": 0.0, "excess": 1.0}
+    summary = {f"{name}{ERROR}": {**whole, "bound": bound} for name, bound in bounds.items()}
+    summary["rmse"] = {**whole, "bound": 0.01}
+    return Result.of_cell(cell, replace(made, summary=summary, identifiable=dict.fromkeys(bounds, True)))
+
+
+def test_pooling_by_hand() -> None:
+    """Errors (3, 4) % over bounds (1, 1) %: sqrt((9 + 16)/2) of a replicate; over two replicates the mean square."""
+    one = result({"m": [3.0, 0.0], "k": [4.0, 2.0], "c": [1.0, 1.0]}, {"m": 1.0, "k": 1.0, "c": math.inf}, failures=1,
+                 coverage={"m": [1.0, 0.0], "k": [1.0, 1.0]})  # fmt: skip
+    metrics = ("m_error_pct", "k_error_pct", "c_error_pct")  # c has no bound, and is left out
+    assert pooled_errors(one, metrics).tolist() == pytest.approx([math.sqrt(12.5), math.sqrt(2.0), math.inf])
+    assert pooled_excess(one, metrics) == pytest.approx(math.sqrt((12.5 + 2.0) / 2))
+    assert pooled_coverage(one, ("m", "k")) == 0.75
+    assert math.isnan(pooled_coverage(one, ("c",)))
+
+
+def test_parameters_from_ratios_and_from_groups() -> None:
+    cell = cell_of("system=chain2")
+    system, true = cell.scenario.make_system(), cell.scenario.parameters
+    ratios, groups = ({f"{own.name}_ratio": 1.0 for own in some} for some in (system.quantities, system.groups))
+    found = identified(Result.of_cell(cell, stored(cell, [{f"{name}_ratio": 2.0 for name in system.names}, groups], 1)))
+    assert ratios.keys() > groups.keys()
+    assert {name: own[0] for name, own in found.items()} == {name: 2.0 * true[name] for name in system.names}
+    assert (found["m1"][1], found["k2"][1]) == (1.0, pytest.approx(true["k2"] / true["m1"]))
+    assert all(math.isnan(own[2]) for own in found.values())
+
+
+def test_modes_of_the_true_parameters_agree_with_themselves() -> None:
+    """Every parameter 21 % high: same modes. Springs alone 21 % high: frequencies 10 % high, the undamped law."""
+    chain = cell_of("system=chain2")
+    names = chain.scenario.make_system().names
+    for springs, error in ((names, 0.0), ([name for name in names if name[0] == "k"], 10.0)):
+        errors = {name: [21.0 * (name in springs)] for name in names}
+        found = modal_scores(result(errors, dict.fromkeys(names, 1.0), cell=chain))
+        assert found["frequencies_error_pct"] == pytest.approx([error], rel=0.01, abs=1e-9)
+        assert found["least_mac"] > 0.99
+    assert not modal_scores(result({"m": [21.0]}, {"m": 1.0}, cell=cell_of("system=duffing")))
+
+
+def test_the_record_is_described_in_numbers() -> None:
+    """Reference system: 0.45 Hz, so 4.5 periods in 10 s and 1/(0.45 * 10/24) = 5.3 samples in each."""
+    text = describe(cell_of("system=sdof").scenario)
+    assert "25 samples over 10 s; 4.5 periods of the slowest mode, 5.33 samples" in text
+    assert "0.5 kg added" in describe(cell_of("system=sdof_added_mass").scenario)
+    assert "no prior" in describe(cell_of("system=sdof_forced").scenario)
+
+
+def test_a_table_of_missing_failed_and_good_cells() -> None:
+    names = ["m", "c", "k", "k_over_m", "c_over_m"]
+    bounds = dict.fromkeys(names, 1.0)
+    nines = {name: [9.0, 9.0, 9.0] for name in names}
+    found = [
+        result({name: [1.0, 2.0, 1.5] for name in names}, bounds),
+        result(nines, bounds, failures=2, cell=cell_of("system=sdof_forced", method="pinn")),
+        Result.of_cell(cell_of("system=sdof_forced", method="ls"), None),
+        Result.of_cell(cell_of("system=sdof_forced", "snr=10", method="rls"), None),
+    ]
+    text, _ = written(SYSTEMS, "forced", found, number=6)
+    assert "- 2 × PINN: diverged, lost\n- 2 cells were not run" in text
+    assert row_of(text, "Multiple shooting")[0].strip("*") == "×1.55"  # sqrt((1 + 4 + 2.25) / 3)
+    assert row_of(text, "PINN")[-1] == "3/5"
+    assert row_of(text, "LS, finite")[0] == "not run"
+    tidy = {(line["method"], line["metric"]): line for line in system_lines(Frame("forced", "T", {}, tuple(found)))}
+    assert tidy["pinn", "told_pooled"]["excess"] == pytest.approx(9.0)
+
+
+# ---- the command
 
 
 @pytest.fixture
-def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The four experiments with two methods and 30 replicates."""
+def small_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    """All cells of short experiments, with two methods and 30 replicates, but for one that was not run."""
     original = Experiment.content.func  # type: ignore[attr-defined]
 
     def shortened(self: Experiment) -> dict[str, Any]:
@@ -210,93 +354,40 @@ def _short_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
         return {**described, "replicates": 30, "sweep": sweep, "also": []}
 
     monkeypatch.setattr(Experiment, "content", property(shortened))
-
-
-@pytest.fixture
-def small_store(tmp_path: Path, _short_experiments: None) -> Store:
-    """All cells of the short experiments but for one that was not run."""
     store = Store(tmp_path / "rows")
     store.prepare()
-    for name in ("table2", "table3", "table4", "table5"):
-        for cell in Experiment(name).cells():
-            scenario = cell.scenario
-            if not (scenario.label == "table4_5" and cell.method == "oracle" and scenario.initial_state == "known"):
-                store.save(stored(cell))
+    for cell in (cell for name in ("table2", "table4", "robustness") for cell in Experiment(name).cells()):
+        scenario = cell.scenario
+        if (scenario.label, cell.method, scenario.initial_state) != ("table4_5", "oracle", "known"):
+            made = normal(cell).stored
+            assert made is not None
+            store.save(made)
     return store
 
 
-def test_the_command_writes_every_table_in_three_forms_the_same_each_time(small_store: Store, tmp_path: Path) -> None:
-    out, tex = tmp_path / "out", tmp_path / "tex"
-
-    def made() -> dict[str, bytes]:
-        assert main(["tables", f"store={small_store.folder}", f"out={out}", f"tex={tex}"]) == 0
-        assert {path.suffix for path in tex.iterdir()} == {".tex"}
-        return {path.name: path.read_bytes() for path in (*out.iterdir(), *tex.iterdir())}
+def test_the_command_writes_every_table_the_same_each_time(small_store: Store, tmp_path: Path) -> None:
+    def made() -> dict[str, str]:
+        assert (
+            main(["tables", f"store={small_store.folder}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 0
+        )
+        return {path.name: path.read_text() for path in (*tmp_path.glob("out/*"), *tmp_path.glob("tex/*"))}
 
     first = made()
-    assert {path.suffix for path in out.iterdir()} == {".md", ".csv"}
-    assert set(first) == {f"table{i}.{ending}" for i in (2, 3, 4, 5) for ending in ("md", "csv", "tex")}
+    assert {"table2.md", "table4.csv", "table4.tex", "robustness.md"} <= first.keys()
     assert made() == first
-    for i in (2, 3, 4, 5):
-        lines = list(csv.reader(io.StringIO(first[f"table{i}.csv"].decode())))
-        assert tuple(lines[0]) == COLUMNS
-        assert {len(line) for line in lines} == {len(COLUMNS)}
-        text = first[f"table{i}.md"].decode()
-        assert text.index("Initial state known") < text.index("Initial state unknown")
-        assert f"python -m bench -m experiment=table{i} && python -m bench tables" in text
-        assert str(tmp_path) not in text
-        printed = first[f"table{i}.tex"].decode()
-        assert printed.count("\\begin{tabular}") == printed.count("\\end{tabular}") == 2
-        assert "×" not in printed
-        assert not re.search(r"(?<!\\)%(?! needs| regenerate)", printed)
-    rows5 = list(csv.DictReader(io.StringIO(first["table5.csv"].decode())))
-    snrs, told, methods = ("40", "30", "20", "10", "5"), ("known", "unknown"), ("bound", "prior", "oracle")
-    found = {(line["row"], line["initial_state"], line["method"]) for line in rows5}
-    assert found == {(snr, start, method) for snr in snrs for start in told for method in methods}
-    rows4 = list(csv.DictReader(io.StringIO(first["table4.csv"].decode())))
-    not_run = [line for line in rows4 if line["verdict"] == "not run"]
-    assert {line["metric"] for line in not_run} == set(HEADINGS)
-    assert {(line["row"], line["initial_state"], line["method"]) for line in not_run} == {("5", "known", "oracle")}
+    assert str(tmp_path) not in "".join(first.values())
+    rows = list(csv.reader(io.StringIO(first["table4.csv"])))
+    assert tuple(rows[0]) == PAPER_COLUMNS
+    assert {len(row) for row in rows} == {len(PAPER_COLUMNS)}
+    not_run = {(row[1], row[3], row[5]) for row in rows if row[-1] == "not run"}
+    assert not_run == {("5", "known", "oracle")}
+    assert first["table4.tex"].count("\\begin{tabular}") == first["table4.tex"].count("\\end{tabular}") == 2
+    assert "python -m bench -m experiment=table4 && python -m bench tables" in first["table4.md"]
 
 
-@pytest.mark.usefixtures("_short_experiments")
-def test_a_table_without_any_cell_is_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "empty").mkdir()
-    assert main(["tables", f"store={tmp_path / 'empty'}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 2
-    assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
-    assert "no cell is there; run python -m bench -m experiment=table5 first" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("bad", ["store=nowhere", "stor=x", "out=", "x"])
+@pytest.mark.parametrize("bad", ["store=nowhere", "stor=x", "out=", "x", "store=tests"])
 def test_bad_input_is_one_line(bad: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["tables", bad]) == 2
+    assert main(["tables", bad, "archive=none"]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
     assert err.startswith("bench: ")
-
-
-def test_one_scenario_at_two_starts_has_two_bounds(reference: Scenario) -> None:
-    known = result(reference, "oracle")
-    cell = Cell(replace(reference, initial_state="unknown"), "oracle", {}, 40, 0, "oracle")
-    data = tidy([known, Result.of_cell(cell, stored(cell))])
-    bounds = data[(data.method == "bound") & (data.metric == "rmse")]
-    assert list(bounds.initial_state) == ["known", "unknown"]
-
-
-def test_the_frame_of_everything_holds_ties_verdicts_and_states() -> None:
-    """The best by errors ten times smaller stands alone, and the oracle competes with nobody."""
-    cells = [cell for cell in Experiment("table3").cells() if cell.scenario.initial_state == "known"]
-    scale = {"ls": 0.1, "rls": 1.0, "oracle": 0.01}
-    results = [Result.of_cell(cell, stored(cell, scale[cell.label]) if cell.label in scale else None) for cell in cells]
-    frame = tidy_frame([Frame("table3", "Comparison", {"number": 3}, tuple(results))])
-    lines = frame.set_index(["method", "metric"])
-    assert [bool(lines.tied[name, "k_over_m_error_pct"]) for name in ("ls", "rls", "oracle")] == [True, False, False]
-    assert lines.paper["rls", "m_error_pct"] == 13.8
-    assert lines.verdict["rls", "m_error_pct"] == "not decidable (100 % prior)"
-    assert lines.state["pinn", ""] == "missing"
-    assert lines.state["ls", "rmse"] == "stale"  # its cell says nothing of versions
-    assert lines.excess["ls", "rmse"] == pytest.approx(results[[c.label for c in cells].index("ls")].excess("rmse"))
-    page = frame_page(frame, "k_over_m_error_pct")
-    assert [line.split()[0] for line in page.splitlines() if " + " in line] == ["ls"]
-    with pytest.raises(InputError, match="metric"):
-        frame_page(frame, "mass")

@@ -1,0 +1,488 @@
+"""The tables of experiments, each a specification in the form that the ``table`` of its file in ``conf`` names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity, share
+from bench.reporting.labels import in_order, title, told, warns
+from bench.reporting.ranking import FIRST_TIER
+from bench.reporting.residuals import coloured
+from bench.reporting.rounding import answered, excess_text, number, percent, percent_between, readable, with_excess
+from bench.reporting.tables.pooling import lower_median, median_time, root_mean_square
+from bench.reporting.tables.render import MISSING, Rows, TableForm, Texts, bold, failure_notes, listing, named, panel
+from bench.reporting.tables.tidy import line, tidy_lines
+from bench.scoring.calibration import calibration, together
+from bench.scoring.statistics import counts
+from bench.scoring.summary import gross
+
+ORACLE = """*oracle* is maximum a posteriori (without a prior: maximum likelihood) started at the truth."""
+EXCESS = """The number after × is the excess: root mean square error over the Cramér-Rao bound, over the fits that gave
+an answer. 1 is the best that an unbiased method can do; ×>1e6: some estimates ran away, and how far says nothing. A fit
+without an answer counts as an infinite error in medians; *ok*: fits that gave an answer, of all."""
+COVERAGE = """**95 %**: the share of the 95 % intervals that held the truth, with its own 95 % interval (Wilson's)."""
+DASH = "A dash: the method does not tell it, or the experiment does not ask for it."
+
+
+# ---- what several tables show
+
+
+def covered(one: Line, digits: int = 0) -> str:
+    """The share of the 95 % intervals that held the truth, with its interval."""
+    return percent_between(one["coverage_95"], one["low_95"], one["high_95"], digits)
+
+
+def bounded(one: Line) -> str:
+    """The bound, and how much of it is the prior's."""
+    if not math.isfinite(one["bound"]):
+        return "not told"
+    share = percent(one["prior_share"])
+    return number(one["bound"]) + (f" ({share} % prior)" if share not in ("0", MISSING) else "")
+
+
+def results_of(lines: Iterable[Line]) -> list[Result]:
+    """The results of lines, each once."""
+    return list(dict.fromkeys(one["result"] for one in lines))
+
+
+def failures(lines: Sequence[Line]) -> list[str]:
+    """What failed of the results of lines."""
+    return [failure_notes(results_of(lines))]
+
+
+def fits(lines: Sequence[Line]) -> Texts:
+    """The median time, what was told beyond the data, and how many fits gave an answer at each noise level."""
+    own = results_of(lines)
+    if lines[0]["method"] == "bound":
+        return {}
+    return {
+        "time (s)": seconds(median_time(own)), "uses": uses(own[0]),
+        "ok": ", ".join(dict.fromkeys(answered(one.n_ok, one.n) for one in own)),
+    }  # fmt: skip
+
+
+def seconds(time: float) -> str:
+    """A processor time."""
+    return MISSING if math.isnan(time) else f"{time:.2g}"
+
+
+def uses(result: Result) -> str:
+    """What a method was told beyond the data, of what there was to tell here."""
+    there = {"start": result.initial_state == "known", "prior": bool(result.prior)}
+    return ", ".join(word for word in told(result.method).split(", ") if there.get(word.partition(" ")[0], True))
+
+
+def place(one: Line) -> Texts:
+    """The method and the noise level of a line."""
+    return {**named(one), "SNR (dB)": f"{one['snr_db']:g}"}
+
+
+def start(one: Line) -> str:
+    """The reading of the initial state."""
+    return f"Initial state {one['initial_state']}"
+
+
+# ---- Tables 2 to 5: every method beside the paper's numbers
+
+HEADINGS = {
+    "k_over_m_error_pct": "k/m error %", "c_over_m_error_pct": "c/m error %", "rmse": "RMSE (m)",
+    "m_error_pct": "m error %", "c_error_pct": "c error %", "k_error_pct": "k error %",
+}  # fmt: skip
+"""The metrics of these tables, in order, and what stands over them."""
+
+
+def paper_lines(frame: Frame) -> list[Line]:
+    """One line a metric: of each scenario the bound, of every method its errors with the paper's number."""
+    lines: list[Line] = []
+    scenarios = set[str]()
+    for one in tidy_lines(frame, scored, PAPER_COLUMNS):
+        result = one["result"]
+        if result.stored and result.question not in scenarios:
+            scenarios.add(result.question)
+            metrics = [metric for metric in result.summary if math.isfinite(result.bound(metric))]
+            head = {
+                **one,
+                **dict.fromkeys(PAPER_COLUMNS[7:], math.nan),
+                "method": "bound",
+                "verdict": "",
+                "tied": False,
+            }
+            bounds = ("metric", "bound", "prior_share")
+            lines += [{**head, **line(result, metric, bounds), "n_ok": None, "n": None} for metric in metrics]
+        lines.append({**one, "prior_share": math.nan})  # it is the bound's
+    return lines
+
+
+def scored(result: Result) -> list[str]:
+    """The metrics of a result; those that are shown where it was not run."""
+    return [metric for metric in result.summary if metric != "realised_snr_db"] or list(HEADINGS)
+
+
+def paper_row(one: Line) -> Texts:
+    """The row of the paper's table, where it has several, and the method."""
+    first = {4: "set", 5: "SNR (dB)"}.get(one["table"])
+    return {**({first: one["row"]} if first else {}), **named(one)}
+
+
+def paper_entry(one: Line) -> Texts:
+    """A median with its excess, and the paper's own reading, which is the known start."""
+    if one["metric"] not in HEADINGS:
+        return {}
+    if one["method"] == "bound":
+        return {HEADINGS[one["metric"]]: bounded(one)}
+    beside = f" (paper {number(one['paper'])})" if one["paper"] > 0 and one["initial_state"] == "known" else ""
+    return {HEADINGS[one["metric"]]: bold(with_excess(one["median"], one["excess"]) + beside, one["tied"])}
+
+
+def paper_last(lines: Sequence[Line]) -> Texts:
+    """The share of the mean square error of k/m and of c/m that is bias, and the rest."""
+    shares = [percent(one["bias_share"]) for one in lines if one["metric"] in list(HEADINGS)[:2]]
+    return {"bias² %": ", ".join(shares), **fits(lines)} if lines[0]["method"] != "bound" else {}
+
+
+PRINTED: Mapping[str, Callable[[Line], str]] = {
+    "row": lambda one: one["row"],
+    "method": lambda one: title(one["method"]),
+    "metric": lambda one: HEADINGS[one["metric"]],
+    "paper": lambda one: number(one["paper"]),
+    "ours, median (95 %)": lambda one: f"{number(one['median'])} ({number(one['ci_low'])} to {number(one['ci_high'])})",
+    "bound": lambda one: number(one["bound"]),
+    "verdict": lambda one: one["verdict"],
+}
+
+
+def printed(frame: Frame, lines: Sequence[Line]) -> Iterator[str | Rows]:
+    """The paper's numbers beside ours."""
+    yield "## The paper's numbers"
+    durations = ", ".join(dict.fromkeys(f"{result.duration:g} s" for result in frame))
+    masses = ", ".join(dict.fromkeys(f"{100 * result.prior['mass']:g} %" for result in frame if result.prior))
+    yield PAPERS_NUMBERS.format(durations=durations, masses=masses)
+    yield listing([one for one in lines if one["initial_state"] == "known" and one["paper"] > 0], PRINTED)
+
+
+PAPERS_NUMBERS = """*Reproduced*: the number lies where 90 in 100 further runs of ours do (single run; known start), and
+other means of as many runs (mean; their own sampling error counted). *Not decidable*: our prior decides. *Open*: the
+error may follow from that of the mass, for ours is not better in what it implies of k/m or c/m. Table 2 prints one
+estimate, a single run. The paper says neither how long its records are nor what its prior is: {durations}, and a mass
+weighed to {masses}, are ours ([readings](reproduction.md))."""
+PAPER_COLUMNS = (
+    "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
+    "bound", "prior_share", "excess", "bias_share", "n_ok", "n", "paper", "verdict",
+)  # fmt: skip
+PAPER = TableForm(
+    legend=f"""Each entry: median over the replicates. {EXCESS} The row *bound* gives the Cramér-Rao bound on the root
+mean square (a median lies below a root mean square: about 0.67 of it for a normal error), and how much of its variance
+is the prior's (`python -m bench identifiability` says more). Free vibration tells k/m and c/m only: m, and what follows
+from it, is decided by the prior. {ORACLE} *prior* is the nominal values without any data. {FIRST_TIER} bias² %: the
+share of the mean square errors of k/m and c/m that is the square of their mean error, what more replicates would not
+average out (less what chance makes of no bias). Time: processor time of the median fit. Uses: what a method was told
+beyond the data; *prior after*: by one step that all such methods share. All 95 % intervals are in the CSV.""",
+    columns=PAPER_COLUMNS, lines=paper_lines, section=start, row=paper_row, entry=paper_entry, last=paper_last,
+    order=lambda one: list(HEADINGS).index(one["metric"]) if one["metric"] in HEADINGS else len(HEADINGS),
+    beside=failures, below=printed, latex=True,
+)  # fmt: skip
+
+
+# ---- whether stated uncertainties hold
+
+FEWEST, COUNTED = 20, 5
+"""Replicates below which nothing is judged, and below which nothing is counted either."""
+
+
+def calibration_lines(frame: Frame) -> list[Line]:
+    """One line a method, noise, start and quantity; the tests of all of them are adjusted together."""
+    places = [(result, name) for result in frame if result.stored for name in ("k_over_m", "c_over_m")]
+    levels = [_scored(result, f"{name}_pit") for result, name in places]
+    alone = [calibration(own) if own.size >= COUNTED else None for own in levels]
+    judged = iter(together([one for one in alone if one and one.n >= FEWEST]))
+    lines: list[Line] = []
+    for (result, name), own, one in zip(places, levels, alone, strict=True):
+        inside = _scored(result, "band_inside_95")
+        counted: dict[str, Any] = {}
+        if one:
+            shares = {f"coverage_{round(100 * c.level)}": c.share for c in one.coverage}
+            ends = {"low_95": one.coverage[-1].low, "high_95": one.coverage[-1].high}
+            counted = {**shares, **ends, "mean_z": one.mean_z, "rms_z": one.rms_z, "uniform_p": one.p_values[2]}
+        verdict = next(judged).verdict if own.size >= FEWEST else MISSING
+        head = line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity"))
+        band = float(np.mean(inside)) if inside.size else math.nan
+        lines.append({**head, **counted, "verdict": verdict, "n": own.size, "band_95": band})
+    return lines
+
+
+def _scored(result: Result, score: str) -> np.ndarray:
+    scores = result.scores(score)
+    return np.asarray(scores[~np.isnan(scores)])
+
+
+def calibration_entry(one: Line) -> Texts:
+    """Coverage, spread of the normal scores, and verdict."""
+    if "rms_z" not in one:
+        return {}
+    texts = {"95 %": covered(one, 1), "RMS of z": f"{one['rms_z']:.2f}", "verdict": one["verdict"]}
+    return {f"{readable(one['quantity'])} {heading}": text for heading, text in texts.items()}
+
+
+CALIBRATION = TableForm(
+    legend=f"""{COVERAGE} z is the truth's normal score under the belief, cut at 6: of mean 0 and root mean square (RMS)
+1 if the belief is calibrated; an RMS of 2 means intervals half as wide as the errors ask for, bias included: too sure;
+one below 1, too wide. The verdict is by three tests (mean of z, its mean square, uniformity of the levels) at 5 %,
+adjusted over all tests of all lines of this table (Benjamini and Hochberg): of what they find, one in twenty is
+expected to be a false alarm, and if all lines were calibrated, nothing would be found with 95 % probability. Fewer than
+{FEWEST} replicates have no verdict. Band: the share of the record, 1,000 points in each replicate, where the true
+displacement lies in the method's own 95 % band. A dash: the method states no uncertainty, or there is no verdict.""",
+    columns=(
+        "method", "initial_state", "snr_db", "quantity", "n", "coverage_50", "coverage_80", "coverage_95", "low_95",
+        "high_95", "mean_z", "rms_z", "uniform_p", "verdict", "band_95",
+    ),
+    lines=calibration_lines, section=start, row=place, entry=calibration_entry,
+    last=lambda own: {"band 95 %": percent(own[0]["band_95"], 1), "n": str(own[0]["n"])},
+    digits=5,
+)  # fmt: skip
+
+
+# ---- what becomes of estimates and intervals where the model is wrong
+
+RIGHT = "nothing"
+
+
+def wrong(result: Result) -> str:
+    """What is wrong: the kind of disturbance, a wrong prior, or nothing."""
+    return result.disturbance or ("wrong_prior" if (result.prior or {}).get("wrong") else RIGHT)
+
+
+def misspecified_lines(frame: Frame) -> list[Line]:
+    """One line a cell and quantity; a cell that was not run has n = 0."""
+    noticed = coloured(frame.results)
+    return [
+        {
+            **line(result, name + ERROR), "wrong": wrong(result), "said": said(result),
+            "median_error_pct": result.statistic(name + ERROR, "median"),
+            "coloured": np.mean(noticed[result.identity]) if np.size(noticed.get(result.identity, ())) else math.nan,
+        }
+        for result in frame
+        for name in ("k_over_m", "c_over_m", "m")
+    ]  # fmt: skip
+
+
+def said(result: Result) -> float:
+    """The share of the fits that failed or came with a warning; NaN where messages are no warnings."""
+    if not result.n or not warns(result.label):
+        return math.nan
+    return float(np.mean([not ok or bool(message) for ok, message in zip(result.ok, result.messages, strict=True)]))
+
+
+def misspecified_entry(one: Line) -> Texts:
+    """Error, bias and coverage."""
+    texts = {
+        "error %": with_excess(one["median_error_pct"], one["excess"]), "bias %": number(one["bias_pct"]),
+        "95 %": covered(one),
+    }  # fmt: skip
+    return {f"{readable(one['quantity'])} {heading}": text for heading, text in texts.items()}
+
+
+MISSPECIFIED = TableForm(
+    legend=f"""What is fitted is one mass with a viscous damper and a linear spring; the data are of something else, or
+the nominal values are off by three standard deviations. Errors are against what truth and model have in common: the
+stiffness at small amplitude, the viscous part of the damping, the first mode. Each entry: the median error in percent.
+{EXCESS} The bound is that of the right model, with white noise alone. Bias: the mean of estimate over truth, less one,
+in percent. {COVERAGE} Below what they claim, a method is wrong and does not say so. Said: the share of the fits that
+gave no answer or one with a warning. Residuals: the share of the answers whose residuals a user can tell from white
+noise (Ljung-Box test at 5 % of the best response of k/m and c/m; the panel in which nothing is wrong shows its false
+alarms). {ORACLE} It has the same wrong model. {DASH}""",
+    columns=(
+        "wrong", "system", "initial_state", "snr_db", "method", "quantity", "median_error_pct", "bias_pct", "excess",
+        "coverage_95", "low_95", "high_95", "said", "coloured", "n_ok", "n",
+    ),
+    lines=misspecified_lines,
+    section=lambda one: f"Wrong: {one['wrong'].replace('_', ' ')}; initial state {one['initial_state']}",
+    row=place, entry=misspecified_entry,
+    last=lambda own: {
+        "said %": percent(own[0]["said"]), "residuals %": percent(own[0]["coloured"]),
+        "ok": answered(own[0]["n_ok"], own[0]["n"]),
+    },
+    beside=failures, own=lambda result: wrong(result) != RIGHT,
+)  # fmt: skip
+
+
+# ---- how far each disturbance takes each method from what it does on undisturbed data
+
+PANELS = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "Displacement"}
+TOLD_APART = 0.01
+"""A ratio nearer to 1 than this is no change worth a star, however certain (two integrators differ by rounding)."""
+
+
+def ratio(disturbed: np.ndarray, undisturbed: np.ndarray) -> tuple[float, float, float]:
+    """Root mean square over root mean square of paired errors, shape (n,), with its 95 % bootstrap interval.
+
+    Pairs in which either failed (not finite) are left out; NaNs where fewer than two are left.
+    """
+    good = np.isfinite(disturbed) & np.isfinite(undisturbed)
+    squares = np.stack([disturbed[good], undisturbed[good]], axis=1) ** 2
+    if good.sum() < 2 or not np.any(squares[:, 1]):
+        return math.nan, math.nan, math.nan
+    above, below = (counts(len(squares)).T @ squares).T / len(squares)
+    low, high = np.quantile(np.sqrt(above / np.maximum(below, np.finfo(float).tiny)), [0.025, 0.975])
+    middle = squares.mean(axis=0)
+    return float(np.sqrt(middle[0] / middle[1])), float(low), float(high)
+
+
+def robustness_lines(frame: Frame) -> list[Line]:
+    """One line a cell and metric, beside the same of its undisturbed counterpart.
+
+    Both have the same base noise and nominal values replicate by replicate, so their ratio is far better known than
+    either.
+    """
+    known, lines = {result.identity: result for result in frame}, list[Line]()
+    for result in frame:
+        assert result.cell is not None
+        plain = known.get(replace(result.cell, scenario=result.scenario.undisturbed).identity)
+        for metric in PANELS:
+            beside, ratios = {}, (math.nan,) * 3
+            if plain:
+                beside = {f"{name}_undisturbed": value for name, value in line(plain, metric, BESIDE).items()}
+            if plain and plain.stored and result.stored:
+                ratios = ratio(result.errors(metric), plain.errors(metric))
+            named_ratios = dict(zip(("ratio", "ratio_low", "ratio_high"), ratios, strict=True))
+            lines.append({**line(result, metric), **beside, **named_ratios})
+    return lines
+
+
+def disturbed(one: Line) -> str:
+    """The disturbance of a line, which heads its column."""
+    name = "undisturbed" if one["disturbance"] == "none" else one["disturbance"].replace("_", " ")
+    return name + (" (start known)" if one["initial_state"] == "known" else "")
+
+
+def robustness_entry(one: Line) -> Texts:
+    """The excess, whether it differs from the undisturbed one, and how many fits gave an answer where not all did."""
+    if not one["n"]:
+        return {disturbed(one): "not run"}
+    apart = one["ratio_low"] > 1 + TOLD_APART or one["ratio_high"] < 1 - TOLD_APART
+    star = " *" if apart and one["disturbance"] != "none" else ""
+    answers = f" ({one['n_ok']}/{one['n']})" if one["n_ok"] < one["n"] else ""
+    return {disturbed(one): excess_text(one["excess"]) + star + answers}
+
+
+def coverage_under(frame: Frame, lines: Sequence[Line]) -> Iterator[str | Rows]:
+    """How often the intervals of k/m held the truth, and what was not run."""
+    yield "## Coverage of the 95 % interval of k/m, in percent"
+    own = [one for one in lines if one["metric"] == next(iter(PANELS))]
+    yield panel(own, named, lambda one: {disturbed(one): percent(one["coverage_95"]) if one["n"] else "not run"})
+    yield failure_notes(frame)
+
+
+BESIDE = ("excess", "coverage_95", "n_ok")
+ROBUSTNESS = TableForm(
+    legend="""Each entry: root mean square error over the replicates, divided by the Cramér-Rao bound of the
+*undisturbed* scenario: what would be possible without the disturbance (noise that is not white and normal has a bound
+of its own, which may be lower); for *irregular* by the bound of its own times, which are told. The start is unknown to
+the methods unless the column says otherwise. A star marks an entry whose error differs from the undisturbed one of its
+reading by more than 1 %, beyond a 95 % interval (bootstrap of pairs: both cells have the same base noise). Failed
+replicates are left out of the entry and counted behind it. *oracle* is maximum a posteriori started at the truth, under
+the same wrong assumptions: what it loses is not the optimiser's. No method is told of a disturbance, nor that there is
+one. Ratios with their intervals are in the CSV.""",
+    columns=(
+        "disturbance", "size", "system", "initial_state", "snr_db", "method", "metric", "excess", "excess_undisturbed",
+        "ratio", "ratio_low", "ratio_high", "coverage_95", "coverage_95_undisturbed", "n_ok", "n_ok_undisturbed", "n",
+    ),
+    lines=robustness_lines, section=lambda one: f"{PANELS[one['metric']]}: root mean square error over the bound",
+    entry=robustness_entry, below=coverage_under, own=lambda result: bool(result.disturbance),
+)  # fmt: skip
+
+
+# ---- all scenarios of the open split together
+
+METRICS = {"k_over_m_error_pct": "k/m", "c_over_m_error_pct": "c/m", "rmse": "displacement"}
+UNTOLD = 100.0
+"""A bound (%) beyond which data and prior do not tell a quantity: an error over it says nothing."""
+PARTS: Mapping[str, Callable[[Result], bool]] = {
+    "all": lambda result: True,
+    "free": lambda result: not result.forced,
+    "free at even times": lambda result: not result.forced and not result.disturbance,
+    "forced": lambda result: result.forced,
+}
+
+
+def open_lines(frame: Frame) -> list[Line]:
+    """One line a part, method and metric."""
+    lines: list[Line] = []
+    bounds = {metric: bounds_of(frame, metric) for metric in METRICS}
+    for part, has in PARTS.items():
+        methods = group(filter(has, frame), lambda result: result.label)
+        scenarios = len({result.question for own in methods.values() for result in own})
+        for label in in_order(methods):
+            head = {"part": part, "scenarios": scenarios, "method": label, "results": methods[label]}
+            time = {"median_cpu_s": median_time(methods[label])}
+            lines += [
+                {**head, "metric": metric, **time, **over_bounds(methods[label], metric, bounds[metric])}
+                for metric in METRICS
+            ]
+    return lines
+
+
+def bounds_of(results: Iterable[Result], metric: str) -> dict[str, float]:
+    """The bound of each scenario by its question, from any method that stored it: one that failed may have none."""
+    bounds = {result.question: result.bound(metric) for result in results if math.isfinite(result.bound(metric))}
+    return {question: bound for question, bound in bounds.items() if bound > 0 and (metric == "rmse" or bound < UNTOLD)}
+
+
+def over_bounds(results: Iterable[Result], metric: str, bounds: Mapping[str, float]) -> Line:
+    """The errors of one method over the bounds, of the scenarios that tell a metric; ``bounds`` are by question.
+
+    A reference row that states no error of its own, and a method that does not tell the metric, count as failed.
+    """
+    told = [result for result in results if result.stored and result.question in bounds]
+    ratios = [np.empty(0), *(result.errors(metric) / bounds[result.question] for result in told)]
+    hits = [np.empty(0), *(result.successful(f"{quantity(metric)}_coverage_95") for result in told)]
+    every, held = np.concatenate(ratios), np.concatenate(hits)
+    known = every[np.isfinite(every)]
+    shares = dict(zip(("gross", "gross_low", "gross_high"), share(gross(every, 1.0)), strict=True))
+    held_shares = dict(zip(("coverage_95", "low_95", "high_95"), share(held), strict=True))
+    return {
+        "n": every.size, "n_answered": known.size, "median_over_bound": lower_median(every),
+        "rms_over_bound": root_mean_square(known), **shares, "n_coverage": held.size, **held_shares,
+    }  # fmt: skip
+
+
+def open_entry(one: Line) -> Texts:
+    """Median, root mean square, gross errors and coverage."""
+    texts = {
+        "median": excess_text(one["median_over_bound"]) if one["median_over_bound"] < math.inf else "failed",
+        "RMS": excess_text(one["rms_over_bound"]),
+        "gross %": percent_between(one["gross"], one["gross_low"], one["gross_high"]), "95 %": covered(one),
+    }  # fmt: skip
+    return {f"{METRICS[one['metric']]} {heading}": text for heading, text in texts.items()}
+
+
+def open_last(lines: Sequence[Line]) -> Texts:
+    """How many scenarios were answered, and the time."""
+    results = lines[0]["results"]
+    ok = answered(sum(one.n_ok for one in results), sum(one.n for one in results))
+    return {"answered": ok, "time (s)": seconds(lines[0]["median_cpu_s"])}
+
+
+OPEN = TableForm(
+    legend=f"""One replicate of each scenario, drawn at random by the name of the release ({{release}}) from the ranges
+of `conf/experiment/{{name}}.yaml`, uniformly or, of what is a size, uniformly in the logarithm. No setting was chosen
+on them. Each error is divided by its scenario's own Cramér-Rao bound. **Median** is over the scenarios, a fit that
+failed or gave no answer counting as infinite; at the bound it is about 0.67 of it for a normal error. **RMS** is over
+those that were answered: 1 is the best that an unbiased method can do, and a few gross errors decide it. **Gross**: the
+share of scenarios with an error beyond five times the bound, failures included, with its 95 % interval (Wilson's).
+{COVERAGE} Left out of a quantity are scenarios whose bound for it is as large as its value: they do not tell it. The
+bound is that of the sample times of the replicate. It is of first order, and knows nothing of aliases: *oracle*, which
+starts at the truth, shows how near it is. With fewer than two samples a cycle at even times the data alone leave the
+frequency open to everyone. Time: processor time of the median fit that gave an answer. answered: of the scenarios of
+the panel.""",
+    columns=(
+        "part", "method", "metric", "n", "n_answered", "median_over_bound", "rms_over_bound", "gross", "gross_low",
+        "gross_high", "n_coverage", "coverage_95", "low_95", "high_95", "median_cpu_s",
+    ),
+    lines=open_lines, section=lambda one: f"{one['part'].capitalize()}: {one['scenarios']} scenarios",
+    entry=open_entry, last=open_last, below=lambda frame, lines: [failure_notes(frame)], digits=5,
+)  # fmt: skip
