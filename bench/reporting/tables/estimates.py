@@ -11,10 +11,10 @@ import numpy as np
 
 from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity, share
 from bench.reporting.labels import in_order, title, told, warns
-from bench.reporting.ranking import FIRST_TIER
+from bench.reporting.ranking import FIRST_TIER, median_time
 from bench.reporting.residuals import coloured
 from bench.reporting.rounding import answered, excess_text, number, percent, percent_between, readable, with_excess
-from bench.reporting.tables.pooling import lower_median, median_time, root_mean_square
+from bench.reporting.tables.pooling import lower_median, root_mean_square
 from bench.reporting.tables.render import MISSING, Rows, TableForm, Texts, bold, failure_notes, listing, named, panel
 from bench.reporting.tables.tidy import line, tidy_lines
 from bench.scoring.calibration import calibration, together

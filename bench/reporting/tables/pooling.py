@@ -1,9 +1,9 @@
-"""Statistics over several quantities, results or replicates: errors over bounds, coverage, modes, medians, times."""
+"""Statistics over several quantities, results or replicates: errors over bounds, coverage, modes, medians."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -100,9 +100,3 @@ def lower_median(values: np.ndarray) -> float:
 def root_mean_square(values: np.ndarray) -> float:
     """The root of the mean square; NaN of nothing."""
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
-
-
-def median_time(results: Iterable[Result]) -> float:
-    """The median processor time (s) of the fits that gave an answer; NaN without any."""
-    times = np.concatenate([np.empty(0), *(result.cpu_s[result.ok] for result in results if result.stored)])
-    return float(np.median(times)) if times.size else math.nan
