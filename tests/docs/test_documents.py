@@ -122,7 +122,7 @@ def test_the_fields_of_a_command_are_known_to_it(
 
 def test_three_questions_are_answered_with_pandas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The medians that the first question prints are those of the published table 5."""
-    page = REPOSITORY / "docs" / "how_to" / "read_published_results.md"
+    page = REPOSITORY / "docs" / "how_to" / "regenerate_results.md"
     code = "\n".join(block.code for block in blocks(page) if block.language == "python")
     monkeypatch.chdir(REPOSITORY)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
