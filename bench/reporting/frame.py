@@ -255,10 +255,13 @@ class Result:
         facts = self.stored.provenance.get(SUBMITTED) if self.stored else None
         if facts is None:
             return ""
-        compared, rows = facts.get("rows_compared"), facts.get("of_rows")
+        compared, rows, missed = (facts.get(name) for name in ("rows_compared", "of_rows", "missed_5_percent"))
         if not (isinstance(compared, int) and isinstance(rows, int)):  # a store is data, and may state anything
             return "submitted; what was verified of it is not stated"
-        return f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
+        said = f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
+        if not isinstance(missed, float):
+            return said
+        return f"{said} (a change of 5 % of the rows is missed with probability {missed:.2g})"
 
     @property
     def summary(self) -> Mapping[str, Mapping[str, float]]:
@@ -439,17 +442,18 @@ def supplied_results(store: Store, questions: Collection[str]) -> list[Result]:
 
 
 def submitted_results(store: Store) -> list[Result]:
-    """Return the cells of a store that were submitted."""
+    """Return the cells of a store that were submitted; without ``cell`` where their method is not installed here."""
     return _of_today(store, lambda head: head.label.endswith(MARK))
 
 
 def _of_today(store: Store, wanted: Callable[[CellHead], bool]) -> list[Result]:
-    """Return stored cells as cells of the present code describes them, without those it has no method for."""
+    """Return stored cells as cells of the present code describe them, or as they are where it has no method for one."""
     results = []
     for head in store.heads():
-        with contextlib.suppress(InputError):  # the method, or what its settings name, is not installed here
+        with contextlib.suppress(InputError):  # what its settings name is not installed here
             if not head.problem and wanted(head) and (stored := store.load(head.identity)):
-                results.append(Result.of_cell(stored_as_cell(stored), stored))
+                results.append(Result.of_stored(stored))
+                results[-1] = Result.of_cell(stored_as_cell(stored), stored)
     return results
 
 
@@ -464,7 +468,8 @@ def with_submitted(frame: Frame, submitted: Sequence[Result]) -> Frame:
     asked = {result.question for result in frame if not result.is_reference}
     found: list[Result] = []
     for own in group(submitted, lambda result: result.label).values():
-        mine = {result.question: result for result in own if result.question in asked}
+        shown = (result for result in own if result.cell or frame.table.get("form") == "open")
+        mine = {result.question: result for result in shown if result.question in asked}
         if mine.keys() == asked:
             found += mine.values()
     return replace(frame, results=(*frame.results, *found))
