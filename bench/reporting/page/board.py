@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,9 @@ from bench.scoring.summary import gross
 
 STANDINGS = ("first tier", "behind", "not ranked", "reference", "failed", "unsupported")
 """In the order in which a board is sorted at first."""
-HIDDEN = ("Bound", "Prior", "System", "SNR", "Initial state", "Data")
+BY_SCENARIO = ("System", "SNR", "Initial state", "Data")
+"""Columns that all lines of a scenario share."""
+HIDDEN = ("Bound", "Prior", *BY_SCENARIO)
 """Columns that are not shown at first."""
 FirstTiers = Mapping[tuple[int, str], frozenset[Result]]
 """By the scenario's place and by metric, the methods that nothing tells from the best."""
@@ -69,40 +72,40 @@ def board(
         for i, panel in enumerate(panels)
         for metric in panel.metrics
         for result in panel.results
-        if metric in result.summary
+        if metric in result.summary and result.status is not Status.UNSUPPORTED
     ]
-
-    def column(
-        name: str, value: Callable[[Line], Any], text: Callable[[Any], str] = str, link: Any = None
-    ) -> dict[str, Any]:
-        values = [value(line) for line in lines]
-        order = sorted(set(values), key=lambda own: (own is None, own))
-        places = {own: i for i, own in enumerate(order)}
-        shown = {"title": name, "values": ["–" if own is None else text(own) for own in order]}
-        links = {"links": [link(own) for own in order]} if link else {}
-        return {**shown, **links, "codes": [places[own] for own in values]}
-
+    used = [panels[i] for i in sorted({line.place for line in lines})]
     return [
-        column("Method", lambda line: (line.result.title, line.result.label), lambda own: own[0],
+        column("Method", lines, lambda line: (line.result.title, line.result.label), lambda own: own[0],
                lambda own: f"methods/{methods[own[1]]}.html"),
-        column("Error of", lambda line: heading(line.metric)),
-        column("× bound", statistic("excess"), number),
-        column("Standing", lambda line: STANDINGS.index(standing_of(line.result, line.tier)), STANDINGS.__getitem__),
-        column("RMS error", lambda line: short(root_mean_square(line.result.errors(line.metric)), 3), number),
-        column("Bound", lambda line: short(line.result.bound(line.metric), 3), number),
-        column("Median", statistic("median"), number),
-        column("95 %", interval, lambda own: f"{number(own[0])} to {number(own[1])}"),
-        column("Gross", gross_share, lambda own: f"{own:g} %"),
-        column("Prior", prior_share, lambda own: f"{own:g} %"),
-        column("Fits ok", fits, lambda own: f"{own[1]}/{own[2]}"),
-        column("Time per fit", lambda line: short(median_time([line.result]), 2), seconds),
-        column("Scenario", lambda line: line.place, words.__getitem__,
+        column("Error of", lines, lambda line: heading(line.metric)),
+        column("× bound", lines, statistic("excess"), number),
+        column("Standing", lines, lambda line: STANDINGS.index(standing_of(line.result, line.tier)),
+               STANDINGS.__getitem__),
+        column("Bound", lines, lambda line: short(line.result.bound(line.metric), 3), number),
+        column("Median", lines, statistic("median"), number),
+        column("95 %", lines, interval, lambda own: f"{number(own[0])} to {number(own[1])}"),
+        column("Gross", lines, gross_share, lambda own: f"{own:g} %"),
+        column("Prior", lines, prior_share, lambda own: f"{own:g} %"),
+        column("Fits ok", lines, fits, lambda own: f"{own[1]}/{own[2]}"),
+        column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), seconds),
+        column("Scenario", lines, lambda line: line.place, words.__getitem__,
                lambda place: f"scenarios/{scenarios[place]}.html"),
-        column("System", lambda line: choices(line.panel)["System"]),
-        column("SNR", lambda line: -line.panel.facts.snr_db, lambda level: f"{decibels(-level)} dB"),
-        column("Initial state", lambda line: line.panel.facts.initial_state),
-        column("Data", lambda line: line.panel.kind),
+        *(column(name, list(map(choices, used)), itemgetter(name), by="Scenario") for name in BY_SCENARIO),
     ]  # fmt: skip
+
+
+def column(
+    name: str, items: Sequence[Any], value: Callable[[Any], Any], text: Callable[[Any], str] = str, link: Any = None,
+    by: str = "",
+) -> dict[str, Any]:  # fmt: skip
+    """Its texts, sorted by what they show, and their places for each line, or for each text of the column ``by``."""
+    values = [value(item) for item in items]
+    order = sorted(set(values), key=lambda own: (own is None, own))
+    places = {own: i for i, own in enumerate(order)}
+    found = {"title": name, "values": ["–" if own is None else text(own) for own in order], "by": by}
+    links = {"links": [link(own) for own in order]} if link else {}
+    return {**found, **links, "codes": [places[own] for own in values]}
 
 
 def choices(panel: ScenarioPanel) -> dict[str, str]:
@@ -122,15 +125,15 @@ def statistic(name: str) -> Callable[[Line], float | None]:
 
 def interval(line: Line) -> tuple[float, float] | None:
     """The 95 % interval of the median error."""
-    low, high = (statistic(name)(line) for name in ("ci_low", "ci_high"))
+    low, high = (short(line.result.statistic(line.metric, name), 2) for name in ("ci_low", "ci_high"))
     return None if low is None or high is None else (low, high)
 
 
 def gross_share(line: Line) -> float | None:
-    """The share of gross errors (%); None of data that the method does not take."""
+    """The share of gross errors (%)."""
     errors = line.result.errors(line.metric)
-    unable = line.result.status is Status.UNSUPPORTED or not errors.size
-    return None if unable else short(100 * float(np.mean(gross(errors, line.result.bound(line.metric)))), 2)
+    bound = line.result.bound(line.metric)
+    return short(100 * float(np.mean(gross(errors, bound))), 2) if errors.size else None
 
 
 def prior_share(line: Line) -> float | None:
@@ -141,13 +144,6 @@ def prior_share(line: Line) -> float | None:
 def fits(line: Line) -> tuple[float, int, int]:
     """Fits that returned an answer, most first."""
     return -line.result.n_ok / max(line.result.n, 1), line.result.n_ok, line.result.n
-
-
-def root_mean_square(errors: np.ndarray) -> float:
-    """Of the errors of the successful fits, as in × bound; NaN where none succeeded."""
-    good = errors[np.isfinite(errors)]
-    with np.errstate(over="ignore"):  # an infinite one says as much
-        return float(np.sqrt(np.mean(good**2))) if good.size else math.nan
 
 
 def middle(values: Sequence[float]) -> float:

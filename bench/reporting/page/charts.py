@@ -20,13 +20,13 @@ from bench.reporting.frame import ERROR, Result, group
 from bench.reporting.labels import title
 from bench.reporting.page.reading import ScenarioPanel, decibels
 from bench.reporting.page.situations import Advice
-from bench.reporting.page.words import heading, quantity, seconds
+from bench.reporting.page.words import quantity, seconds
 from bench.reporting.pictures.responses import samples_of, simulated
 from bench.reporting.ranking import ON_BOUND, fits_of
 
-POINTS = 80
+POINTS = 60
 MOST_SAMPLES = 200
-MOST_FITS = 4
+MOST_FITS = 3
 MOST_ABOVE = 3.0
 """A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""
 LOWEST, HIGHEST = 0.7, 6.0
@@ -37,33 +37,20 @@ Spec = dict[str, Any]
 
 
 def scenario_data(panel: ScenarioPanel) -> dict[str, Any]:
-    """What a scenario's page draws, and by quantity and method every error over the bound, in 16 bits each."""
-    errors = {
-        heading(metric): {
-            cell.title: packed(cell.errors(metric) / unit(panel, metric))
-            for cell in panel.methods
-            if metric in cell.summary
-        }
-        for metric in panel.ranked
-    }
+    """What a scenario's page draws, and by method the error over the bound of every fit, as it is ranked."""
+    fits = {label: its[0] for label, its in fits_of(panel.results).items() if its and its[0].size}
+    errors = {title(label): packed(np.exp(losses)) for label, losses in fits.items()}
     return {"charts": {"record": record(panel), "spread": spread(panel)}, "errors": errors}
 
 
 def packed(errors: np.ndarray) -> str:
-    """Errors (n,), infinite where a fit failed, as half-precision numbers in base 64."""
-    with np.errstate(over="ignore"):
-        return base64.b64encode(errors.astype("<f2").tobytes()).decode()
+    """Errors (n,) as half-precision numbers in base 64."""
+    return base64.b64encode(errors.astype("<f2").tobytes()).decode()
 
 
 def bound_of(panel: ScenarioPanel, metric: str) -> float:
     """The bound on the root mean square of a metric; NaN where no cell has one."""
     return next((cell.bound(metric) for cell in panel.results if metric in cell.summary), math.nan)
-
-
-def unit(panel: ScenarioPanel, metric: str) -> float:
-    """What errors are counted in: the bound, where there is one."""
-    bound = bound_of(panel, metric)
-    return bound if math.isfinite(bound) and bound > 0 else 1.0
 
 
 def forest(one: Advice) -> Spec:
@@ -109,7 +96,7 @@ def forest(one: Advice) -> Spec:
 
 def inline(rows: Any) -> Spec:
     """A table as the data of a chart, in the fewest letters: CSV."""
-    text = pd.DataFrame(rows).to_csv(index=False, float_format="%.4g", lineterminator="\n")
+    text = pd.DataFrame(rows).to_csv(index=False, float_format="%.3g", lineterminator="\n")
     return {"values": text, "format": {"type": "csv"}}
 
 
@@ -177,12 +164,12 @@ def escaped_field(name: str) -> str:
 
 
 def spread(panel: ScenarioPanel) -> Spec | None:
-    """By method, worst first, how far off the truth (%) the middle 95 % of its data sets are, and the first one."""
+    """By method, worst first, how far off the truth (%) the middle 95 % of its data sets are."""
     quantities = [metric for metric in panel.ranked if metric != "rmse"]
     rows = [row for metric in quantities for row in _spreads(panel, metric)]
     if not rows:
         return None
-    frame = pd.DataFrame(rows, columns=["quantity", "method", "from", "to", "first data set"])
+    frame = pd.DataFrame(rows, columns=["quantity", "method", "from", "to"])
     bounds = {quantity(metric): 1.96 * bound_of(panel, metric) for metric in quantities}
     widest = frame.assign(width=frame[["from", "to"]].abs().max(axis=1)).groupby("quantity")["width"].quantile(0.75)
     reach = (1.1 * np.fmax(widest, 1.5 * pd.Series(bounds))).clip(1e-3, 1e4).round(4)
@@ -190,6 +177,7 @@ def spread(panel: ScenarioPanel) -> Spec | None:
     x = {"field": "from", "type": "quantitative", "title": "off the truth (%)", "scale": ends}
     y = {"field": "method", "type": "nominal", "sort": None, "title": None}
     offered = {"input": "select", "options": list(bounds), "name": "Quantity "}
+    only = [{"filter": "datum.quantity == quantity"}]
     limits = [{"quantity": name, "from": -value, "to": value} for name, value in bounds.items()]
     return {
         "height": {"step": 22},
@@ -197,16 +185,13 @@ def spread(panel: ScenarioPanel) -> Spec | None:
             {"name": "quantity", "value": next(iter(bounds)), "bind": offered},
             {"name": "reach", "value": reach.to_dict()},
         ],
-        "transform": [{"filter": "datum.quantity == quantity"}],
         "layer": [
-            {"data": inline(limits), "mark": {"type": "rect", "style": "region", "clip": True, "aria": False},
+            {"data": inline(limits), "transform": only, "mark": {"type": "rect", "style": "region", "clip": True, "aria": False},
              "encoding": {"x": x, "x2": {"field": "to"}}},
-            {"mark": {"type": "rule", "style": "ink", "aria": False}, "encoding": {"x": {"datum": 0}}},
-            {"data": inline(frame), "encoding": {"y": y, "tooltip": tips(*frame.columns[1:])}, "layer": [
-                {"mark": {"type": "rule", "strokeWidth": 5, "clip": True}, "encoding": {"x": x, "x2": {"field": "to"}}},
-                {"mark": {"type": "point", "filled": True, "size": 30, "style": "ink", "clip": True},
-                 "encoding": {"x": {**x, "field": "first data set"}}},
-            ]},
+            {"data": {"values": [{}]}, "mark": {"type": "rule", "style": "ink", "aria": False},
+             "encoding": {"x": {"datum": 0}}},
+            {"data": inline(frame), "transform": only, "mark": {"type": "rule", "strokeWidth": 5, "clip": True},
+             "encoding": {"x": x, "x2": {"field": "to"}, "y": y, "tooltip": tips("method", "from", "to")}},
         ],
     }  # fmt: skip
 
@@ -214,11 +199,10 @@ def spread(panel: ScenarioPanel) -> Spec | None:
 def _spreads(panel: ScenarioPanel, metric: str) -> Iterator[tuple[Any, ...]]:
     """The lines of one quantity."""
     for cell in sorted(panel.results, key=lambda c: (-_excess(c, metric), c.label)):
-        ratios = cell.scores(name := f"{metric.removesuffix(ERROR)}_ratio")
+        ratios = cell.scores(f"{metric.removesuffix(ERROR)}_ratio")
         ratios = ratios[np.isfinite(ratios)]
         if cell.method != "prior" and ratios.size:
-            off = 100 * (np.array([*np.percentile(ratios, (2.5, 97.5)), cell.first(name)]) - 1)
-            yield quantity(metric), cell.title, *off
+            yield quantity(metric), cell.title, *(100 * (np.percentile(ratios, (2.5, 97.5)) - 1))
 
 
 def _excess(cell: Result, metric: str) -> float:

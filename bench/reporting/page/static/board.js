@@ -1,13 +1,16 @@
 // The leaderboard: its choices, order and columns are in the address; below it two methods on the same data sets.
 "use strict";
 
+const LOST = 10; // what a lost fit counts as
+
 bench.board = (columns) => {
   const form = document.getElementById("choices");
   const verdict = document.getElementById("verdict");
   const fields = Array.from(form.elements).filter((field) => field.name);
   const choices = fields.filter((field) => form.contains(field)); // the others choose what is compared
   const at = Object.fromEntries(columns.map(({ title }, i) => [title, i]));
-  const rows = columns[0].codes.map((_, line) => columns.map(({ codes }) => codes[line]));
+  const code = ({ codes, by }, line) => codes[by ? code(columns[at[by]], line) : line];
+  const rows = columns[0].codes.map((_, line) => columns.map((column) => code(column, line)));
   const text = (row, title) => columns[at[title]].values[row[at[title]]];
   const fits = (row) => choices.every(({ name, value, dataset: { limit } }) => value === ""
     || (limit ? leading(text(row, name)) <= Number(value) : text(row, name) === value));
@@ -58,24 +61,23 @@ bench.board = (columns) => {
   }
 
   async function compare() {
-    const [a, b, of] = ["A", "B", "of"].map((name) => form.elements[name].value);
-    verdict.textContent = "Choose two methods and a quantity; they are compared in the scenarios of the lines above.";
+    const [a, b] = [form.elements.A.value, form.elements.B.value];
+    verdict.textContent = "Choose two methods; they are compared in the scenarios of the lines above.";
     document.getElementById("scatter").replaceChildren();
-    if (!a || !b || a === b || !of) return;
+    if (!a || !b || a === b) return;
+    const { values, links } = columns[at.Scenario];
     const shown = table.rows({ search: "applied" }).data().toArray();
     const scenarios = Array.from(new Set(shown.map((row) => row[at.Scenario])));
-    const { values, links } = columns[at.Scenario];
     const asked = location.hash;
     await Promise.all(scenarios.map((place) => load(links[place].replace(/html$/, "js"))));
     if (location.hash !== asked) return; // another choice meanwhile
     const pairs = scenarios.flatMap((place) => {
-      const errors = bench.errors[links[place].replace(/^.*\/|\.html$/g, "")][of] ?? {};
+      const errors = bench.errors[links[place].replace(/^.*\/|\.html$/g, "")];
       const other = unpacked(errors[b]);
       const own = unpacked(errors[a]).slice(0, other.length);
       return own.map((value, i) => ({ scenario: values[place], "data set": i, a: value, b: other[i] }));
     });
-    bench.compared = bench.statistics(pairs);
-    verdict.textContent = pairs.length ? said(bench.compared, a, b) : "No data set above has both and this quantity.";
+    verdict.textContent = pairs.length ? said(bench.statistics(pairs), a, b) : "No data set above has both.";
     if (pairs.length) bench.draw({ scatter: scatter(pairs, a, b) });
   }
 };
@@ -94,38 +96,35 @@ const unpacked = (text = "") => { // half-precision numbers in base 64
 // The median of the ratios b / a and its 95 % interval by order statistics (W. J. Conover, 1999, section 3.2).
 bench.statistics = (pairs) => {
   const n = pairs.length;
-  const ratios = pairs.map(({ a, b }) => (a === b ? 1 : b / a)).sort((x, y) => x - y);
+  const ratios = pairs.map(({ a, b }) => b / a).sort((x, y) => x - y);
   const k = Math.max(Math.floor((n - 1.96 * Math.sqrt(n)) / 2), 1);
   const count = (has) => pairs.filter(has).length;
   return {
     n, ratio: (ratios[Math.ceil(n / 2) - 1] + ratios[Math.floor(n / 2)]) / 2, low: ratios[k - 1], high: ratios[n - k],
     nearer: count(({ a, b }) => a < b), further: count(({ a, b }) => a > b),
-    lost: [count(({ a }) => a === Infinity), count(({ b }) => b === Infinity)],
+    lost: [count(({ a }) => a >= LOST), count(({ b }) => b >= LOST)],
   };
 };
 
 function said({ n, ratio, low, high, nearer, further, lost }, a, b) {
-  const digits = (value) => (value === Infinity ? "∞" : Number(value.toPrecision(3)));
+  const digits = (value) => Number(value.toPrecision(3));
   return `On ${n} data sets the error of ${b} is ${digits(ratio)} times that of ${a} (median of the ratios; 95 % `
     + `interval ${digits(low)} to ${digits(high)}). ${a} is nearer the truth on ${nearer}, ${b} on ${further}. `
-    + `Without an answer: ${lost[0]} of ${a}, ${lost[1]} of ${b}.`;
+    + `Lost fits: ${lost[0]} of ${a}, ${lost[1]} of ${b}.`;
 }
 
-function scatter(pairs, a, b) {
-  const finite = pairs.filter((pair) => Number.isFinite(pair.a + pair.b));
-  const values = finite.map((pair) => ({ ...pair, a: Math.max(pair.a, 1e-3), b: Math.max(pair.b, 1e-3) }));
-  const all = values.flatMap((pair) => [pair.a, pair.b]);
-  const ends = [Math.min(...all), Math.max(...all)];
-  const scale = { type: "log", domain: ends, nice: false };
+function scatter(values, a, b) {
+  const scale = { type: "log", domain: [0.1, LOST], nice: false };
   const axis = (field, who) => ({ field, type: "quantitative", title: `${who}: error over the bound`, scale });
-  const diagonal = { type: "line", style: "quiet", strokeDash: [4, 4], aria: false };
+  const color = { field: "scenario", type: "nominal", legend: { columns: 1 } };
   return {
     height: 420,
     encoding: { x: axis("a", a), y: axis("b", b) },
     layer: [
-      { data: { values: ends.map((end) => ({ a: end, b: end })) }, mark: diagonal },
+      { data: { values: scale.domain.map((end) => ({ a: end, b: end })) },
+        mark: { type: "line", style: "quiet", strokeDash: [4, 4], aria: false } },
       { data: { values }, mark: { type: "point", filled: true, size: 26, opacity: 0.7, tooltip: { content: "data" } },
-        encoding: { color: { field: "scenario", type: "nominal", legend: { columns: 1 } } } },
+        encoding: { color } },
     ],
   };
 }
