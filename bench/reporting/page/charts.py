@@ -186,8 +186,8 @@ def spread(panel: ScenarioPanel) -> Spec | None:
             {"name": "reach", "value": reach.to_dict()},
         ],
         "layer": [
-            {"data": inline(limits), "transform": only, "mark": {"type": "rect", "style": "region", "clip": True, "aria": False},
-             "encoding": {"x": x, "x2": {"field": "to"}}},
+            {"data": inline(limits), "transform": only, "encoding": {"x": x, "x2": {"field": "to"}},
+             "mark": {"type": "rect", "style": "region", "clip": True, "aria": False}},
             {"data": {"values": [{}]}, "mark": {"type": "rule", "style": "ink", "aria": False},
              "encoding": {"x": {"datum": 0}}},
             {"data": inline(frame), "transform": only, "mark": {"type": "rule", "strokeWidth": 5, "clip": True},
