@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import bdtrc, ndtri
+from scipy.special import ndtri
 
 RESAMPLES = 2000
 Z95 = float(ndtri(0.975))
 LEVEL = 0.05
-"""Level of all tests in this module."""
+"""Level of tests."""
 MOST_LAGS = 10
 PER_LAG = 5
 """Samples for each lag: the advice of R. J. Hyndman, G. Athanasopoulos, Forecasting, 3rd ed. 2021, section 5.4."""
@@ -23,28 +23,22 @@ DRAWS = 999
 @lru_cache(maxsize=16)
 def counts(n: int, resamples: int = RESAMPLES) -> np.ndarray:
     """Draw resamples of n replicates, the same ones at every call: how often each is in each, shape (n, resamples)."""
-    return counted(np.random.default_rng(0).integers(0, n, (resamples, n)))
-
-
-def counted(drawn: np.ndarray) -> np.ndarray:
-    """Count how often each of n replicates is in each resample (resamples, n) of them, shape (n, resamples)."""
-    resamples, n = drawn.shape
+    drawn = np.random.default_rng(0).integers(0, n, (resamples, n))
     places = drawn + n * np.arange(resamples)[:, None]
     return np.bincount(places.ravel(), minlength=drawn.size).reshape(resamples, n).T.astype(np.int16, order="C")
 
 
-def medians(values: np.ndarray, often: np.ndarray, lower: bool = False) -> np.ndarray:
+def medians(values: np.ndarray, often: np.ndarray) -> np.ndarray:
     """Compute the median of each resample, shape (resamples,).
 
     Args:
         values: What was resampled (n,), some perhaps infinite: a mean of a number and infinity is infinite, never NaN.
         often: How often each of them is in each resample, (n, resamples).
-        lower: Where n is even, take the lower of the middle two values instead of their mean.
     """
     order, middle = np.argsort(values, kind="stable"), (values.size - 1) // 2
     ordered, total = values[order], np.cumsum(often[order], axis=0, dtype=often.dtype)
     below = np.sum(total <= middle, axis=0, dtype=np.int16)
-    if lower or values.size % 2:
+    if values.size % 2:
         return np.asarray(ordered[below])
     return np.asarray(0.5 * (ordered[below] + ordered[np.sum(total <= middle + 1, axis=0, dtype=np.int16)]))
 
@@ -69,15 +63,6 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
     adjusted = np.empty(p.size)
     adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
     return adjusted
-
-
-def more_often(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the one-sided p-value that ``a`` is true no more often than ``b`` on the same data sets.
-
-    The exact sign test of the pairs that differ (Q. McNemar, Psychometrika 12:153, 1947).
-    """
-    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
-    return float(bdtrc(only_a - 1, only_a + only_b, 0.5)) if only_a else 1.0
 
 
 def ljung_box(residuals: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ from bench.entrants.reference import REFERENCES
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, best_first, counts, methods_only, where
 from bench.reporting.frame import Result
 from bench.reporting.pictures.style import ONE, layered, plain, table
-from bench.scoring.comparison import Errors
 from bench.scoring.statistics import RESAMPLES
 
 K, C, MOTION = ("k_over_m_error_pct", "k/m"), ("c_over_m_error_pct", "c/m"), ("rmse", "displacement")
@@ -246,14 +245,14 @@ def common(gallery: Gallery, told: str) -> tuple[list[str], list[Scene], dict[tu
     return [label for label in gallery.looks if label in chosen], sorted(best), cells
 
 
-def factors(errors: Errors) -> Mapping[str, np.ndarray]:
+def factors(errors: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
     """By method, within what factors of the least error it is on SHARES of the data sets (4,); infinite if on fewer.
 
     Read off its performance profile (E. D. Dolan, J. J. Moré, Math. Program. 91:201, 2002).
     """
-    least = np.min(np.stack(list(errors.values.values())), axis=0)
+    least = np.min(np.stack(list(errors.values())), axis=0)
     found = {}
-    for method, own in errors.values.items():
+    for method, own in errors.items():
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(own == least, 1.0, own / least)
         ratio = np.sort(np.where(np.isfinite(own), ratio, np.inf))
@@ -263,9 +262,9 @@ def factors(errors: Errors) -> Mapping[str, np.ndarray]:
 
 def joined(
     labels: Sequence[str], scenes: Sequence[Scene], cells: dict[tuple[str, Scene], Result], metric: str, n: int
-) -> Errors:
+) -> dict[str, np.ndarray]:
     """The errors of every method on the first ``n`` replicates of every scenario, failures infinite."""
     values = {label: np.concatenate([cells[label, scene].errors(metric)[:n] for scene in scenes]) for label in labels}
     if not any(np.isfinite(own).any() for own in values.values()):
         raise Nothing("every replicate failed")
-    return Errors(values, np.repeat(np.arange(len(scenes)), n))
+    return values

@@ -14,7 +14,6 @@ from stored import BOUND, CORRELATION, NOISE, SD_C, SD_K, described, displacemen
 from bench.contract.estimate import Status
 from bench.information.fisher import compute_bound, information
 from bench.scenario.scenario import Scenario
-from bench.scoring.comparison import Errors
 from bench.scoring.row import Row
 from bench.scoring.summary import metric_bounds
 from bench.store.store import Store
@@ -265,15 +264,14 @@ def test_factors_are_read_off_the_profile() -> None:
     rng = np.random.default_rng(5)
     values = {name: np.exp(rng.standard_normal(203)) for name in "abc"}
     values["b"][::4] = np.inf
-    errors = Errors(values, np.zeros(203, int))
     least = np.min(list(values.values()), axis=0)
-    for name, own in factors(errors).items():
+    for name, own in factors(values).items():
         for share_of, factor in zip(SHARES, own, strict=True):
             if np.isfinite(factor):
                 before, reached = (np.mean(values[name] <= factor * near * least) for near in (1.0 - 1e-9, 1.0 + 1e-9))
                 assert before < share_of <= reached
-    assert np.isinf(factors(errors)["b"][3])
-    assert np.all(np.isfinite(factors(errors)["a"]))
+    assert np.isinf(factors(values)["b"][3])
+    assert np.all(np.isfinite(factors(values)["a"]))
 
 
 def test_profiles_compare_on_data_that_all_methods_were_given(store: Store) -> None:
