@@ -65,15 +65,12 @@ def test_the_command_finds_a_number_changed_by_hand_and_writes_it(
     assert readme.read_text("utf-8") == right
 
 
-def test_numbers_by_another_way() -> None:
-    """The excess of four methods is that of Table 5's lines; lost scenarios are those that open.csv counts, or more."""
+def test_the_excess_of_four_methods_is_that_of_table_5() -> None:
     lines = pd.read_csv(RESULTS / "table5.csv").query("snr_db >= 10 and metric in @sentences.PRIMARY")
     excess = lines[lines.method.isin(["shooting", "mcmc", "pinn", "collocation"])].excess
     assert len(excess) == 4 * 3 * 4 * 2  # methods, metrics, noise levels, initial states
     assert known().numbers["on_bound"] == f"{excess.min():.2f} to {excess.max():.2f}"
-    gross = pd.read_csv(RESULTS / "open.csv").query("part == 'all' and method == 'shooting'")
-    lost = int(known().numbers["lost_shooting"]) + int(known().numbers["lost_beyond"])
-    assert lost >= round((gross.gross * gross.n).max())
+    assert printed([1.004, 0.996, 1.0], ".2f") == "1.00"
 
 
 @pytest.mark.parametrize(
@@ -113,14 +110,7 @@ def test_what_was_never_measured_cannot_be_said(tmp_path: Path) -> None:
     """NUTS never ran on Bouc-Wen."""
     with pytest.raises(InputError, match="nuts"):
         Published(RESULTS).rows("table8", system="bouc_wen", method=("shooting", "nuts"))
-    with pytest.raises(InputError, match="no table"):
-        Published(RESULTS).study("pinn.md", "Nobody's heading")
     with pytest.raises(InputError, match="no such file"):
         sentences.facts(tmp_path)
     with pytest.raises(InputError, match="README"):
         documents(tmp_path)
-
-
-def test_printed_numbers() -> None:
-    assert printed([1.004, 0.996, 1.0], ".2f") == "1.00"
-    assert printed(pd.Series([1363.0, 0.85]), ",.0f") == "1 to 1,363"
