@@ -1,4 +1,4 @@
-"""The read model of a family: the variants of one method, each one thing apart from a base, in sections.
+"""A family: the variants of one method, each one thing apart from a base, in sections.
 
 The family is the method of an experiment whose card has choices. The experiment's ``table`` names the ``bases`` (what
 each has not at its default), the ``factors`` (settings by heading), the ``references``, and the ``names`` of values
@@ -8,10 +8,9 @@ it may stand in several. What differs in several of the settings that ``product`
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.contract.method import Card
@@ -22,15 +21,18 @@ from bench.reporting.labels import cards, title
 
 Place = tuple[float, str]
 """Noise level (dB) and reading of the initial state."""
+PLACE: Place = (20.0, "known")
+"""The scenario in which trainings are compared."""
+Settings = Mapping[str, Any]
 
 
-def changed_settings(one: Result) -> dict[str, Any]:
+def changed_settings(result: Result) -> dict[str, Any]:
     """The settings of a result that are not at their defaults; all of them where its method is not installed here."""
     try:
-        usual = default_settings(one.method)
+        usual = default_settings(result.method)
     except InputError:
-        return dict(one.settings)
-    return {name: value for name, value in one.settings.items() if name not in usual or usual[name] != value}
+        return dict(result.settings)
+    return {name: value for name, value in result.settings.items() if name not in usual or usual[name] != value}
 
 
 def has_choices(method: str) -> bool:
@@ -41,36 +43,31 @@ def has_choices(method: str) -> bool:
 
 def any_stored(frame: Frame) -> bool:
     """Whether any cell of a family is stored."""
-    return any(one.stored and has_choices(one.method) for one in frame)
+    return any(result.stored and has_choices(result.method) for result in frame)
 
 
-def is_variant(one: Result) -> bool:
+def is_variant(result: Result) -> bool:
     """Whether a result is a variant of a family, which stands in the family's table and picture alone."""
-    return has_choices(one.method) and one.label != one.method
+    return has_choices(result.method) and result.label != result.method
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
-    """A method with its settings in all scenarios; ``settings`` are those not at their defaults."""
+class Variant:
+    """A method with ``settings`` (those not at their defaults) in all scenarios, as a section calls it.
+
+    ``base``: what the others of the section are compared with.
+    """
 
     method: str
-    name: str
-    settings: Mapping[str, Any]
+    settings: Settings
+    title: str
     cells: Mapping[Place, Result]
+    base: bool = False
 
     def at(self, place: Place) -> Result | None:
         """The cell of a scenario where it is stored."""
-        found = self.cells.get(place)
-        return found if found and found.stored else None
-
-
-@dataclass(frozen=True)
-class FamilyRow:
-    """A member as a section calls it; ``base``: what the others of the section are compared with."""
-
-    title: str
-    member: Member
-    base: bool = False
+        cell = self.cells.get(place)
+        return cell if cell and cell.stored else None
 
 
 @dataclass(frozen=True)
@@ -79,76 +76,12 @@ class Section:
 
     heading: str
     base: str
-    settings: tuple[str, ...]
-    rows: tuple[FamilyRow, ...]
+    settings: Sequence[str]
+    rows: Sequence[Variant]
 
     def common(self, place: Place) -> int:
         """How many data sets all rows have that are computed there: the first of the same."""
-        return min((one.n for row in self.rows if (one := row.member.at(place))), default=0)
-
-
-@dataclass(frozen=True)
-class Family:
-    """All sections; ``places`` are the scenarios in order, ``bases`` what each base is in words.
-
-    ``combinations`` are the variants that differ from every base in several of its ``settings`` and in no other.
-    """
-
-    method: str
-    places: tuple[Place, ...]
-    bases: Mapping[str, str]
-    references: Section
-    sections: tuple[Section, ...]
-    combinations: Section
-    others: Section
-    members: tuple[Member, ...]
-    names: Names
-
-    def section(self, setting: str, base: int) -> Section | None:
-        """The section that varies a setting around the first or the second base."""
-        names = list(self.bases)
-        wanted = names[base] if base < len(names) else ""
-        return next((one for one in self.sections if setting in one.settings and one.base == wanted), None)
-
-    @property
-    def every(self) -> tuple[Section, ...]:
-        """All sections that have rows, in order."""
-        return tuple(one for one in (self.references, *self.sections, self.others) if one.rows)
-
-
-def family_of(frame: Frame) -> Family:
-    """The family of an experiment; raises InputError where none of its methods has choices."""
-    method = next((one.method for one in frame if has_choices(one.method)), None)
-    if method is None:
-        raise InputError("table.form", "family", "an experiment with a method whose card has choices")
-    names = Names(cards()[method], frame.table.get("names", {}), default_settings(method))
-    members = _members(frame, method, names)
-    own = [member for member in members if member.method == method]
-    wanted = list(map(str, frame.table.get("references", [])))
-    references = [FamilyRow(m.name, m) for name in wanted for m in members if m.method == name]
-    others = [FamilyRow(m.name, m) for m in members if m.method not in (method, *wanted)]
-    stated: Mapping[str, Mapping[str, Any]] = frame.table.get("bases", {"base": {}})
-    product = tuple(map(str, frame.table.get("product", [])))
-    bases = {name: {s: v for s, v in own.items() if names.usual.get(s) != v} for name, own in stated.items()}
-    near = list(_sections(own, bases, frame.table.get("factors", {}), names, method))
-    left = _left(own, bases.values(), near)
-    combined = [member for member in left if set(member.settings) <= set(product)]
-    return Family(
-        method=method,
-        places=tuple(sorted({place(one): None for one in frame}, key=lambda at: at[1])),
-        bases={base: names.whole(settings) for base, settings in bases.items()},
-        references=Section("Reference rows", "", (), tuple(references)),
-        sections=(*near, *_several([one for one in left if one not in combined], frame.table.get("factors", {}))),
-        combinations=Section("Combinations", "", product, tuple(FamilyRow(one.name, one) for one in combined)),
-        others=Section("Other packages", "", (), tuple(others)),
-        members=tuple(members),
-        names=names,
-    )
-
-
-def place(one: Result) -> Place:
-    """Where a result stands."""
-    return one.snr_db, one.initial_state
+        return min((cell.n for row in self.rows if (cell := row.at(place))), default=0)
 
 
 @dataclass(frozen=True)
@@ -157,17 +90,16 @@ class Names:
 
     card: Card
     more: Mapping[str, Any]
-    usual: Mapping[str, Any]
+    usual: Settings
 
     def of(self, setting: str, value: Any) -> str:
         """The name of a value."""
-        choice = self.card.choices.get(setting, {}).get(str(value))
-        if choice:
+        if choice := self.card.choices.get(setting, {}).get(str(value)):
             return choice.title
-        own = self.more.get(setting, {})
-        if isinstance(own, str):
-            return own.format(value)
-        return str(own.get(str(value), f"{setting.replace('_', ' ')} {value}"))
+        stated = self.more.get(setting, {})
+        if isinstance(stated, str):
+            return stated.format(value)
+        return str(stated.get(str(value), f"{setting.replace('_', ' ')} {value}"))
 
     def order(self, setting: str, value: Any) -> float:
         """The place of a value among those of its setting: as the card has them, numbers by size."""
@@ -176,86 +108,105 @@ class Names:
             return float(known.index(str(value)))
         return float(value) if isinstance(value, int | float) else math.inf
 
-    def together(self, settings: Mapping[str, Any]) -> str:
-        """The names of several values."""
-        return "; ".join(self.of(setting, value) for setting, value in settings.items())
-
-    def whole(self, settings: Mapping[str, Any]) -> str:
-        """The names of all choices of a variant, and of what else is not at its default."""
-        return self.together({**{setting: self.usual[setting] for setting in self.card.choices}, **settings})
+    def joined(self, settings: Settings) -> str:
+        """The names of several values; of all choices at their defaults where there are none."""
+        named = settings or {setting: self.usual[setting] for setting in self.card.choices}
+        return "; ".join(self.of(setting, value) for setting, value in named.items())
 
 
-def _members(frame: Frame, method: str, names: Names) -> list[Member]:
-    """Every method with its settings, its cells by scenario: stored ones first, then those of most replicates."""
-    found = []
-    grouped = group(frame, lambda one: (one.method, json.dumps(changed_settings(one), sort_keys=True, default=str)))
-    for (name, _), results in grouped.items():
-        cells: dict[Place, Result] = {}
-        for one in sorted(results, key=lambda own: -own.n):
-            cells.setdefault(place(one), one)
-        settings = changed_settings(results[0])
-        called = names.together(settings) or names.whole({}) if name == method else _called(results[0], settings)
-        found.append(Member(name, called, settings, cells))
-    return found
+@dataclass(frozen=True)
+class Family:
+    """``sections`` in order; ``bases`` by name, what each has not at its default; ``combinations`` of settings."""
+
+    method: str
+    names: Names
+    places: Sequence[Place]
+    bases: Mapping[str, Settings]
+    sections: Sequence[Section]
+    combinations: Section
+    variants: Sequence[Variant]
+
+    def section(self, setting: str, base: int) -> Section | None:
+        """The section that varies a setting around the first or the second base."""
+        name = [*self.bases, "", ""][base]
+        return next((s for s in self.sections if setting in s.settings and s.base == name), None)
 
 
-def _called(one: Result, settings: Mapping[str, Any]) -> str:
-    """A method that is not of the family: by its card, else by its method's and what is not at its default."""
-    if one.label in cards():
-        return one.title
-    return "; ".join([title(one.method), *(f"{name.replace('_', ' ')} {value}" for name, value in settings.items())])
+def family_of(frame: Frame) -> Family:
+    """The family of an experiment; raises InputError where none of its methods has choices."""
+    method = next((result.method for result in frame if has_choices(result.method)), None)
+    if method is None:
+        raise InputError("table.form", "family", "an experiment with a method whose card has choices")
+    table = frame.table
+    names = Names(cards()[method], table.get("names", {}), default_settings(method))
+    variants = list(_variants(frame, method, names))
+    ours = [variant for variant in variants if variant.method == method]
+    stated, factors = table.get("bases", {"base": {}}), table.get("factors", {})
+    bases = {name: {s: v for s, v in values.items() if names.usual.get(s) != v} for name, values in stated.items()}
+    near = [s for heading, own in factors.items() for s in _sections(heading, own, ours, bases, method, names)]
+    placed = [*(row.settings for section in near for row in section.rows), *bases.values()]
+    left = [variant for variant in ours if variant.settings not in placed]
+    product, references = list(table.get("product", [])), list(table.get("references", []))
+    combined = [variant for variant in left if set(variant.settings) <= set(product)]
+    several = group([v for v in left if v not in combined], lambda variant: _last_factor(variant, factors))
+    sections = [
+        Section("Reference rows", "", (), [v for name in references for v in variants if v.method == name]),
+        *near,
+        *(Section(heading, "several settings at once", (), rows) for heading, rows in several.items()),
+        Section("Other packages", "", (), [v for v in variants if v.method not in (method, *references)]),
+    ]
+    places = sorted(dict.fromkeys(map(place, frame)), key=lambda where: where[1])
+    combinations = Section("Combinations", "", product, combined)
+    return Family(method, names, places, bases, [s for s in sections if s.rows], combinations, variants)
+
+
+def place(result: Result) -> Place:
+    """Where a result stands."""
+    return result.snr_db, result.initial_state
+
+
+def _variants(frame: Frame, method: str, names: Names) -> Iterator[Variant]:
+    """Every method with its settings, its cells by scenario: those of most replicates."""
+    alike = group(frame, lambda result: (result.method, str(sorted(changed_settings(result).items()))))
+    for (name, _), results in alike.items():
+        settings, first = changed_settings(results[0]), results[0]
+        if name == method:
+            called = names.joined(settings)
+        elif first.label in cards():
+            called = first.title
+        else:
+            changes = (f"{setting.replace('_', ' ')} {value}" for setting, value in settings.items())
+            called = "; ".join([title(name), *changes])
+        yield Variant(name, settings, called, {place(r): r for r in sorted(results[::-1], key=lambda own: own.n)})
 
 
 def _sections(
-    members: Sequence[Member],
-    bases: Mapping[str, Mapping[str, Any]],
-    factors: Mapping[str, Sequence[str]],
+    heading: str, settings: Sequence[str], variants: Sequence[Variant], bases: Mapping[str, Settings], method: str,
     names: Names,
-    method: str,
-) -> Iterable[Section]:
-    """A section a factor and base that has more than its base."""
-    for heading, settings in factors.items():
-        for base, usual in bases.items():
-            near = _near(members, usual, settings, names)
-            first = next((m for m in members if not apart(m.settings, usual)), Member(method, base, usual, {}))
-            if near:
-                called = names.together({setting: usual.get(setting, names.usual.get(setting)) for setting in settings})
-                yield Section(heading, base, tuple(settings), (FamilyRow(called, first, True), *near))
+) -> Iterator[Section]:  # fmt: skip
+    """A section for each base that has more than its base: what differs in one of the settings, by their values."""
+    for base, usual in bases.items():
+        near = []
+        for variant in variants:
+            if len(different := apart(variant.settings, usual)) == 1 and different <= set(settings):
+                setting = different.pop()
+                value = variant.settings.get(setting, names.usual.get(setting))
+                order = (settings.index(setting), names.order(setting, value))
+                near.append((order, replace(variant, title=names.of(setting, value))))
+        if near:
+            called = names.joined({setting: usual.get(setting, names.usual.get(setting)) for setting in settings})
+            cells = next((variant.cells for variant in variants if variant.settings == usual), {})
+            rows = [row for _, row in sorted(near, key=lambda pair: pair[0])]
+            yield Section(heading, base, settings, [Variant(method, usual, called, cells, base=True), *rows])
 
 
-def _left(members: Sequence[Member], bases: Collection[Mapping[str, Any]], sections: Iterable[Section]) -> list[Member]:
-    """The members that are no base and stand in no section."""
-    placed = {row.member for section in sections for row in section.rows}
-    return [one for one in members if one not in placed and all(apart(one.settings, base) for base in bases)]
+def _last_factor(variant: Variant, factors: Mapping[str, Iterable[str]]) -> str:
+    """The heading of the last factor of which a variant has something changed."""
+    headings = [heading for heading, settings in factors.items() if set(settings) & set(variant.settings)]
+    return headings[-1] if headings else "Other settings"
 
 
-def _several(members: Sequence[Member], factors: Mapping[str, Sequence[str]]) -> Iterable[Section]:
-    """Sections of what is more than one setting from every base."""
-    for heading, own in group(members, lambda member: _heading(member, factors)).items():
-        yield Section(heading, "several settings at once", (), tuple(FamilyRow(member.name, member) for member in own))
-
-
-def _near(members: Sequence[Member], base: Mapping[str, Any], settings: Sequence[str], names: Names) -> list[FamilyRow]:
-    """The members that differ from a base in one of these settings alone, in the order of its values."""
-    found = []
-    for member in members:
-        different = apart(member.settings, base)
-        if len(different) == 1 and different <= set(settings):
-            setting = different.pop()
-            value = member.settings.get(setting, names.usual.get(setting))
-            found.append(
-                (settings.index(setting), names.order(setting, value), FamilyRow(names.of(setting, value), member))
-            )
-    return [row for _, _, row in sorted(found, key=lambda one: one[:2])]
-
-
-def _heading(member: Member, factors: Mapping[str, Sequence[str]]) -> str:
-    """The last factor of which a member has something changed."""
-    own = [heading for heading, settings in factors.items() if set(settings) & set(member.settings)]
-    return own[-1] if own else "Other settings"
-
-
-def apart(one: Mapping[str, Any], other: Mapping[str, Any]) -> set[str]:
+def apart(settings: Settings, others: Settings) -> set[str]:
     """The settings in which two variants differ, each given by what it has not at its default."""
     missing = math.nan
-    return {name for name in {*one, *other} if one.get(name, missing) != other.get(name, missing)}
+    return {name for name in {*settings, *others} if settings.get(name, missing) != others.get(name, missing)}

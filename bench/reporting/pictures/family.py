@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 
 from bench.config.experiment import Experiment
-from bench.reporting.family import Section, any_stored, family_of
+from bench.reporting.family import PLACE, Section, any_stored, family_of
 from bench.reporting.figures.beside import spread
 from bench.reporting.figures.gallery import Gallery, Nothing, Picture, where
 from bench.reporting.frame import ERROR, Frame, Result, experiment_frame, table_experiments
 from bench.reporting.pictures.style import ONE, layered, plain, table
-from bench.reporting.tables.family_numbers import GROUP, PLACE, moment_score
+from bench.reporting.tables.family import STIFFNESS as GROUP
+from bench.reporting.tables.family import moment_score
 from bench.reporting.tables.pooling import root_mean_square
 from bench.scoring.traces import MOMENTS
 
@@ -56,7 +57,7 @@ def family_picture(frame: Frame) -> Picture:
     ]
     chart = alt.concat(*panels, columns=2, spacing=14).resolve_scale(color="independent")
     ends = [float(own.ratio.iloc[-1]) for _, part in found for _, own in part.groupby("name")]
-    scene = next(one for section, _ in found for row in section.rows if (one := row.member.at(PLACE)))
+    scene = next(one for section, _ in found for row in section.rows if (one := row.at(PLACE)))
     axes = "error of k/m / bound (−) over processor time (s)"
     return Picture(
         chart.properties(title=alt.Title(axes, anchor="middle")),
@@ -75,7 +76,7 @@ def curves(section: Section) -> pd.DataFrame:
     """
     n, parts = section.common(PLACE), []
     for row in section.rows:
-        one = row.member.at(PLACE)
+        one = row.at(PLACE)
         if one and one.successful("training_s").size:
             seconds, ratios = errors(one, n)
             end = float(one.successful("training_s").max())
