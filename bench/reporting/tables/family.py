@@ -59,7 +59,7 @@ A dash: not computed, or the method has no such thing."""
 
 
 @dataclass(frozen=True)
-class Quantity:
+class FamilyColumn:
     """A column: its heading (none: in the CSV alone), its value by cell, data sets (None: all) and oracle, its text."""
 
     heading: str
@@ -67,15 +67,15 @@ class Quantity:
     text: Callable[[float], str] = number
 
 
-def _excess(metric: str, score: str, heading: str) -> Quantity:
+def _excess(metric: str, score: str, heading: str) -> FamilyColumn:
     """The root mean square of a score over the bound of a metric, over the successful of the first n fits."""
-    return Quantity(
+    return FamilyColumn(
         heading, lambda cell, n, _: root_mean_square(cell.successful(score, n)) / cell.bound(metric), excess_text
     )
 
 
-def _median(score: str, heading: str, text: Callable[[float], str] = number) -> Quantity:
-    return Quantity(heading, lambda cell, n, _: cell.statistic(score, "median"), text)
+def _median(score: str, heading: str, text: Callable[[float], str] = number) -> FamilyColumn:
+    return FamilyColumn(heading, lambda cell, n, _: cell.statistic(score, "median"), text)
 
 
 def finite_median(values: np.ndarray) -> float:
@@ -132,7 +132,7 @@ ACCURACY = {
     "k_over_m_excess": _excess(STIFFNESS + ERROR, STIFFNESS + ERROR, "k/m"),
     "c_over_m_excess": _excess(DAMPING + ERROR, DAMPING + ERROR, "c/m"),
     "displacement_excess": _excess("rmse", "rmse", "x"),
-    "k_over_m_coverage_95": Quantity("95 %", _coverage, percent),
+    "k_over_m_coverage_95": FamilyColumn("95 %", _coverage, percent),
 }
 """The quantities of every cell."""
 TRAINING = {
@@ -141,13 +141,13 @@ TRAINING = {
     ),
     "certificate": _median("certificate", "certificate"),
     "training_s": _median("training_s", "training s"),
-    "arrival_s": Quantity("s to within 1 % of the minimum", arrival, _seconds),
-    "arrived_share": Quantity("", arrived),
-    "oracle_s": Quantity(f"s to {NEAR:g} × oracle", lambda cell, n, oracle: oracle_seconds(cell, oracle), _seconds),
+    "arrival_s": FamilyColumn("s to within 1 % of the minimum", arrival, _seconds),
+    "arrived_share": FamilyColumn("", arrived),
+    "oracle_s": FamilyColumn(f"s to {NEAR:g} × oracle", lambda cell, n, oracle: oracle_seconds(cell, oracle), _seconds),
     "k_over_m_excess_at_minimum": _excess(STIFFNESS + ERROR, f"{STIFFNESS}_off_pct_at_minimum", "k/m at minimum"),
     "c_over_m_excess_at_minimum": _excess(DAMPING + ERROR, f"{DAMPING}_off_pct_at_minimum", "c/m at minimum"),
-    "fit_s": Quantity("whole fit s", lambda cell, n, _: finite_median(cell.cpu_s)),
-    "peak_memory_mb": Quantity("memory MB", _memory, lambda size: MISSING if math.isnan(size) else f"{size:.0f}"),
+    "fit_s": FamilyColumn("whole fit s", lambda cell, n, _: finite_median(cell.cpu_s)),
+    "peak_memory_mb": FamilyColumn("memory MB", _memory, lambda size: MISSING if math.isnan(size) else f"{size:.0f}"),
 }
 """The quantities of a training."""
 
@@ -226,7 +226,7 @@ def _section(family: Family, section: Section) -> Iterator[str | Rows]:
     yield listing(section.rows, {"row": _title, "n": partial(_counts, [PLACE]), **columns})
 
 
-def _training(quantity: Quantity, n: int, oracle: Result | None, row: Variant) -> str:
+def _training(quantity: FamilyColumn, n: int, oracle: Result | None, row: Variant) -> str:
     cell = row.at(PLACE)
     if cell is None:
         return MISSING
@@ -262,7 +262,7 @@ def _accuracy(section: Section, places: Sequence[Place]) -> Rows:
     return listing(rows, {**first, **columns})
 
 
-def _entry(place: Place, quantity: Quantity, row: tuple[Variant, int | None]) -> str:
+def _entry(place: Place, quantity: FamilyColumn, row: tuple[Variant, int | None]) -> str:
     cell, n = row[0].at(place), row[1]
     shown = cell is not None and (n is None or cell.n > n)
     return quantity.text(quantity.value(cell, n, None)) if cell and shown else MISSING
