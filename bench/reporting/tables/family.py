@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from bench.reporting.frame import ERROR, Frame, Line, Result, group
 from bench.reporting.labels import cards
 from bench.reporting.rounding import answered, excess_text, number, percent
 from bench.reporting.tables.pooling import root_mean_square
-from bench.reporting.tables.render import MISSING, Columns, Rows, failure_notes, files, listing
+from bench.reporting.tables.render import MISSING, Columns, Rows, Texts, failure_notes, files, listing, panel
 from bench.scoring.traces import MOMENTS
 
 STIFFNESS, DAMPING = "k_over_m", "c_over_m"
@@ -269,47 +268,43 @@ def _entry(place: Place, quantity: FamilyColumn, row: tuple[Variant, int | None]
 
 
 def _combinations(family: Family) -> list[str | Rows]:
-    """The errors of all combinations of settings on the same data sets; nothing where none were combined.
-
-    A line a value of all settings but the second, whose values stand side by side.
-    """
+    """The errors of combinations of settings on the same data sets, the values of the second setting side by side."""
     settings, names = family.combinations.settings, family.names
-    if len(settings) < 2 or not family.combinations.rows:
+    if len(settings) < 2:
         return []
 
-    def values(variant: Variant) -> tuple[Any, ...]:
-        return tuple(variant.settings.get(name, names.usual[name]) for name in settings)
+    def values(variant: Variant) -> dict[str, Any]:
+        return {name: variant.settings.get(name, names.usual[name]) for name in settings}
 
+    def order(variant: Variant) -> list[float]:
+        own = values(variant)
+        return [names.order(name, own[name]) for name in (*settings[:1], *settings[2:], *settings[1:2])]
+
+    def row(variant: Variant) -> Texts:
+        return {_words(name): names.of(name, value) for name, value in values(variant).items() if name != settings[1]}
+
+    def entry(variant: Variant) -> Texts:
+        cell, text = variant.at(PLACE), MISSING
+        if cell:
+            errors = (ACCURACY[f"{name}_excess"] for name in (STIFFNESS, DAMPING))
+            both = ", ".join(error.text(error.value(cell, n, None)) for error in errors)
+            text = f"{both} ({number(finite_median(cell.cpu_s))} s)"
+        return {names.of(settings[1], values(variant)[settings[1]]): text}
+
+    combined = [item for variant in family.combinations.rows for item in values(variant).items()]
     ours = [v for v in family.variants if v.method == family.method and set(v.settings) <= set(settings)]
-    cells = {values(variant): cell for variant in ours if (cell := variant.at(PLACE))}
-    n = min((cell.n for cell in cells.values()), default=0)
-    known = zip(*map(values, family.combinations.rows), strict=True)
-    first, second, *others = (
-        sorted(set(own), key=partial(names.order, name)) for name, own in zip(settings, known, strict=True)
-    )
-
-    def entry(value: Any, row: tuple[Any, ...]) -> str:
-        """Both errors and the time."""
-        cell = cells.get((row[0], value, *row[1:]))
-        if cell is None:
-            return MISSING
-        errors = (ACCURACY[f"{name}_excess"] for name in (STIFFNESS, DAMPING))
-        both = ", ".join(error.text(error.value(cell, n, None)) for error in errors)
-        return f"{both} ({number(finite_median(cell.cpu_s))} s)"
-
-    words = [setting.replace("_", " ") for setting in settings]
-    down = [settings[0], *settings[2:]]
-    columns: Columns[tuple[Any, ...]] = {
-        setting.replace("_", " "): partial(lambda i, name, row: names.of(name, row[i]), i, setting)
-        for i, setting in enumerate(down)
-    }
-    across = {names.of(settings[1], value): partial(entry, value) for value in second}
+    shown = [variant for variant in ours if all(item in combined for item in values(variant).items())]
+    n = min((cell.n for variant in shown if (cell := variant.at(PLACE))), default=0)
     explanation = (
         f"Errors of k/m and c/m over the bound on the first {n} data sets ({PLACE[0]:g} dB, start {PLACE[1]}), and "
         "processor seconds of a whole fit."
     )
-    table = listing(product(first, *others), {**columns, **across})
-    return [f"## All combinations of {', '.join(words)}", explanation, table]
+    heading = f"## All combinations of {', '.join(map(_words, settings))}"
+    return [heading, explanation, panel(sorted(shown, key=order), row, entry)] if shown else []
+
+
+def _words(setting: str) -> str:
+    return setting.replace("_", " ")
 
 
 # ---- where the rows are from
