@@ -22,16 +22,16 @@ STEP = 1e-4
 
 
 def coloured(results: Sequence[Result]) -> dict[str, np.ndarray]:
-    """By identity, of each replicate that was answered whether its residuals are told from white noise, booleans.
+    """Return by identity, of each replicate that was answered, whether its residuals are told from white noise.
 
     All replicates of a result have the same sample times.
     """
     found: dict[str, np.ndarray] = {}
-    for own in group([result for result in results if result.n], lambda result: result.question).values():
-        most, p = max(result.n for result in own), own[0].parameters
-        channels = [problem.records[0].channels[0] for problem, _ in own[0].scenario.replicates(own[0].seed, most)]
+    for same in group([result for result in results if result.n], lambda result: result.question).values():
+        p, most = same[0].parameters, max(result.n for result in same)
+        channels = [problem.records[0].channels[0] for problem, _ in same[0].scenario.replicates(same[0].seed, most)]
         values, true = np.stack([channel.values for channel in channels]), np.array([p["k"], p["c"]]) / p["m"]
-        for result in own:
+        for result in same:
             ratios = np.stack([result.scores("k_over_m_ratio"), result.scores("c_over_m_ratio")], axis=-1)
             told = result.ok & np.all(np.isfinite(ratios), axis=-1)
             found[result.identity] = _coloured(channels[0].times, values[: result.n][told], ratios[told] * true)
@@ -39,29 +39,27 @@ def coloured(results: Sequence[Result]) -> dict[str, np.ndarray]:
 
 
 def _coloured(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    left, fitted = residuals(times, values, groups)
+    left, start = residuals(times, values, groups)
     good = np.flatnonzero(np.all(np.isfinite(left), axis=1))
     if not good.size:
         return np.ones(len(left), bool)
     middle = good[np.argsort(groups[good, 0])[good.size // 2]]  # a usual answer, whose tangents serve for all
     here, *moved = _motions(times, groups[middle] * (1.0 + STEP * np.eye(3, 2, -1)))
-    slopes = [(one - here) @ fitted[middle] / STEP for one in moved]
-    tangents = np.column_stack([here, *slopes])
-    # a response that is not finite explains nothing
-    return ~(whiteness(left, tangents) >= LEVEL)
+    tangents = np.column_stack([here, *((motion - here) @ start[middle] / STEP for motion in moved)])
+    return ~(whiteness(left, tangents) >= LEVEL)  # a response that is not finite explains nothing
 
 
 def residuals(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What k/m and c/m (sets, 2) leave of values (sets, n), and the best displacement and velocity at time 0 (sets, 2).
+    """Return what k/m and c/m (sets, 2) leave of values (sets, n), and the best initial state (sets, 2).
 
     NaN where the response is not finite.
     """
-    columns = _motions(times, groups)
-    good = np.all(np.isfinite(columns), axis=(1, 2))
-    left, start = np.full(values.shape, np.nan), np.full((len(values), 2), np.nan)
-    start[good] = (np.linalg.pinv(columns[good]) @ values[good, :, None])[..., 0]
-    left[good] = values[good] - (columns[good] @ start[good, :, None])[..., 0]
-    return left, start
+    motions = _motions(times, groups)
+    good = np.all(np.isfinite(motions), axis=(1, 2))
+    motions[~good] = 0.0
+    start = (np.linalg.pinv(motions) @ values[..., None])[..., 0]
+    start[~good] = np.nan
+    return values - (motions @ start[..., None])[..., 0], start
 
 
 def _motions(times: np.ndarray, groups: np.ndarray) -> np.ndarray:

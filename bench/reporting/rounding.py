@@ -6,15 +6,17 @@ import math
 
 LARGEST, SMALLEST = 1e6, 1e-4
 """What is as large as the first, or smaller than the second, is written with a power of ten."""
+MEANINGFUL = 1e6
+"""An excess of more says only that the estimate ran away, and how far is the optimiser's accident."""
 
 
 def readable(name: str) -> str:
-    """A quantity's name as tables show it: ``k/m``, ``damping ratio``."""
+    """Return a quantity's name as tables show it: ``k/m``, ``damping ratio``."""
     return name.replace("_over_", "/").replace("_", " ")
 
 
 def number(value: float) -> str:
-    """Three significant digits, or what stands for a number that is not there."""
+    """Write three significant digits, or what stands for a number that is not there."""
     if math.isnan(value):
         return "-"
     if math.isinf(value):
@@ -22,12 +24,8 @@ def number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.3e}"
 
 
-MEANINGFUL = 1e6
-"""An excess of more says only that the estimate ran away, and how far is the optimiser's accident."""
-
-
 def excess_text(value: float) -> str:
-    """An excess as tables show it: two decimals, three digits where it is large, no number where it says nothing."""
+    """Write an excess: two decimals, three digits where it is large, no number where it says nothing."""
     if math.isnan(value):
         return "-"
     if value > MEANINGFUL:
@@ -36,27 +34,27 @@ def excess_text(value: float) -> str:
 
 
 def with_excess(value: float, excess: float) -> str:
-    """A number, and behind it the excess where there is one."""
+    """Write a number, and behind it the excess where there is one."""
     return number(value) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
 
 
 def percent(share: float, digits: int = 0) -> str:
-    """A share in percent, without the sign."""
+    """Write a share in percent, without the sign."""
     return "-" if math.isnan(share) else f"{100 * share:.{digits}f}"
 
 
 def percent_between(share: float, low: float, high: float, digits: int = 0) -> str:
-    """The same with its interval."""
+    """Write the same with its interval."""
     return "-" if math.isnan(share) else f"{percent(share, digits)} ({percent(low, digits)} to {percent(high, digits)})"
 
 
 def answered(n_ok: int, n: int) -> str:
-    """How many fits gave an answer, of all."""
+    """Write how many fits gave an answer, of all."""
     return f"{n_ok}/{n}" if n else "not run"
 
 
 def decimals(low: float, high: float) -> int | None:
-    """The decimals of two significant digits of half the interval's width; None where it has no width or no end.
+    """Return the decimals of two significant digits of half the interval's width; None where it has no width or no end.
 
     They are negative where half the width is 100 or more. Two digits of an uncertainty are the usual rule (Guide to the
     Expression of Uncertainty in Measurement, JCGM 100:2008, 7.2.6).
@@ -68,29 +66,22 @@ def decimals(low: float, high: float) -> int | None:
 
 
 def rounded(value: float, low: float, high: float) -> tuple[str, str, str]:
-    """A value and the ends of its interval as text, all to the decimals that the interval's width decides.
+    """Write a value and the ends of its interval, all to the decimals that the interval's width decides.
 
     Where the interval has no width or no end each has three significant digits, or says why it has none.
     """
-    three = (value, low, high)
     places = decimals(low, high)
     if places is None:
         return number(value), number(low), number(high)
-    largest = max(abs(one) for one in three if math.isfinite(one))
-    powers = not SMALLEST <= largest < LARGEST
-    texts = [_with_power(one, places) if powers else _plain(one, places) for one in three]
-    return texts[0], texts[1], texts[2]
+    largest = max(abs(part) for part in (value, low, high) if math.isfinite(part))
 
+    def text(part: float) -> str:
+        if not math.isfinite(part):
+            return number(part)
+        shown = round(part, places) + 0.0  # adding zero: no "-0.0"
+        if SMALLEST <= largest < LARGEST:
+            return f"{shown:.{max(places, 0)}f}"
+        exponent = int(f"{shown:.16e}".partition("e")[2]) if shown else -places
+        return f"{shown:.{max(exponent + places, 0)}e}"
 
-def _plain(value: float, places: int) -> str:
-    if not math.isfinite(value):
-        return number(value)
-    return f"{round(value, places) + 0.0:.{max(places, 0)}f}"  # adding zero: no "-0.0"
-
-
-def _with_power(value: float, places: int) -> str:
-    if not math.isfinite(value):
-        return number(value)
-    shown = round(value, places)
-    digits = 0 if shown == 0 else max(0, int(f"{shown:.16e}".partition("e")[2]) + places)
-    return f"{shown + 0.0:.{digits}e}"
+    return text(value), text(low), text(high)

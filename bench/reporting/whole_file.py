@@ -11,30 +11,23 @@ from bench.files import write_whole
 
 
 def write(path: Path, content: str | bytes, given: Path | None = None, field: str = "out") -> None:
-    """Write a file in one step.
+    """Write a file in one step; a text in UTF-8.
 
-    Args:
-        path: The file.
-        content: What is to be in it; a text in UTF-8.
-        given: The folder that the user named, where it was no file.
-        field: The field in which it was named.
-
-    Raises:
-        InputError: Where that cannot be done; it names what the user gave.
+    Raises InputError where that cannot be done, which names the ``field`` and the folder that the user had ``given``
+    in it, or the file.
     """
-    data = content.encode() if isinstance(content, str) else content
     if is_special(path):  # a device or a pipe would be gone, and a file be in its place
         raise InputError(field, given or path, "it is a device or a pipe; name a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, data)
+        write_whole(path, content.encode() if isinstance(content, str) else content)
     except OSError as error:
         other = "another file" if given is None else "another folder"
         raise InputError(field, given or path, f"cannot be written ({error.strerror}); name {other}") from None
 
 
 def is_special(path: Path) -> bool:
-    """Whether something is there that is neither file nor folder."""
+    """Return whether something is there that is neither file nor folder."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
@@ -44,11 +37,10 @@ def check_folder(folder: Path, field: str = "out") -> None:
 
 
 def check_file(path: Path, field: str = "out") -> None:
-    """The same of a file that is to be written, which must be no folder."""
-    if os.path.isdir(path):
-        raise InputError(field, path, "it is a folder; name a file")
-    if is_special(path):
-        raise InputError(field, path, "it is a device or a pipe; name a file")
+    """Raise InputError before any work where a file cannot be written after it; nothing is left there."""
+    if os.path.isdir(path) or is_special(path):
+        what = "a folder" if os.path.isdir(path) else "a device or a pipe"
+        raise InputError(field, path, f"it is {what}; name a file")
     _check(path.with_name(f".{path.name}.write-test"), path, field)
 
 

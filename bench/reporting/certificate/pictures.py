@@ -26,6 +26,8 @@ MOST_MARKED = 250
 """Samples beyond this number are a line, not circles."""
 WIDTHS = 3.0
 """Widths of the primary's interval to either side of its value beyond which another's is cut at the edge."""
+REGION = {"type": "rect", "style": "region", "strokeWidth": 0}
+RULE = {"type": "rule", "style": "quiet"}
 Specification = dict[str, Any]
 Curve = tuple[np.ndarray, np.ndarray]
 """Abscissae and ordinates."""
@@ -53,7 +55,7 @@ def fit_picture(response: Response) -> str:
     """Draw samples, fitted response and residuals as the content of an SVG file."""
     fit, labels = response.fit, (f"{response.measures} ({response.unit})", f"residual ({response.unit})")
     curves = {} if fit is None else {"fit": (BLUE, (fit.times, fit.values))}
-    left = None if fit is None else fit.residuals.values
+    left = {} if fit is None else {ORANGE: (response.times, fit.residuals.values)}
     title = response.method if fit is None else f"{response.method}: {response.trust.value}"
     picture = _over_time((response.times, response.values), curves, left, labels, FULL)
     return svg({**picture, "title": {"text": title, "orient": "top", "anchor": "end"}}, theme()["background"])
@@ -61,23 +63,17 @@ def fit_picture(response: Response) -> str:
 
 def pictures(shown: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Draw what can be drawn of a certificate's contents: addresses of images, with their captions."""
-    drawn = [draw(shown) for draw in (_record, _prediction, _spectrum, _lags, _forest)]
-    return [(_address(svg(picture[0])), picture[1]) for picture in drawn if picture]
+    drawn = (draw(shown) for draw in (_record, _spectrum, _lags, _forest))
+    code = "data:image/svg+xml;base64,"
+    return [(code + b64encode(svg(picture[0]).encode()).decode(), picture[1]) for picture in drawn if picture]
 
 
-def _address(drawing: str) -> str:
-    return f"data:image/svg+xml;base64,{b64encode(drawing.encode()).decode()}"
-
-
-def _curve(curve: Curve, mark: Mapping[str, Any], name: str = "") -> Specification:
+def _curve(curve: Curve, name: str = "", **mark: Any) -> Specification:
     """Describe a curve; ``name`` is its entry in the legend."""
     values = [{"x": x, "y": y} for x, y in zip(*(part.tolist() for part in thinned(*curve)), strict=True)]
-    color = {"color": {"datum": name}} if name else {}
-    return {"data": {"values": values}, "mark": dict(mark), "encoding": {"x": _axis("x"), "y": _axis("y")} | color}
-
-
-def _axis(field: str) -> dict[str, Any]:
-    return {"field": field, "type": "quantitative"}
+    places: dict[str, Any] = {axis: {"field": axis, "type": "quantitative"} for axis in "xy"}
+    return {"data": {"values": values}, "mark": {"type": "line"} | mark,
+            "encoding": places | ({"color": {"datum": name}} if name else {})}  # fmt: skip
 
 
 def _fixed(mark: Mapping[str, Any], **ends: float) -> Specification:
@@ -86,72 +82,62 @@ def _fixed(mark: Mapping[str, Any], **ends: float) -> Specification:
     return {"data": {"values": [{}]}, "mark": dict(mark), "encoding": places}
 
 
-REGION = {"type": "rect", "style": "region", "strokeWidth": 0}
-RULE = {"type": "rule", "style": "quiet"}
-
-
 def _panel(
-    layers: Sequence[Specification], titles: tuple[str, str], size: tuple[float, float],
+    layers: Sequence[Specification], titles: tuple[str, str], height: float, width: float = HALF,
     colours: Mapping[str, str] | None = None, log: Sequence[float] = (),
 ) -> Specification:  # fmt: skip
     """Lay curves over each other, under a legend of their colours; ``log``: the ends of y, on logarithmic axes."""
     scale = {"type": "log", "nice": False} if log else {"zero": False, "nice": False}
     axis = {"format": ".6~g", "tickCount": 5}
-    across = {"scale": scale, "title": titles[0] or None, "axis": axis | {"grid": False}}
-    up = {"scale": scale | ({"domain": list(log)} if log else {}), "title": titles[1],
-          "axis": axis | {"minExtent": ROOM, "maxExtent": ROOM}}  # fmt: skip
-    encoding: dict[str, Any] = {"x": across, "y": up}
+    encoding: dict[str, Any] = {
+        "x": {"scale": scale, "title": titles[0] or None, "axis": axis | {"grid": False}},
+        "y": {"scale": scale | ({"domain": list(log)} if log else {}), "title": titles[1],
+              "axis": axis | {"minExtent": ROOM, "maxExtent": ROOM}},
+    }  # fmt: skip
     if colours:
         legend = {"orient": "top", "symbolType": "stroke", "symbolStrokeWidth": 2}
         named = {"domain": list(colours), "range": list(colours.values())}
         encoding["color"] = {"type": "nominal", "scale": named, "legend": legend}
-    return {"width": size[0] - ROOM, "height": size[1], "encoding": encoding, "layer": list(layers)}
+    return {"width": width - ROOM, "height": height, "encoding": encoding, "layer": list(layers)}
 
 
 def _over_time(
-    samples: Curve, curves: Mapping[str, tuple[str, Curve]], left: np.ndarray | None, labels: tuple[str, str],
+    samples: Curve, curves: Mapping[str, tuple[str, Curve]], left: Mapping[str, Curve], labels: tuple[str, str],
     width: float = HALF, under: Sequence[Specification] = (),
 ) -> Specification:  # fmt: skip
-    """Draw samples and curves in their colours and, below, what is left of the samples."""
+    """Draw samples and curves in their colours and, below, what is left of the samples, by colour."""
     few = samples[0].size <= MOST_MARKED
-    broad = {"type": "line", "strokeWidth": 1.8 if curves else 0.6, "strokeJoin": "round"}
     colours = {"record": INK if few or not curves else QUIET} | {name: colour for name, (colour, _) in curves.items()}
-    layers = [*under, _curve(samples, {"type": "circle", "size": 7, "opacity": 1} if few else broad, "record")]
-    layers += [_curve(curve, {"type": "line", "strokeWidth": 0.7}, name) for name, (_, curve) in curves.items()]
-    above = _panel(layers, ("time (s)" if left is None else "", labels[0]), (width, 0.36 * width), colours)
-    if left is None:
+    mark = {"type": "circle", "size": 7, "opacity": 1} if few else {"strokeWidth": 1.8 if curves else 0.6}
+    layers = [*under, _curve(samples, "record", strokeJoin="round", **mark)]
+    layers += [_curve(curve, name, strokeWidth=0.7) for name, (_, curve) in curves.items()]
+    above = _panel(layers, ("" if left else "time (s)", labels[0]), 0.36 * width, width, colours)
+    if not left:
         return above
-    rest = _curve((samples[0], left), {"type": "line", "strokeWidth": 0.5, "color": ORANGE})
-    below = _panel([*under, _fixed(RULE, y=0.0), rest], ("time (s)", labels[1]), (width, 0.15 * width))
-    return {"vconcat": [above, below], "spacing": 4}
+    layers = [*under, _fixed(RULE, y=0.0)]
+    layers += [_curve(curve, strokeWidth=0.5, color=colour) for colour, curve in left.items()]
+    return {"vconcat": [above, _panel(layers, ("time (s)", labels[1]), 0.15 * width, width)], "spacing": 4}
 
 
 # Each returns a picture with its caption; None where there is nothing to draw.
 
 
 def _record(shown: Mapping[str, Any]) -> Drawn:
-    series, unit = shown["series"], shown["series"]["unit"]
-    curves = {} if series["fit"] is None else {"fit": (BLUE, (series["times"], series["fit"]))}
-    labels = f"{series['measures']} ({unit})", f"residual ({unit})"
-    picture = _over_time((series["times"], series["values"]), curves, series["residuals"], labels)
-    return picture, "Measured samples" + (", fitted motion, and residuals." if curves else "; there is no fit to draw.")
-
-
-def _prediction(shown: Mapping[str, Any]) -> Drawn | None:
-    series, prediction = shown["series"], shown["prediction"]
+    series, unit, prediction = shown["series"], shown["series"]["unit"], shown["prediction"]
+    times, values, labels = series["times"], series["values"], (f"{series['measures']} ({unit})", f"residual ({unit})")
+    if series["fit"] is None:
+        return _over_time((times, values), {}, {}, labels), "Measured samples; there is no fit to draw."
+    curves, left = {"fit": (BLUE, (times, series["fit"]))}, {ORANGE: (times, series["residuals"])}
+    caption = "Measured samples, fitted motion, and residuals."
     if prediction is None:
-        return None
-    times, values, predicted, split = series["times"], series["values"], series["prediction"], prediction["split"]
-    late = times > split
-    curves = {
-        "fit of the first 60 %": (BLUE, (times[~late], predicted[~late])),
-        "prediction": (PURPLE, (times[late], predicted[late])),
-    }
-    labels = f"{series['measures']} ({series['unit']})", f"error ({series['unit']})"
-    region = _fixed(REGION, x=split, x2=float(times[-1]))
-    return _over_time((times, values), curves, values - predicted, labels, under=[region]), (
-        f"Held out: FIT {prediction['fit_pct']:.1f} %. The last 40 % of the record (grey) was not used by the fit that "
-        "predicts it. FIT is 100 % for a perfect prediction, 0 % for one no better than the mean."
+        return _over_time((times, values), curves, left, labels), caption
+    late = times > prediction["split"]
+    curves["prediction"] = PURPLE, (times[late], series["prediction"][late])
+    left[PURPLE] = times[late], (values - series["prediction"])[late]
+    region = _fixed(REGION, x=prediction["split"], x2=float(times[-1]))
+    return _over_time((times, values), curves, left, labels, under=[region]), (
+        f"{caption} The last 40 % (grey) as a fit of the first 60 % predicts it: FIT {prediction['fit_pct']:.1f} %, "
+        "which is 100 % for a perfect prediction, 0 % for one no better than the mean."
     )
 
 
@@ -165,14 +151,14 @@ def _spectrum(shown: Mapping[str, Any]) -> Drawn | None:
     smooth = f"AR({spectrum['order']})"
     layers = [
         _fixed(REGION, y=max(low, least), y2=max(high, least)),
-        _curve((frequencies, np.clip(power, least, most)), {"type": "line", "strokeWidth": 0.5}, "periodogram"),
-        _curve((frequencies, np.clip(spectrum["autoregression"], least, most)), {"type": "line"}, smooth),
+        _curve((frequencies, np.clip(power, least, most)), "periodogram", strokeWidth=0.5),
+        _curve((frequencies, np.clip(spectrum["autoregression"], least, most)), smooth),
     ]
     if spectrum["natural_frequency"] is not None:
         layers.append(_fixed(RULE | {"strokeDash": [2, 2]}, x=spectrum["natural_frequency"]))
-    squared = f"({unit})²" if "/" in unit else f"{unit}²"
-    titles = "frequency (Hz)", f"density ({squared}/Hz)"
-    return _panel(layers, titles, (HALF, 0.45 * HALF), {"periodogram": BLUE, smooth: ORANGE}, (least, most)), (
+    titles = "frequency (Hz)", f"density ({f'({unit})' if '/' in unit else unit}²/Hz)"
+    colours = {"periodogram": BLUE, smooth: ORANGE}
+    return _panel(layers, titles, 0.45 * HALF, colours=colours, log=(least, most)), (
         "Spectrum of the residuals. White noise stays within the grey band at 95 of 100 frequencies; smooth line: "
         "the autoregression that the intervals assume for the noise. Dotted: the natural frequency."
     )
@@ -183,66 +169,65 @@ def _lags(shown: Mapping[str, Any]) -> Drawn | None:
     if correlation is None:
         return None
     values, band = correlation["values"][1:], correlation["band"]
-    bars = _curve((np.arange(1, values.size + 1), values), {"type": "bar", "width": 1.2, "color": BLUE})
+    bars = _curve((np.arange(1, values.size + 1), values), type="bar", width=1.2, color=BLUE)
     layers = [_fixed(REGION, y=-band, y2=band), _fixed(RULE, y=0.0), bars]
-    picture = _panel(layers, ("lag (samples)", "autocorrelation"), (HALF, 0.45 * HALF))
+    picture = _panel(layers, ("lag (samples)", "autocorrelation"), 0.45 * HALF)
     return picture, "Autocorrelation of the residuals. Of white noise, 95 of 100 bars stay within the grey band."
 
 
 def _forest(shown: Mapping[str, Any]) -> Drawn | None:
-    methods = [method for method in shown["methods"] if any(name in method["values"] for name in shown["compared"])]
-    names = [name for name in shown["compared"] if any(name in method["values"] for method in methods)]
-    if not names:
+    rows = [row for name in shown["compared"] for row in _intervals(name, shown["methods"], shown["values"].get(name))]
+    if not rows:
         return None
-    width = (HALF - 2 * ROOM) / len(names)
-    panels = [_intervals(name, methods, shown["values"].get(name), width, name == names[0]) for name in names]
-    return {"hconcat": panels, "spacing": 12}, (
+    quantities, methods = (list(dict.fromkeys(row[key] for row in rows)) for key in ("quantity", "method"))
+    color = {"field": "colour", "scale": None}
+
+    def ends(low: str, high: str) -> Specification:
+        scale = {"zero": False, "nice": False, "padding": 4}
+        axis = {"format": ".6~g", "tickCount": 3, "labelOverlap": True}
+        return {"x": {"field": low, "type": "quantitative", "title": None, "scale": scale, "axis": axis},
+                "x2": {"field": high}}  # fmt: skip
+
+    order = {"field": "method", "type": "nominal", "sort": methods, "title": None,
+             "axis": {"domain": False, "ticks": False}}  # fmt: skip
+    point = {"type": "point", "size": 14, "filled": True, "opacity": 1}
+    layers = [
+        {"mark": REGION, "transform": [{"filter": "datum.of == 'primary'"}], "encoding": ends("low", "high")},
+        {"mark": {"type": "rule", "strokeWidth": 0.9}, "encoding": ends("low", "high") | {"y": order, "color": color}},
+        {"mark": {"type": "rule", "strokeWidth": 2.4},
+         "encoding": ends("record_low", "record_high") | {"y": order, "color": color}},
+        {"mark": point, "encoding": {"x": ends("value", "")["x"], "y": order, "color": color,
+                                     "shape": {"field": "shape", "scale": None}}},
+    ]  # fmt: skip
+    return {
+        "data": {"values": rows},
+        "facet": {
+            "column": {"field": "quantity", "sort": quantities, "title": None, "header": {"labelAnchor": "start"}}
+        },
+        "spec": {"width": (HALF - 2 * ROOM) / len(quantities), "height": 11 * len(methods), "layer": layers},
+        "resolve": {"scale": {"x": "independent"}},
+    }, (
         "95 % intervals: thin of a repeat, thick of this record; grey: the primary method's. Blue agrees with it, grey "
         "bars are tied with it, orange is off: neither interval covers the other's value. Triangles: beyond the plot."
     )
 
 
 def _intervals(
-    name: str, methods: Sequence[Mapping[str, Any]], reference: Mapping[str, Any] | None, width: float, first: bool
-) -> Specification:
-    """Draw the intervals of a quantity, one above the other, as far as the primary's lets them be seen."""
-    stated = [method for method in methods if name in method["values"]]
-    ends = [method["values"][name][end] for method in stated for end in ("low", "high")]
-    ends = [end for end in ends if math.isfinite(end)] or [0.0, 1.0]
-    low, high = min(ends), max(ends)
-    region = []
-    if reference is not None and math.isfinite(extent := reference["high"] - reference["low"]):
-        low, high = max(low, reference["value"] - WIDTHS * extent), min(high, reference["value"] + WIDTHS * extent)
-        region = [_fixed(REGION, x=max(reference["low"], low), x2=min(reference["high"], high))]
-    margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-    low, high = low - margin, high + margin
+    name: str, methods: Sequence[Mapping[str, Any]], reference: Mapping[str, Any] | None
+) -> list[dict[str, Any]]:
+    """Return the intervals of a quantity, cut where the primary's would no longer be seen beside them."""
+    stated = [(method, method["values"][name]) for method in methods if name in method["values"]]
+    ends = [interval[end] for _, interval in stated for end in ("low", "high") if math.isfinite(interval[end])]
+    low, high = min(ends, default=0.0), max(ends, default=1.0)
+    if reference is not None and math.isfinite(width := reference["high"] - reference["low"]):
+        low, high = max(low, reference["value"] - WIDTHS * width), min(high, reference["value"] + WIDTHS * width)
     rows = []
-    for method in stated:
-        interval = method["values"][name]
+    for method, interval in stated:
+        value, of, unit = interval["value"], method["agreement"].get(name, "-"), interval["unit"]
         row = {end: min(max(interval[end], low), high) for end in ("value", "low", "high", "record_low", "record_high")}
-        beyond = "triangle-left" if interval["value"] < low else "triangle-right" if interval["value"] > high else ""
-        colour = AGREEMENT[method["agreement"].get(name, "-")]
-        rows.append(row | {"method": method["method"], "shape": beyond or "circle", "colour": colour})
-
-    def layer(mark: Mapping[str, Any], x: str, **channels: Any) -> Specification:
-        return {"data": {"values": rows}, "mark": dict(mark), "encoding": {
-            "y": {"field": "method", "type": "nominal"}, "x": _axis(x), "color": {"field": "colour", "scale": None},
-            **{channel: {"field": field} for channel, field in channels.items()},
-        }}  # fmt: skip
-
-    points = layer({"type": "point", "size": 14, "filled": True, "opacity": 1}, "value", shape="shape")
-    points["encoding"]["shape"]["scale"] = None
-    thin, thick = ({"type": "rule", "strokeWidth": wide} for wide in (0.9, 2.4))
-    axis = {"format": ".6~g", "tickCount": 3, "labelOverlap": True}
-    order, names = [method["method"] for method in methods], {"domain": False, "ticks": False}
-    unit = stated[0]["values"][name]["unit"]
-    return {
-        "width": width,
-        "height": 11 * len(methods),
-        "title": {"text": readable(name) + ("" if unit == "-" else f" ({unit})"), "orient": "top", "anchor": "start"},
-        "encoding": {
-            "x": {"scale": {"domain": [low, high], "nice": False, "zero": False}, "title": None, "axis": axis},
-            "y": {"scale": {"domain": order}, "title": None, "axis": names if first else None},
-        },
-        "layer": [*region, layer(thin, "low", x2="high"), layer(thick, "record_low", x2="record_high"), points],
-    }  # fmt: skip
+        rows.append(row | {
+            "quantity": readable(name) + ("" if unit == "-" else f" ({unit})"), "method": method["method"], "of": of,
+            "colour": AGREEMENT[of],
+            "shape": "triangle-left" if value < low else "triangle-right" if value > high else "circle",
+        })  # fmt: skip
+    return rows
