@@ -32,11 +32,6 @@ def in_shown_unit(name: str, interval: Interval) -> Interval:
     return {key: 100.0 * end if isinstance(end, float) else end for key, end in interval.items()} | {"unit": "%"}
 
 
-def unit_text(unit: str) -> str:
-    """Return a unit; none for a pure number."""
-    return "" if unit == "-" else unit
-
-
 def ends_text(interval: Interval, of: str = "") -> str:
     """Return an interval as text: ``51.9 to 52.3``, or the limit that the data determine; ``of`` names the ends."""
     if interval["limit"] and of != "white_":
@@ -45,9 +40,12 @@ def ends_text(interval: Interval, of: str = "") -> str:
     return f"{low} to {high}"
 
 
-def value_text(interval: Interval, of: str = "") -> str:
-    """Return the value with as many digits as its interval justifies; a dash where only a limit is determined."""
-    return "–" if interval["limit"] else rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])[0]
+def value_and_ends(interval: Interval | None, of: str = "") -> tuple[str, str]:
+    """Return a value with as many digits as its interval justifies, and the interval; dashes where there is none."""
+    if interval is None:
+        return "–", "–"
+    value = rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])[0]
+    return "–" if interval["limit"] else value, ends_text(interval, of)
 
 
 def limit_text(interval: Interval) -> str:
@@ -68,7 +66,7 @@ def quantity_text(name: str, interval: Interval) -> str:
     """Return ``k/m = 52.10 ± 0.20 1/s²``, or ``c/m at most 0.4 1/s``."""
     shown = in_shown_unit(name, interval)
     text = limit_text(shown) if shown["limit"] else f"= {uncertain_text(shown)}"
-    return f"{readable(name)} {text} {unit_text(shown['unit'])}".rstrip()
+    return f"{readable(name)} {text} {shown['unit'].strip('-')}".rstrip()
 
 
 def answer(intervals: Mapping[str, Interval], modes: Sequence[Mapping[str, Any]] = ()) -> str:
@@ -105,26 +103,25 @@ def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:
 
 def values_table(stated: Mapping[str, Interval], withdrawn: Mapping[str, Interval]) -> Grid:
     """Tabulate values with their intervals, or withdrawn values alone: intervals about them would mislead."""
+    shown = {name: in_shown_unit(name, interval) for name, interval in (stated or withdrawn).items()}
     if not stated:
-        shown = {name: in_shown_unit(name, own) for name, own in withdrawn.items()}
-        values = [(readable(name), number(own["value"]), unit_text(own["unit"])) for name, own in shown.items()]
-        return Grid(("Quantity", "Withdrawn value", "Unit"), tuple(values))
-    rows: list[tuple[str, ...]] = []
-    for name, interval in stated.items():
-        own = in_shown_unit(name, interval)
-        ends = [ends_text(own, of) for of in ("", "record_", "white_")]
-        rows.append((readable(name), value_text(own), unit_text(own["unit"]), *ends))
+        values = [(readable(name), number(own["value"]), own["unit"].strip("-")) for name, own in shown.items()]
+        return Grid(("Quantity", "Withdrawn value", "Unit"), values)
+    rows = []
+    for name, own in shown.items():
+        value, *ends = *value_and_ends(own), ends_text(own, "record_"), ends_text(own, "white_")
+        rows.append((readable(name), value, own["unit"].strip("-"), *ends))
     headers = ("Quantity", "Value", "Unit", "95 % interval of a repeat", "Of this record", "White-noise interval")
-    return Grid(headers, tuple(rows))
+    return Grid(headers, rows)
 
 
 def modes_table(modes: Iterable[Mapping[str, Any]]) -> Grid:
     """Tabulate the modes of a record with their intervals, and aliases."""
     rows = []
     for mode in modes:
-        cells = [text for own in _mode_intervals(mode) for text in (value_text(own), ends_text(own))]
+        cells = [text for interval in _mode_intervals(mode) for text in value_and_ends(interval)]
         rows.append((*cells, "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"))
-    return Grid(("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share"), tuple(rows))
+    return Grid(("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share"), rows)
 
 
 def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Grid:
@@ -132,9 +129,8 @@ def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Grid:
     names = list(next((run["estimates"] for run in runs.values() if run["estimates"]), {}))[:2]
     rows = []
     for name, run in runs.items():
-        stated = [run["estimates"].get(quantity) for quantity in names]
-        pairs = [(value_text(own, "record_"), ends_text(own, "record_")) if own else ("–", "–") for own in stated]
+        pairs = [value_and_ends(run["estimates"].get(quantity), "record_") for quantity in names]
         left_out = f"left out: {run['left_out']}" if run["left_out"] else ""
         rows.append((name, *(text for pair in pairs for text in pair), left_out))
     headers = [text for quantity in names for text in (readable(quantity), "95 % interval")]
-    return Grid(("Run alone", *headers, ""), tuple(rows))
+    return Grid(("Run alone", *headers, ""), rows)

@@ -58,15 +58,15 @@ def title(label: str) -> str:
 
 
 def states_terms(label: str) -> bool:
-    """Whether the messages of a method's estimates name the terms of its model."""
+    """Return whether the messages of a method's estimates name the terms of its model."""
     card = card_of(label)
-    return card is not None and card.states_terms
+    return bool(card and card.states_terms)
 
 
 def warns(label: str) -> bool:
-    """Whether the message of an answer is a warning: not where it names terms or says how the fit ended."""
+    """Return whether the message of an answer is a warning: not where it names terms or says how the fit ended."""
     card = card_of(label)
-    return card is not None and not (card.states_terms or card.remarks)
+    return bool(card and not (card.states_terms or card.remarks))
 
 
 def in_order(labels: Iterable[str]) -> list[str]:

@@ -13,7 +13,7 @@ from bench.reporting.answer import (
     in_shown_unit,
     modes_table,
     runs_table,
-    value_text,
+    value_and_ends,
     values_table,
 )
 from bench.reporting.certificate.pictures import pictures
@@ -69,9 +69,7 @@ def _methods(shown: Mapping[str, Any]) -> Grid:
     names, rows, marks = shown["compared"], [], []
     units: dict[str, str] = {}
     for method in (method for method in shown["methods"] if method["values"]):
-        cells: list[str] = []
-        for interval in (method["values"].get(name) for name in names):
-            cells += (value_text(interval), ends_text(interval)) if interval else ("–", "")
+        cells = [text for name in names for text in value_and_ends(method["values"].get(name))]
         units |= {name: interval["unit"] for name, interval in method["values"].items()}
         agreement = method["agreement"]
         worst = next((text for text in ("off", "tied", "agrees", "primary") if text in agreement.values()), "-")

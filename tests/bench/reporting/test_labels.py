@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 
 import pytest
@@ -39,11 +39,6 @@ def test_every_variant_of_conf_has_a_card_of_its_own() -> None:
         if files("conf").joinpath("method", f"{name}.yaml").is_file():
             assert title(name) != name
             assert [method for method in registered() if name in load_method(method).card.variants]
-
-
-def test_a_variant_has_what_differs_from_its_method() -> None:
-    card = Card("s", "not used", "groups", "simulated", "u", "d", paper="ls", variants={"other": {"title": "Other"}})
-    assert card.variant("other") == replace(card, title="Other", variants={})
 
 
 @dataclass(frozen=True)

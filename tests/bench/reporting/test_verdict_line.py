@@ -54,15 +54,13 @@ def test_it_says_what_the_numbers_say(excess: dict[str, float], cover: dict[str,
 def test_errors_too_small_to_be_chance_are_never_called_good(n: int) -> None:
     """Chi-square of n at a probability of a millionth: 0.197 and 0.680 of the bound (tables of the gamma function)."""
     least = math.sqrt(stats.gamma.ppf(1e-6, n / 2, scale=2.0) / n)
-    cheat, honest = (cell({"k_over_m": factor * least, "c_over_m": 1.0}, COVER, n) for factor in (0.99, 1.01))
-    for stored in (cheat, honest):
-        for own in (stored.summary["k_over_m_error_pct"], stored.summary["c_over_m_error_pct"]):
-            own["bound"] = 3.0
-    assert verdict(cheat).startswith("below the bound by more than chance allows (k/m): check the method for use of")
-    assert not good(verdict(cheat))
-    assert verdict(honest) == "on the bound; intervals hold"
-    cheat.summary["k_over_m_error_pct"]["bound"] = 80.0  # of a linearisation that does not hold so far
-    assert verdict(cheat) == "on the bound; intervals hold"
+    # the last: the bound is of a linearisation that does not hold so far
+    for factor, bound, said in ((0.99, 3.0, "below the bound by more"), (1.01, 3.0, "on the"), (0.99, 80.0, "on the")):
+        stored = cell({"k_over_m": factor * least, "c_over_m": 1.0}, COVER, n)
+        for summary in (stored.summary["k_over_m_error_pct"], stored.summary["c_over_m_error_pct"]):
+            summary["bound"] = bound
+        assert verdict(stored).startswith(said)
+        assert good(verdict(stored)) == (said == "on the")
 
 
 def test_a_method_that_has_the_truth_is_flagged_and_one_at_the_bound_is_not(reference: Scenario) -> None:

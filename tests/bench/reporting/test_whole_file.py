@@ -10,13 +10,6 @@ from bench.errors import InputError
 from bench.reporting.whole_file import write
 
 
-def test_a_file_is_written_with_its_folders(tmp_path: Path) -> None:
-    path = tmp_path / "a" / "b" / "page.html"
-    write(path, "§ 1\n")
-    assert path.read_bytes() == "§ 1\n".encode()
-    assert [one.name for one in path.parent.iterdir()] == ["page.html"]
-
-
 def test_a_failed_write_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "certificate.html"
     path.write_text("before", encoding="utf-8")
@@ -37,5 +30,3 @@ def test_where_a_parent_is_a_file_the_user_hears_what_they_named(tmp_path: Path)
     folder = file / "below"
     with pytest.raises(InputError, match=r"out=.*below.*another folder"):
         write(folder / "certificate.html", "text", folder)
-    with pytest.raises(InputError, match=r"out=.*certificate\.html.*another file"):
-        write(folder / "certificate.html", "text")
