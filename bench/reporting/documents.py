@@ -30,26 +30,27 @@ def documents(root: Path) -> dict[Path, str]:
 
 
 def used(text: str) -> tuple[set[str], set[str]]:
-    """The names of numbers and of conclusions in a text."""
+    """Return the names of numbers and of conclusions in a text."""
     return set(PLACE.findall(text)), set(HOLDS.findall(text))
 
 
 def rewritten(text: str, facts: Facts) -> str:
-    """The text with every number between comments as the results have it now."""
-    return KEPT.sub(lambda found: f"<!-- {{{{ {found[1]} }}}} -->{facts.numbers.get(found[1], '?')}<!-- / -->", text)
+    """Return the text with every number between comments as the results have it now."""
+    return KEPT.sub(lambda place: f"<!-- {{{{ {place[1]} }}}} -->{facts.numbers.get(place[1], '?')}<!-- / -->", text)
 
 
 def filled(text: str, facts: Facts) -> str:
-    """The text as the site shows it, with numbers and without marks; raises InputError where :func:`problems` does."""
+    """Fill in the numbers and remove the marks, as the site shows a text; InputError where it has :func:`problems`."""
     wrong = problems(text, facts)
     if wrong:
         raise InputError("documents", wrong[0], "see python -m bench tables what=claims")
-    text = KEPT.sub(lambda found: facts.numbers[found[1]], text)
-    return HOLDS.sub("", PLACE.sub(lambda found: facts.numbers[found[1]], text))
+    for pattern in (KEPT, PLACE):
+        text = pattern.sub(lambda place: facts.numbers[place[1]], text)
+    return HOLDS.sub("", text)
 
 
 def problems(text: str, facts: Facts) -> list[str]:
-    """What is wrong with a text: a name that is unknown, or a conclusion that no longer holds."""
+    """List what is wrong with a text: a name that is unknown, or a conclusion that no longer holds."""
     numbers, conclusions = used(text)
     return [
         *(f"no number is called {name}" for name in sorted(numbers - facts.numbers.keys())),
