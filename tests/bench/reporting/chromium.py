@@ -21,7 +21,7 @@ class Browser:
 
     def __init__(self, profile: Path) -> None:
         (reading, to_us), (to_it, self._writing) = os.pipe(), os.pipe()
-        connected = ["sh", "-c", f'exec "$@" 3<&{to_it} 4>&{to_us} 2>/dev/null', "sh", PROGRAM, *ARGUMENTS]
+        connected = ["bash", "-c", f'exec "$@" 3<&{to_it} 4>&{to_us} 2>/dev/null', "bash", PROGRAM, *ARGUMENTS]
         self._process = subprocess.Popen([*connected, f"--user-data-dir={profile}"], pass_fds=(to_it, to_us))
         for end in (to_it, to_us):
             os.close(end)
