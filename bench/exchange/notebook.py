@@ -10,17 +10,18 @@ from bench.store.cell import Cell
 
 NAMED = ("method", "system", "snr", "initial_state", "prior", "disturbance", "replicates", "seed")
 """Fields that :func:`bench.run` takes by their names; others are its ``settings``."""
-PICTURE = """import matplotlib.pyplot as plt
+PICTURE = """import altair as alt
+import pandas as pd
 
 arrays = results[0].stored.arrays
-figure, axes = plt.subplots()
-axes.plot(arrays["dense_times"], arrays["true_displacement"][0], label="truth")
+curves = {"truth": arrays["true_displacement"][0]}
 if "displacement" in arrays:
-    axes.plot(arrays["dense_times"], arrays["displacement"][0], "--", label="identified")
+    curves["identified"] = arrays["displacement"][0]
+lines = pd.DataFrame({"time": arrays["dense_times"], **curves}).melt("time", var_name="curve")
 first = arrays["sample_dof"] == arrays["sample_dof"][0]
-axes.plot(arrays["sample_times"][first], arrays["sample_values"][first], "o", label="samples")
-axes.set(xlabel="time (s)", ylabel="displacement (m)")
-axes.legend()"""
+samples = pd.DataFrame({"time": arrays["sample_times"][first], "value": arrays["sample_values"][first]})
+axes = {"x": alt.X("time").title("time (s)"), "y": alt.Y("value").title("displacement (m)")}
+alt.Chart(lines).mark_line().encode(**axes, color="curve") + alt.Chart(samples).mark_point().encode(**axes)"""
 
 
 def notebook(cell: Cell, overrides: Mapping[str, Sequence[Any]]) -> str:
