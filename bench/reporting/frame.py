@@ -1,8 +1,7 @@
 """The read model: stored cells, and cells that an experiment describes, as all tables, figures and pages read them.
 
 A :class:`Result` is one cell, run or not, with the facts of its scenario and what came out; it alone knows the keys of
-a stored description. A :class:`Frame` is the results of one experiment; those
-of a store are a plain list (:func:`stored_results`).
+a stored description. A :class:`Frame` is the results of one experiment; those of a store are a plain list.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.reporting.labels import cards, title
 from bench.scenario.scenario import Scenario
-from bench.scoring.row import Row
 from bench.scoring.statistics import wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
@@ -43,16 +41,29 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One cell: its facts, and what the store holds of it (None where it was not run).
+    """One cell: the facts of its scenario, and what the store holds of it (None where it was not run).
 
-    ``system`` is what tables call the system, ``kind`` which equations it has. ``data`` describes what decides the data
-    of a replicate, ``prior`` the widths of the prior by kind of parameter. ``cell`` is there where an experiment
-    describes the cell. Arrays by replicate have the shape (n,).
+    Arrays by replicate have the shape (n,).
+
+    Attributes:
+        system: What tables call the system.
+        kind: The registered system whose equations it has.
+        prior: The widths of the prior, by kind of parameter.
+        data: What decides the data of a replicate.
+        parameters: The true values (SI units).
+        disturbance: The kind of what disturbs the data; empty where nothing does.
+        duration: Of the record (s).
+        samples: Of a sensor; 0 where the description does not say.
+        n_dof: Masses that move; 0 where the description does not say.
+        added_mass: Known masses (kg, one a DOF) of a second record; none where there is one record.
+        truth_drawn: Whether each replicate has a truth of its own.
+        cell: There where an experiment describes the cell.
     """
 
     label: str
     method: str
     system: str
+    kind: str
     snr_db: float
     initial_state: str
     seed: int
@@ -60,22 +71,30 @@ class Result:
     settings: Mapping[str, Any]
     sigma: tuple[float, ...]
     data: Mapping[str, Any]
+    parameters: Mapping[str, float]
+    disturbance: str
+    disturbance_size: float
+    forced: bool
+    duration: float
+    samples: int
+    n_dof: int
+    added_mass: tuple[float, ...]
+    truth_drawn: bool
     stored: StoredCell | None
     cell: Cell | None = None
     _columns: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of_description(
-        cls, what: Mapping[str, Any], stored: StoredCell | None, cell: Cell | None = None
-    ) -> Result:  # fmt: skip
+    def of_description(cls, what: Mapping[str, Any], stored: StoredCell | None, cell: Cell | None = None) -> Result:
         """The facts of a description as cells are stored with it; what a foreign one lacks is left open."""
-        data, told = what.get("data", {}), what.get("told", {})
-        method = str(what.get("method", "?"))
+        data, told, method = what.get("data", {}), what.get("told", {}), str(what.get("method", "?"))
+        disturbance, kind = data.get("disturbance") or {}, str(data.get("system", "?"))
         snr = what.get("snr_db", data.get("snr_db"))
         return cls(
             label=str(what.get("label") or method),
             method=method,
-            system=str(what.get("system") or data.get("system", "?")),
+            system=str(what.get("system") or kind),
+            kind=kind,
             snr_db=math.nan if snr is None else float(snr),
             initial_state=str(what.get("initial_state") or told.get("initial_state", "?")),
             seed=int(what.get("seed") or 0),
@@ -83,6 +102,15 @@ class Result:
             settings=what.get("settings", {}),
             sigma=tuple(map(float, what.get("sigma") or ())),
             data=data,
+            parameters=data.get("parameters", {}),
+            disturbance=str(disturbance.get("kind", "")).removeprefix("none"),
+            disturbance_size=float(disturbance.get("size", math.nan)),
+            forced=bool(data.get("force")),
+            duration=float(data.get("duration", math.nan)),
+            samples=int(data.get("samples", 0)),
+            n_dof=len(data.get("initial", [[]])[0]),
+            added_mass=tuple(map(float, data.get("added_mass") or ())),
+            truth_drawn="truth" in data,
             stored=stored,
             cell=cell,
         )
@@ -102,61 +130,12 @@ class Result:
     # ---- facts of the scenario
 
     @property
-    def kind(self) -> str:
-        """The registered system whose equations it has."""
-        return str(self.data.get("system", "?"))
-
-    @property
-    def disturbance(self) -> str:
-        """The kind of what disturbs the data; empty where nothing does."""
-        return str((self.data.get("disturbance") or {}).get("kind", "")).removeprefix("none")
-
-    @property
-    def disturbance_size(self) -> float:
-        return float((self.data.get("disturbance") or {}).get("size", math.nan))
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """The true values (SI units)."""
-        found: Mapping[str, float] = self.data.get("parameters", {})
-        return found
-
-    @property
-    def forced(self) -> bool:
-        return bool(self.data.get("force"))
-
-    @property
     def force(self) -> str:
         """The known force in words: its shape, and its amplitude where that is stored; empty in free vibration."""
         force = self.data.get("force") or {}
         # a stored description names every shape but the default
         shape = str(force.get("kind", "multisine")).replace("_", " ") if force else ""
         return shape + (f", amplitude {float(force['amplitude']):g} N" if "amplitude" in force else "")
-
-    @property
-    def duration(self) -> float:
-        """Of the record (s)."""
-        return float(self.data.get("duration", math.nan))
-
-    @property
-    def samples(self) -> int:
-        """Samples of a sensor; 0 where the description does not say."""
-        return int(self.data.get("samples", 0))
-
-    @property
-    def n_dof(self) -> int:
-        """Masses that move; 0 where the description does not say."""
-        return len(self.data.get("initial", [[]])[0])
-
-    @property
-    def added_mass(self) -> tuple[float, ...]:
-        """Known masses (kg, one a DOF) of a second record; none where there is one record."""
-        return tuple(map(float, self.data.get("added_mass") or ()))
-
-    @property
-    def truth_drawn(self) -> bool:
-        """Whether each replicate has a truth of its own."""
-        return "truth" in self.data
 
     @property
     def start_told(self) -> InitialState | None:
@@ -214,11 +193,6 @@ class Result:
     # ---- what came out
 
     @property
-    def rows(self) -> Sequence[Row]:
-        """The replicates, as they are stored."""
-        return self.stored.rows if self.stored else ()
-
-    @property
     def n(self) -> int:
         """Replicates that are stored."""
         return len(self.stored.columns) if self.stored else 0
@@ -228,8 +202,13 @@ class Result:
         return self.stored.columns.statuses if self.stored else ()
 
     @cached_property
+    def ok(self) -> np.ndarray:
+        """Which replicates succeeded, booleans (n,)."""
+        return np.array([status is Status.OK for status in self.statuses], bool)
+
+    @cached_property
     def n_ok(self) -> int:
-        return self.statuses.count(Status.OK)
+        return int(self.ok.sum())
 
     @property
     def state(self) -> str:
@@ -244,29 +223,31 @@ class Result:
         assert self.stored is not None
         return self.stored.status
 
-    @cached_property
-    def ok(self) -> np.ndarray:
-        """Which replicates succeeded, booleans (n,)."""
-        return np.array([status is Status.OK for status in self.statuses], bool)
-
     @property
     def verification(self) -> str:
         """What was verified of a submitted cell when it was merged, in words; empty for one's own."""
         facts = self.stored.provenance.get(SUBMITTED) if self.stored else None
         if facts is None:
             return ""
-        compared, rows, missed = (facts.get(name) for name in ("rows_compared", "of_rows", "missed_5_percent"))
+        compared, rows = facts.get("rows_compared"), facts.get("of_rows")
         if not (isinstance(compared, int) and isinstance(rows, int)):  # a store is data, and may state anything
             return "submitted; what was verified of it is not stated"
-        said = f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
-        if not isinstance(missed, float):
-            return said
-        return f"{said} (a change of 5 % of the rows is missed with probability {missed:.2g})"
+        return f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
 
     @property
     def summary(self) -> Mapping[str, Mapping[str, float]]:
         """By metric, the stored statistics over the replicates."""
         return self.stored.summary if self.stored else {}
+
+    @property
+    def identifiable(self) -> Mapping[str, bool]:
+        """By quantity, whether the data alone tell it."""
+        return self.stored.identifiable if self.stored else {}
+
+    @property
+    def prior_share(self) -> Mapping[str, float]:
+        """By quantity, the prior's share of the variance at the bound."""
+        return self.stored.prior_share if self.stored else {}
 
     def statistic(self, metric: str, name: str) -> float:
         """``mean``, ``median``, ``ci_low``, ``ci_high``, ``bound`` or ``excess`` of a metric; NaN without it."""
@@ -283,25 +264,6 @@ class Result:
     def coverage(self, quantity: str, level: int = 95) -> tuple[float, float, float]:
         """The share of the intervals of successful replicates that held the truth, with its 95 % interval."""
         return share(self.successful(f"{quantity}_coverage_{level}"))
-
-    def bias_pct(self, quantity: str) -> float:
-        """The mean of estimate over truth of the successful replicates, less one (%)."""
-        ratios = self.successful(f"{quantity}_ratio")
-        return 100 * float(np.mean(ratios) - 1) if ratios.size else math.nan
-
-    @property
-    def identifiable(self) -> Mapping[str, bool]:
-        """By quantity, whether the data alone tell it."""
-        return self.stored.identifiable if self.stored else {}
-
-    @property
-    def prior_share(self) -> Mapping[str, float]:
-        """By quantity, the prior's share of the variance at the bound."""
-        return self.stored.prior_share if self.stored else {}
-
-    def has(self, score: str) -> bool:
-        """Whether any replicate has a score."""
-        return bool(np.any(~np.isnan(self.scores(score))))
 
     def scores(self, name: str) -> np.ndarray:
         """A score by replicate (n,), NaN where a replicate has none."""
@@ -357,8 +319,7 @@ class Frame:
     @property
     def number(self) -> int | None:
         """The number of its table, if it has one."""
-        found = self.table.get("number")
-        return None if found is None else int(found)
+        return int(self.table["number"]) if self.table.get("number") else None
 
     @property
     def name(self) -> str:
@@ -366,18 +327,9 @@ class Frame:
         return f"table{self.number}" if self.number else self.experiment
 
     @property
-    def heading(self) -> str:
-        """The title of its table, with the number if it has one."""
-        return f"Table {self.number}. {self.title}" if self.number else self.title
-
-    @property
     def form(self) -> str:
         """What its table looks like."""
         return str(self.table.get("form", "paper"))
-
-    @property
-    def any_stored(self) -> bool:
-        return any(result.stored for result in self.results)
 
     @property
     def command(self) -> str:

@@ -176,7 +176,7 @@ def draw_profiles(gallery: Gallery) -> Picture:
         raise Nothing("a comparison needs two methods on the same data")
     chosen = [cells[label, scene] for label in labels for scene in scenes]
     fewest = min(c.n for c in chosen)
-    metrics = [m for m in (K, C, MOTION) if all(c.has(m[0]) or not c.n_ok for c in chosen)]
+    metrics = [m for m in (K, C, MOTION) if all(np.isfinite(c.scores(m[0])).any() or not c.n_ok for c in chosen)]
     if not metrics:
         raise Nothing("no error that all methods have is stored")
     found = {name: factors(joined(labels, scenes, cells, metric, fewest)) for metric, name in metrics}

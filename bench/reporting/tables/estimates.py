@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity, share
-from bench.reporting.labels import in_order, title, told, warns
+from bench.reporting.labels import in_order, told, warns
 from bench.reporting.ranking import FIRST_TIER, median_time
 from bench.reporting.residuals import coloured
 from bench.reporting.rounding import answered, excess_text, number, percent, percent_between, readable, with_excess
 from bench.reporting.tables.pooling import lower_median, root_mean_square
-from bench.reporting.tables.render import MISSING, Rows, TableForm, Texts, bold, failure_notes, listing, named, panel
+from bench.reporting.tables.render import MISSING, Rows, TableForm, Texts, bold, failure_notes, named, panel, under
 from bench.reporting.tables.tidy import line, tidy_lines
 from bench.scoring.calibration import calibration, together
 from bench.scoring.statistics import counts
@@ -100,20 +100,14 @@ def paper_lines(frame: Frame) -> list[Line]:
     """One line a metric: of each scenario the bound, of every method its errors with the paper's number."""
     lines: list[Line] = []
     scenarios = set[str]()
+    columns = ("system", "initial_state", "snr_db", "metric", "bound", "prior_share")
     for one in tidy_lines(frame, scored, PAPER_COLUMNS):
         result = one["result"]
         if result.stored and result.question not in scenarios:
             scenarios.add(result.question)
+            head = {"table": one["table"], "row": one["row"], "method": "bound"}
             metrics = [metric for metric in result.summary if math.isfinite(result.bound(metric))]
-            head = {
-                **one,
-                **dict.fromkeys(PAPER_COLUMNS[7:], math.nan),
-                "method": "bound",
-                "verdict": "",
-                "tied": False,
-            }
-            bounds = ("metric", "bound", "prior_share")
-            lines += [{**head, **line(result, metric, bounds), "n_ok": None, "n": None} for metric in metrics]
+            lines += [{**head, **line(result, metric, columns)} for metric in metrics]
         lines.append({**one, "prior_share": math.nan})  # it is the bound's
     return lines
 
@@ -130,7 +124,7 @@ def paper_row(one: Line) -> Texts:
 
 
 def paper_entry(one: Line) -> Texts:
-    """A median with its excess, and the paper's own reading, which is the known start."""
+    """A median with its excess, and the paper's number, whose reading is the known start."""
     if one["metric"] not in HEADINGS:
         return {}
     if one["method"] == "bound":
@@ -141,35 +135,12 @@ def paper_entry(one: Line) -> Texts:
 
 def paper_last(lines: Sequence[Line]) -> Texts:
     """The share of the mean square error of k/m and of c/m that is bias, and the rest."""
+    if lines[0]["method"] == "bound":
+        return {}
     shares = [percent(one["bias_share"]) for one in lines if one["metric"] in list(HEADINGS)[:2]]
-    return {"bias² %": ", ".join(shares), **fits(lines)} if lines[0]["method"] != "bound" else {}
+    return {"bias² %": ", ".join(shares), **fits(lines)}
 
 
-PRINTED: Mapping[str, Callable[[Line], str]] = {
-    "row": lambda one: one["row"],
-    "method": lambda one: title(one["method"]),
-    "metric": lambda one: HEADINGS[one["metric"]],
-    "paper": lambda one: number(one["paper"]),
-    "ours, median (95 %)": lambda one: f"{number(one['median'])} ({number(one['ci_low'])} to {number(one['ci_high'])})",
-    "bound": lambda one: number(one["bound"]),
-    "verdict": lambda one: one["verdict"],
-}
-
-
-def printed(frame: Frame, lines: Sequence[Line]) -> Iterator[str | Rows]:
-    """The paper's numbers beside ours."""
-    yield "## The paper's numbers"
-    durations = ", ".join(dict.fromkeys(f"{result.duration:g} s" for result in frame))
-    masses = ", ".join(dict.fromkeys(f"{100 * result.prior['mass']:g} %" for result in frame if result.prior))
-    yield PAPERS_NUMBERS.format(durations=durations, masses=masses)
-    yield listing([one for one in lines if one["initial_state"] == "known" and one["paper"] > 0], PRINTED)
-
-
-PAPERS_NUMBERS = """*Reproduced*: the number lies where 90 in 100 further runs of ours do (single run; known start), and
-other means of as many runs (mean; their own sampling error counted). *Not decidable*: our prior decides. *Open*: the
-error may follow from that of the mass, for ours is not better in what it implies of k/m or c/m. Table 2 prints one
-estimate, a single run. The paper says neither how long its records are nor what its prior is: {durations}, and a mass
-weighed to {masses}, are ours ([readings](reproduction.md))."""
 PAPER_COLUMNS = (
     "table", "row", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high",
     "bound", "prior_share", "excess", "bias_share", "n_ok", "n", "paper", "verdict",
@@ -181,10 +152,10 @@ is the prior's (`python -m bench identifiability` says more). Free vibration tel
 from it, is decided by the prior. {ORACLE} *prior* is the nominal values without any data. {FIRST_TIER} bias² %: the
 share of the mean square errors of k/m and c/m that is the square of their mean error, what more replicates would not
 average out (less what chance makes of no bias). Time: processor time of the median fit. Uses: what a method was told
-beyond the data; *prior after*: by one step that all such methods share. All 95 % intervals are in the CSV.""",
+beyond the data; *prior after*: by one step that all such methods share. In brackets the paper's number: the verdicts on
+it are in the CSV, and what they rest on in [the reproduction](reproduction.md). All 95 % intervals are in the CSV.""",
     columns=PAPER_COLUMNS, lines=paper_lines, section=start, row=paper_row, entry=paper_entry, last=paper_last,
-    order=lambda one: list(HEADINGS).index(one["metric"]) if one["metric"] in HEADINGS else len(HEADINGS),
-    beside=failures, below=printed, latex=True,
+    order=lambda one: [*HEADINGS, one["metric"]].index(one["metric"]), beside=failures, latex=True,
 )  # fmt: skip
 
 
@@ -196,28 +167,27 @@ FEWEST, COUNTED = 20, 5
 
 def calibration_lines(frame: Frame) -> list[Line]:
     """One line a method, noise, start and quantity; the tests of all of them are adjusted together."""
-    places = [(result, name) for result in frame if result.stored for name in ("k_over_m", "c_over_m")]
-    levels = [_scored(result, f"{name}_pit") for result, name in places]
-    alone = [calibration(own) if own.size >= COUNTED else None for own in levels]
-    judged = iter(together([one for one in alone if one and one.n >= FEWEST]))
-    lines: list[Line] = []
-    for (result, name), own, one in zip(places, levels, alone, strict=True):
-        inside = _scored(result, "band_inside_95")
-        counted: dict[str, Any] = {}
-        if one:
-            shares = {f"coverage_{round(100 * c.level)}": c.share for c in one.coverage}
-            ends = {"low_95": one.coverage[-1].low, "high_95": one.coverage[-1].high}
-            counted = {**shares, **ends, "mean_z": one.mean_z, "rms_z": one.rms_z, "uniform_p": one.p_values[2]}
-        verdict = next(judged).verdict if own.size >= FEWEST else MISSING
-        head = line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity"))
-        band = float(np.mean(inside)) if inside.size else math.nan
-        lines.append({**head, **counted, "verdict": verdict, "n": own.size, "band_95": band})
-    return lines
+    lines = [calibrated(result, name) for result in frame if result.stored for name in ("k_over_m", "c_over_m")]
+    judged = [one for one in lines if one["n"] >= FEWEST]
+    for one, found in zip(judged, together([one["alone"] for one in judged]), strict=True):
+        one["verdict"] = found.verdict
+    return list(lines)
 
 
-def _scored(result: Result, score: str) -> np.ndarray:
-    scores = result.scores(score)
-    return np.asarray(scores[~np.isnan(scores)])
+def calibrated(result: Result, name: str) -> dict[str, Any]:
+    """Coverage and normal scores of a quantity, without a verdict."""
+    levels, inside = (result.scores(score) for score in (f"{name}_pit", "band_inside_95"))
+    levels, inside = levels[~np.isnan(levels)], inside[~np.isnan(inside)]
+    head = line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity"))
+    head |= {"n": levels.size, "verdict": MISSING, "band_95": float(np.mean(inside)) if inside.size else math.nan}
+    if levels.size < COUNTED:
+        return head
+    alone = calibration(levels)
+    shares = {f"coverage_{round(100 * own.level)}": own.share for own in alone.coverage}
+    return {
+        **head, **shares, "low_95": alone.coverage[-1].low, "high_95": alone.coverage[-1].high, "alone": alone,
+        "mean_z": alone.mean_z, "rms_z": alone.rms_z, "uniform_p": alone.p_values[2],
+    }  # fmt: skip
 
 
 def calibration_entry(one: Line) -> Texts:
@@ -225,7 +195,7 @@ def calibration_entry(one: Line) -> Texts:
     if "rms_z" not in one:
         return {}
     texts = {"95 %": covered(one, 1), "RMS of z": f"{one['rms_z']:.2f}", "verdict": one["verdict"]}
-    return {f"{readable(one['quantity'])} {heading}": text for heading, text in texts.items()}
+    return under(readable(one["quantity"]), texts)
 
 
 CALIBRATION = TableForm(
@@ -283,7 +253,7 @@ def misspecified_entry(one: Line) -> Texts:
         "error %": with_excess(one["median_error_pct"], one["excess"]), "bias %": number(one["bias_pct"]),
         "95 %": covered(one),
     }  # fmt: skip
-    return {f"{readable(one['quantity'])} {heading}": text for heading, text in texts.items()}
+    return under(readable(one["quantity"]), texts)
 
 
 MISSPECIFIED = TableForm(
@@ -457,7 +427,7 @@ def open_entry(one: Line) -> Texts:
         "RMS": excess_text(one["rms_over_bound"]),
         "gross %": percent_between(one["gross"], one["gross_low"], one["gross_high"]), "95 %": covered(one),
     }  # fmt: skip
-    return {f"{METRICS[one['metric']]} {heading}": text for heading, text in texts.items()}
+    return under(METRICS[one["metric"]], texts)
 
 
 def open_last(lines: Sequence[Line]) -> Texts:

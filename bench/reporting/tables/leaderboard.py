@@ -55,7 +55,7 @@ def lines(results: Sequence[Result]) -> list[Line]:
 
 def leaderboard(frame: Frame) -> Mapping[str, str]:
     """Return the files by name, from the frame of the open split; none where the store holds no cell of it."""
-    if not frame.any_stored:
+    if not any(result.stored for result in frame):
         return {}
     data = lines(frame.results)
     shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, least=1 / CAP, gross=GROSS)]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
 from bench.reporting.frame import Line, group
 from bench.reporting.rounding import answered, excess_text, number, percent, readable
-from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel
+from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel, under
 
 BEHIND = {f"excess_after_{low}_{high}": f"after {low}-{high}" for low, high in AFTER}
 """Columns of the excess behind a step, and what stands over them."""
@@ -84,7 +84,7 @@ def entry(line: Line) -> Texts:
         "rms %": number(line["rms_pct"]), "excess": excess_text(line["excess"]), "told": f"{line['share_told']:.2f}",
         "cov. %": percent(line["coverage_pct"] / 100.0),
     }  # fmt: skip
-    return {f"{readable(line['quantity'])} {heading}": text for heading, text in texts.items()}
+    return under(readable(line["quantity"]), texts)
 
 
 def last(own: Sequence[Line]) -> Texts:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -38,6 +38,11 @@ def named(line: Line) -> Texts:
 def nothing(_: Any) -> Texts:
     """No column."""
     return {}
+
+
+def under(name: str, texts: Texts) -> Texts:
+    """Texts whose headings begin with a name."""
+    return {f"{name} {heading}": text for heading, text in texts.items()}
 
 
 def panel(
@@ -104,7 +109,10 @@ class TableForm:
         data = self.lines(frame)
         shown: dict[str, Rows] = {}
         legend = self.legend.format(name=frame.experiment, **frame.table)
-        parts: list[str | Rows] = [f"# {frame.heading}", textwrap.fill(legend, 120, break_on_hyphens=False)]
+        parts: list[str | Rows] = [
+            f"# Table {frame.number}. {frame.title}" if frame.number else f"# {frame.title}",
+            textwrap.fill(legend, 120, break_on_hyphens=False),
+        ]
         for heading, lines in group(data, self.section).items():
             shown[heading] = panel(sorted(lines, key=self.order), self.row, self.entry, self.last)
             parts += [f"## {heading}", shown[heading], *self.beside(lines)]
@@ -161,25 +169,15 @@ def bold(text: str, marked: bool) -> str:
 
 
 def markdown_table(rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
-    """Return a table of texts as Markdown."""
-    head, *body = _aligned(rows, headers)
-    rule = ["-" * (width_of(text) + 2) for text in head]
-    return "\n".join([_line(head), f"|{'|'.join(rule)}|", *map(_line, body)])
-
-
-def _line(texts: Iterable[str]) -> str:
-    return f"| {' | '.join(texts)} |"
-
-
-def _aligned(rows: Iterable[Sequence[str]], headers: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Return the lines of a table, headings first, with every text filled up to the width of its column."""
-    columns = []
-    for column in zip(headers, *rows, strict=True):
-        texts = [text.strip() for text in column]
-        widths = list(map(width_of, texts))
-        whole = max(widths[0] + 2, *widths)
-        columns.append([text + " " * (whole - width) for text, width in zip(texts, widths, strict=True)])
-    return zip(*columns, strict=True)
+    """Return a table of texts as Markdown, filled up to the width of its columns."""
+    columns = [[text.strip() for text in column] for column in zip(headers, *rows, strict=True)]
+    widths = [max(width_of(column[0]) + 2, *map(width_of, column)) for column in columns]
+    lines = [
+        [text + " " * (width - width_of(text)) for text, width in zip(line, widths, strict=True)]
+        for line in zip(*columns, strict=True)
+    ]
+    head, *body = [f"| {' | '.join(line)} |" for line in lines]
+    return "\n".join([head, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *body])
 
 
 LATEX = str.maketrans(
@@ -193,25 +191,14 @@ LATEX = str.maketrans(
 
 def latex_tables(captioned: Iterable[tuple[str, Rows]]) -> str:
     """Tables of Markdown's cells as LaTeX (booktabs), for an article, each under its caption."""
-    tables = "".join(_latex_table(caption, *table) for caption, table in captioned)
-    return f"% needs the package booktabs\n% regenerate: python -m bench tables\n{tables}"
+    parts = ["% needs the package booktabs", "% regenerate: python -m bench tables"]
+    for caption, (rows, headers) in captioned:
+        head, *body = [" & ".join(map(_latex, line)) + r" \\" for line in (headers, *rows)]
+        parts += [r"\begin{table}", r"\centering", r"\small", f"\\caption{{{_latex(caption)}}}"]
+        parts += [f"\\begin{{tabular}}{{{'l' * len(headers)}}}", r"\toprule", head, r"\midrule", *body]
+        parts += [r"\bottomrule", r"\end{tabular}", r"\end{table}"]
+    return "\n".join(parts) + "\n"
 
 
-def _latex_table(caption: str, rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
-    head, *body = (
-        " & ".join(re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", text.translate(LATEX)) for text in line)
-        for line in _aligned(rows, headers)
-    )
-    lines = "".join(rf" {text} \\" + "\n" for text in body)
-    return rf"""\begin{{table}}
-\centering
-\small
-\caption{{{caption.translate(LATEX)}}}
-\begin{{tabular}}{{{"l" * len(headers)}}}
-\toprule
- {head} \\
-\midrule
-{lines}\bottomrule
-\end{{tabular}}
-\end{{table}}
-"""
+def _latex(text: str) -> str:
+    return re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", text.translate(LATEX))

@@ -18,7 +18,7 @@ from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total
 from bench.records.verdict import Trust
 from bench.reporting.frame import Line
 from bench.reporting.rounding import number, readable
-from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel
+from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel, under
 
 MAIN = ("k_over_m", "c_over_m")
 NOT_MADE = "not made yet"
@@ -204,7 +204,7 @@ def _agreed(one: Line) -> Texts:
         "cov.": ", ".join([*covered, f"{limits} limits"] if limits else covered) or MISSING,
         "x/÷": _beside_white(one, "width", "{:.3f}".format),
     }  # fmt: skip
-    return {f"{readable(one['quantity'])} {heading}": text for heading, text in texts.items()}
+    return under(readable(one["quantity"]), texts)
 
 
 def _beside_white(one: Line, name: str, text: Callable[[float], str] = number) -> str:
