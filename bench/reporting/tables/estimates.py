@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,20 @@ from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity, s
 from bench.reporting.labels import in_order, told, warns
 from bench.reporting.ranking import FIRST_TIER, median_time
 from bench.reporting.residuals import coloured
-from bench.reporting.rounding import answered, excess_text, number, percent, percent_between, readable, with_excess
+from bench.reporting.rounding import answered, excess_text, number, percent, percent_between, with_excess
 from bench.reporting.tables.pooling import lower_median, root_mean_square
-from bench.reporting.tables.render import MISSING, Rows, TableForm, Texts, bold, failure_notes, named, panel, under
+from bench.reporting.tables.render import (
+    MISSING,
+    Rows,
+    TableForm,
+    Texts,
+    bold,
+    each,
+    failure_notes,
+    measured,
+    named,
+    panel,
+)
 from bench.reporting.tables.tidy import line, tidy_lines
 from bench.scoring.calibration import calibration, together
 from bench.scoring.statistics import counts
@@ -181,21 +193,13 @@ def calibrated(result: Result, name: str) -> dict[str, Any]:
     head = line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity"))
     head |= {"n": levels.size, "verdict": MISSING, "band_95": float(np.mean(inside)) if inside.size else math.nan}
     if levels.size < COUNTED:
-        return head
+        return head | dict.fromkeys(("coverage_95", "low_95", "high_95", "rms_z"), math.nan)
     alone = calibration(levels)
     shares = {f"coverage_{round(100 * own.level)}": own.share for own in alone.coverage}
     return {
         **head, **shares, "low_95": alone.coverage[-1].low, "high_95": alone.coverage[-1].high, "alone": alone,
         "mean_z": alone.mean_z, "rms_z": alone.rms_z, "uniform_p": alone.p_values[2],
     }  # fmt: skip
-
-
-def calibration_entry(one: Line) -> Texts:
-    """Coverage, spread of the normal scores, and verdict."""
-    if "rms_z" not in one:
-        return {}
-    texts = {"95 %": covered(one, 1), "RMS of z": f"{one['rms_z']:.2f}", "verdict": one["verdict"]}
-    return under(readable(one["quantity"]), texts)
 
 
 CALIBRATION = TableForm(
@@ -210,7 +214,14 @@ displacement lies in the method's own 95 % band. A dash: the method states no un
         "method", "initial_state", "snr_db", "quantity", "n", "coverage_50", "coverage_80", "coverage_95", "low_95",
         "high_95", "mean_z", "rms_z", "uniform_p", "verdict", "band_95",
     ),
-    lines=calibration_lines, section=start, row=place, entry=calibration_entry,
+    lines=calibration_lines, section=start, row=place,
+    entry=each(
+        measured,
+        {
+            "95 %": partial(covered, digits=1), "RMS of z": lambda one: excess_text(one["rms_z"]),
+            "verdict": lambda one: one["verdict"],
+        },
+    ),
     last=lambda own: {"band 95 %": percent(own[0]["band_95"], 1), "n": str(own[0]["n"])},
     digits=5,
 )  # fmt: skip
@@ -247,15 +258,6 @@ def said(result: Result) -> float:
     return float(np.mean([not ok or bool(message) for ok, message in zip(result.ok, result.messages, strict=True)]))
 
 
-def misspecified_entry(one: Line) -> Texts:
-    """Error, bias and coverage."""
-    texts = {
-        "error %": with_excess(one["median_error_pct"], one["excess"]), "bias %": number(one["bias_pct"]),
-        "95 %": covered(one),
-    }  # fmt: skip
-    return under(readable(one["quantity"]), texts)
-
-
 MISSPECIFIED = TableForm(
     legend=f"""What is fitted is one mass with a viscous damper and a linear spring; the data are of something else, or
 the nominal values are off by three standard deviations. Errors are against what truth and model have in common: the
@@ -271,7 +273,14 @@ alarms). {ORACLE} It has the same wrong model. {DASH}""",
     ),
     lines=misspecified_lines,
     section=lambda one: f"Wrong: {one['wrong'].replace('_', ' ')}; initial state {one['initial_state']}",
-    row=place, entry=misspecified_entry,
+    row=place,
+    entry=each(
+        measured,
+        {
+            "error %": lambda one: with_excess(one["median_error_pct"], one["excess"]),
+            "bias %": lambda one: number(one["bias_pct"]), "95 %": covered,
+        },
+    ),
     last=lambda own: {
         "said %": percent(own[0]["said"]), "residuals %": percent(own[0]["coloured"]),
         "ok": answered(own[0]["n_ok"], own[0]["n"]),
@@ -420,14 +429,9 @@ def over_bounds(results: Iterable[Result], metric: str, bounds: Mapping[str, flo
     }  # fmt: skip
 
 
-def open_entry(one: Line) -> Texts:
-    """Median, root mean square, gross errors and coverage."""
-    texts = {
-        "median": excess_text(one["median_over_bound"]) if one["median_over_bound"] < math.inf else "failed",
-        "RMS": excess_text(one["rms_over_bound"]),
-        "gross %": percent_between(one["gross"], one["gross_low"], one["gross_high"]), "95 %": covered(one),
-    }  # fmt: skip
-    return under(METRICS[one["metric"]], texts)
+def typical(one: Line) -> str:
+    """The median error over the bound, infinite where most fits failed."""
+    return "failed" if math.isinf(one["median_over_bound"]) else excess_text(one["median_over_bound"])
 
 
 def open_last(lines: Sequence[Line]) -> Texts:
@@ -454,5 +458,12 @@ the panel.""",
         "gross_high", "n_coverage", "coverage_95", "low_95", "high_95", "median_cpu_s",
     ),
     lines=open_lines, section=lambda one: f"{one['part'].capitalize()}: {one['scenarios']} scenarios",
-    entry=open_entry, last=open_last, below=lambda frame, lines: [failure_notes(frame)], digits=5,
+    entry=each(
+        lambda one: METRICS[one["metric"]],
+        {
+            "median": typical, "RMS": lambda one: excess_text(one["rms_over_bound"]),
+            "gross %": lambda one: percent_between(one["gross"], one["gross_low"], one["gross_high"]), "95 %": covered,
+        },
+    ),
+    last=open_last, below=lambda frame, lines: [failure_notes(frame)], digits=5,
 )  # fmt: skip

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
 from bench.reporting.frame import Line, group
 from bench.reporting.rounding import answered, excess_text, number, percent, readable
-from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel, under
+from bench.reporting.tables.render import MISSING, Rows, Texts, each, files, measured, panel
 
 BEHIND = {f"excess_after_{low}_{high}": f"after {low}-{high}" for low, high in AFTER}
 """Columns of the excess behind a step, and what stands over them."""
@@ -55,7 +55,7 @@ def table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> 
     for scenario, sentence in described.items():
         shown = [line for line in scored if line["scenario"] == scenario]
         parts += [f"## {readable(scenario)}", sentence]
-        parts += [panel(in_order(shown), named, entry, last)] if {line["method"] for line in shown} - {BOUND} else []
+        parts += [panel(in_order(shown), named, ENTRY, last)] if {line["method"] for line in shown} - {BOUND} else []
         others = [line for line in lines if line["scenario"] == scenario and "quantity" not in line]
         refused = group(others, lambda line: line["message"])
         parts += [f"Not there: {', '.join(one['title'] for one in its)}: {said}." for said, its in refused.items()]
@@ -78,13 +78,14 @@ def named(line: Line) -> Texts:
     return {"method": line["title"]}
 
 
-def entry(line: Line) -> Texts:
-    """What is shown of a quantity."""
-    texts = {
-        "rms %": number(line["rms_pct"]), "excess": excess_text(line["excess"]), "told": f"{line['share_told']:.2f}",
-        "cov. %": percent(line["coverage_pct"] / 100.0),
-    }  # fmt: skip
-    return under(readable(line["quantity"]), texts)
+ENTRY = each(
+    measured,
+    {
+        "rms %": lambda line: number(line["rms_pct"]), "excess": lambda line: excess_text(line["excess"]),
+        "told": lambda line: f"{line['share_told']:.2f}", "cov. %": lambda line: percent(line["coverage_pct"] / 100.0),
+    },
+)  # fmt: skip
+"""What is shown of a quantity."""
 
 
 def last(own: Sequence[Line]) -> Texts:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Line, Result, group
 from bench.reporting.labels import title
+from bench.reporting.rounding import readable
 from bench.reporting.terminal import width as width_of
 
 Item = TypeVar("Item")
@@ -40,9 +41,14 @@ def nothing(_: Any) -> Texts:
     return {}
 
 
-def under(name: str, texts: Texts) -> Texts:
-    """Texts whose headings begin with a name."""
-    return {f"{name} {heading}": text for heading, text in texts.items()}
+def each(name: Callable[[Item], str], columns: Columns[Item]) -> Callable[[Item], Texts]:
+    """What an item shows under headings that begin with a name, which stand side by side by name."""
+    return lambda item: {f"{name(item)} {heading}": text(item) for heading, text in columns.items()}
+
+
+def measured(line: Line) -> str:
+    """The quantity of a line, for a heading."""
+    return readable(line["quantity"])
 
 
 def panel(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from bench.reporting.paper import paper_number, row_name
 from bench.reporting.ranking import first_tier
 from bench.reporting.ratios import judged
 from bench.reporting.rounding import excess_text, number, percent
-from bench.reporting.tables.render import listing
+from bench.reporting.tables.render import Columns, listing
 from bench.reporting.terminal import table, wrapped
 from bench.scoring.statistics import bias_share
 
@@ -114,9 +115,7 @@ def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=list(COLUMNS)).astype({"table": "Int64", "tied": "boolean"})
 
 
-WHERE = {"system": "system", "snr_db": "dB", "initial_state": "start", "disturbance": "disturbance", "size": "size",
-         "method": "method"}  # fmt: skip
-SHOWN: Mapping[str, Callable[[Line], str]] = {
+SHOWN: Columns[Line] = {
     "median": lambda one: number(one["median"]),
     "95 % low": lambda one: number(one["ci_low"]),
     "95 % high": lambda one: number(one["ci_high"]),
@@ -125,18 +124,21 @@ SHOWN: Mapping[str, Callable[[Line], str]] = {
     "cover %": lambda one: percent(one["coverage_95"]),
     "state": lambda one: one["state"],
 }
-"""What the terminal shows of a cell."""
+"""What the terminal shows of a cell, behind what tells it from others."""
 
 
 def frame_page(data: pd.DataFrame, metric: str) -> str:
     """Return the lines of a metric as a table for the terminal; raises InputError where no cell has it."""
-    lines = data[data.metric == metric]
+    lines = data[data.metric == metric].rename(columns={"snr_db": "dB", "initial_state": "start"})
     if lines.empty:
         raise InputError("metric", metric, f"one of: {', '.join(sorted(set(data.metric) - {''})) or 'none is stored'}")
-    where = {name: heading for name, heading in WHERE.items() if name == "method" or data[name].nunique() > 1}
-    rows, headers = listing(lines.to_dict("records"), SHOWN)
-    places = lines[list(where)].map(lambda value: f"{value:g}" if isinstance(value, float) else str(value))
-    rows = [[*place, *row] for place, row in zip(places.to_numpy().tolist(), rows, strict=True)]
-    words = [i for i, name in enumerate([*where, *headers]) if name not in ("snr_db", "size", *list(SHOWN)[:-1])]
+    places = [name for name in ("system", "dB", "start", "disturbance", "size") if lines[name].nunique() > 1]
+    first: Columns[Line] = {name: partial(_text, name) for name in [*places, "method"]}
+    rows, headers = listing(lines.to_dict("records"), {**first, **SHOWN})
+    words = [i for i, heading in enumerate(headers) if heading in ("system", "start", "disturbance", "method", "state")]
     legend = "+ the first tier of its scenario; excess: root mean square error over the bound"
-    return f"{table(rows, [*where.values(), *headers], words)}\n\n{wrapped(legend)}"
+    return f"{table(rows, headers, words)}\n\n{wrapped(legend)}"
+
+
+def _text(name: str, one: Line) -> str:
+    return f"{one[name]:g}" if isinstance(one[name], float) else str(one[name])

@@ -18,7 +18,7 @@ from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total
 from bench.records.verdict import Trust
 from bench.reporting.frame import Line
 from bench.reporting.rounding import number, readable
-from bench.reporting.tables.render import MISSING, Rows, Texts, files, panel, under
+from bench.reporting.tables.render import MISSING, Columns, Rows, Texts, each, files, measured, panel
 
 MAIN = ("k_over_m", "c_over_m")
 NOT_MADE = "not made yet"
@@ -170,7 +170,7 @@ def _overview(panels: Sequence[TrackPanel]) -> Rows:
             "set": one["panel"].name, "system": one["panel"].system,
             "siblings": one["panel"].absent or str(one["panel"].fits["sibling"].nunique()),
         },
-        lambda one: {**_agreed(one), **_pooled(one)} if "n" in one else {},
+        lambda one: each(measured, {**AGREED, "score, all methods": _pooled})(one) if "n" in one else {},
         lambda own: {"held-out %": number(own[0]["made"]["held_out"].median())},
     )  # fmt: skip
 
@@ -192,19 +192,13 @@ def _answer(one: Line) -> Texts:
         widths = one["answers"]["white_high"] - one["answers"]["white_low"]
         certified = 2.0 * float(standard_quantile(0.975, known.dof)) * known.sd
         texts[f"{name} white/certified"] = f"{(widths / certified).median():.4f}"
-    return {**texts, **_agreed(one)}
+    return {**texts, **each(measured, AGREED)(one)}
 
 
-def _agreed(one: Line) -> Texts:
-    """How siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
+def _covered(one: Line) -> str:
     counted, limits = one["counted"], one["limits"]
     covered = [f"{one['covered_repeat']}/{counted} ({one['covered_white']}/{counted})"] if counted else []
-    texts = {
-        "score": _beside_white(one, "score"), "R": _beside_white(one, "ratio"),
-        "cov.": ", ".join([*covered, f"{limits} limits"] if limits else covered) or MISSING,
-        "x/÷": _beside_white(one, "width", "{:.3f}".format),
-    }  # fmt: skip
-    return under(readable(one["quantity"]), texts)
+    return ", ".join([*covered, f"{limits} limits"] if limits else covered) or MISSING
 
 
 def _beside_white(one: Line, name: str, text: Callable[[float], str] = number) -> str:
@@ -212,11 +206,17 @@ def _beside_white(one: Line, name: str, text: Callable[[float], str] = number) -
     return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else MISSING
 
 
-def _pooled(one: Line) -> Texts:
+def _pooled(one: Line) -> str:
     every = one["panel"].agreements
     same = every[every["quantity"] == one["quantity"]]
-    scores = {f"score_{kind}": total(same, kind)["score"] for kind in KINDS}
-    return {f"{readable(one['quantity'])} score, all methods": _beside_white(scores, "score")}
+    return _beside_white({f"score_{kind}": total(same, kind)["score"] for kind in KINDS}, "score")
+
+
+AGREED: Columns[Line] = {
+    "score": lambda one: _beside_white(one, "score"), "R": lambda one: _beside_white(one, "ratio"), "cov.": _covered,
+    "x/÷": lambda one: _beside_white(one, "width", "{:.3f}".format),
+}  # fmt: skip
+"""How siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
 
 
 def _made(own: Sequence[Line]) -> Texts:
