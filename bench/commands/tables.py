@@ -156,8 +156,7 @@ def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: O
     from bench.engine.pool import Limits
     from bench.isolation.machine import usable_cores
     from bench.reporting.frame import Result
-    from bench.reporting.reproduction import all_cells, ratio_verdicts, verdicts
-    from bench.reporting.reproduction_page import written
+    from bench.reporting.reproduction import all_cells, ratio_verdicts, verdicts, written
     from bench.reporting.whole_file import check_folder
 
     opened = named_store(store, archive, filled=True)

@@ -15,9 +15,8 @@ import numpy as np
 
 from bench.errors import InputError
 from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity
-from bench.reporting.paper import paper_number, row_name
+from bench.reporting.paper import judged, paper_number, row_name
 from bench.reporting.ranking import first_tier
-from bench.reporting.ratios import judged
 from bench.reporting.rounding import excess_text, number, percent
 from bench.reporting.tables.render import Columns, listing
 from bench.reporting.terminal import table, wrapped
