@@ -92,11 +92,8 @@ def sentences(certificate: Certificate, record: Mapping[str, Any]) -> list[str]:
 def _record(certificate: Certificate) -> dict[str, Any]:
     measured = certificate.measured
     record = measured.problem.records[0]
-    files = [Path(recording.source).name for recording in measured.recordings]
     return {
-        "files": [recording.source for recording in measured.recordings],
-        "names": files,
-        "hashes": list(zip(files, [recording.sha256 for recording in measured.recordings], strict=True)),
+        "hashes": [(Path(recording.source).name, recording.sha256) for recording in measured.recordings],
         "samples": measured.problem.n,
         "seconds": record.duration,
         "rate": (record.channels[0].n - 1) / (float(np.ptp(record.channels[0].times)) or 1.0),

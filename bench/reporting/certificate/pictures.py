@@ -44,11 +44,13 @@ def svg(picture: Specification, ground: str | None = None) -> str:
         f'[{attribute}="{old}"] {{ {attribute}: {new} }}'
         for old, new in dict(zip(light, dark, strict=True)).items()
         for attribute in ("fill", "stroke")
+        if old != new
     )
     drawn = vl_convert.vegalite_to_svg({**picture, "padding": 3, "config": theme() | {"background": ground}})
     font = "text { font-family: 'DejaVu Sans', sans-serif }"
     style = f"<style>{font} @media (prefers-color-scheme: dark) {{ {rules} }}</style>"
-    return str(drawn).replace(">", f">{style}", 1)
+    in_points = re.sub(r'(width|height)="([\d.]+)"', r'\1="\2pt"', drawn, count=2)
+    return in_points.replace(">", f">{style}", 1)
 
 
 def fit_picture(response: Response) -> str:
