@@ -63,16 +63,17 @@ def _check_packages() -> None:
 
     ensembles()
     try:
-        import matplotlib  # noqa: F401
+        from bench.reporting.pictures import maps  # noqa: F401
     except ModuleNotFoundError as error:
         raise InputError("package", error.name, "installed: pip install 'vibration-bench[figures]'") from None
 
 
 def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: str) -> None:
     """Write the atlas, its tables and maps, and print their paths."""
+    from bench.atlas.point import FreeDecay
     from bench.reporting.atlas import PAGES, atlas_frame, packed, written
-    from bench.reporting.figures.atlas import draw_atlas
-    from bench.reporting.figures.atlas_regions import draw_regions
+    from bench.reporting.pictures.maps import draw_atlas
+    from bench.reporting.pictures.style import save
 
     out, slices = work.out, [s for s in atlas_slices(test) if s.name in blocks]
     frames = [(s, atlas_frame(blocks[s.name], work.store)) for s in slices]
@@ -84,5 +85,6 @@ def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: 
             raise InputError("store", work.store, "a folder with finished blocks; without fit=false they are made")
         page = next(page for page in PAGES if page.kind is TESTS[test])
         paths += [*written(frame, page, out, command)]
-        paths += draw_regions(atlas_slices(test), frame, out) if page.modelled else []
-    print(*paths, *draw_atlas(stored, out), sep="\n")
+    if TESTS[test] is FreeDecay:
+        paths += [path for own in stored for path in save(draw_atlas(*own), out / "figures")]
+    print(*paths, sep="\n")

@@ -44,7 +44,7 @@ def identifiability(
     channels = measured or simulated.measured_dofs
     check_dofs(simulated.make_system(), channels)
     if profile:
-        check_matplotlib()
+        check_packages()
         check_folder(out)
     structure = structure_of(simulated, channels)
     fisher = information(simulated, job.config.seed, channels)
@@ -55,9 +55,9 @@ def identifiability(
     return 0
 
 
-def check_matplotlib() -> None:
+def check_packages() -> None:
     """Raise InputError, before any work, where no picture can be drawn after it."""
     try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise InputError("package", "matplotlib", "missing: pip install 'vibration-bench[figures]'") from None
+        from bench.reporting.pictures import style  # noqa: F401
+    except ImportError as error:
+        raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None

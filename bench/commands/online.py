@@ -142,7 +142,6 @@ def _title(label: str, method: str) -> str:
 
 
 def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out: Path) -> None:
-    from bench.reporting.figures.online import draw_online
     from bench.reporting.tables.online_table import table
 
     scenarios = {task.scenario.label: task.scenario for task in tasks}
@@ -158,8 +157,11 @@ def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out:
         write(out / name, text, out)
         print(out / name)
     try:
-        for place in draw_online(shown, out / "figures"):
-            print(place)
+        from bench.reporting.pictures.responses import ShownTrack, draw_online
+        from bench.reporting.pictures.style import save
+
+        tracks = [ShownTrack(*own) for own in shown]
+        print(*(save(draw_online(tracks), out / "figures") if tracks else []), sep="\n")
     except ImportError as error:
         print(f"bench: no picture, since {error.name} is missing", file=sys.stderr)
 
@@ -169,7 +171,6 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
     from bench.online.bound import bound_variances
     from bench.online.paths import read_paths
     from bench.online.score import score, score_bound, scored
-    from bench.reporting.figures.online import ShownTrack
     from bench.reporting.tables.online_table import BOUND, tracked
 
     count = max(task.replicates for task in tasks)
@@ -201,8 +202,7 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
         lines += tracked({**what, "ok": len(good), **costs}, scores)
         if 0 in good:
             drawn[title] = (good[0], scores[quantities[0]].excess)
-    shown = ShownTrack(scenario.label, streams[0], bounds[0], quantities[0], drawn) if drawn else None
-    return lines, shown
+    return lines, (scenario.label, streams[0], bounds[0], quantities[0], drawn) if drawn else None
 
 
 def _micros(paths: Sequence[Followed]) -> dict[str, float]:

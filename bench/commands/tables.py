@@ -95,13 +95,14 @@ def figures(
     if svg is not None:
         check_folder(svg, "svg")
     try:
-        from bench.reporting.figures.gallery import Gallery, Nothing
-        from bench.reporting.figures.pictures import PICTURES, write_picture
+        from bench.reporting.pictures.all_pictures import PICTURES
+        from bench.reporting.pictures.gallery import Gallery
+        from bench.reporting.pictures.style import Nothing, save
 
         gallery, drawn = Gallery(opened), 0
-        for name in PICTURES:
+        for name, draw in PICTURES.items():
             try:
-                paths = write_picture(gallery, name, out, svg)
+                paths = save(draw(gallery), out, svg)
             except Nothing as reason:
                 print(f"bench tables: {name}: not drawn: {reason}", file=sys.stderr)
                 continue

@@ -124,8 +124,8 @@ def profile_intervals(
 ) -> tuple[str, list[Path]]:
     """Return a table of the profile likelihoods of replicate 0, and the files of their picture, written to ``out``."""
     from bench.information.profile import profiles
-    from bench.reporting.figures.profile_likelihood import CAPTION, draw_profiles
-    from bench.reporting.figures.style import save_figure
+    from bench.reporting.pictures.curves import draw_profiles
+    from bench.reporting.pictures.style import save
 
     system = scenario.make_system()
     parameters = [system.quantity(name) for name in system.names]
@@ -137,5 +137,6 @@ def profile_intervals(
         ends = [low if p.interval[0] > 0 else "open", high if math.isfinite(p.interval[1]) else "open"]
         rows.append([readable(p.quantity.name), estimate if structure.identifiable(p.quantity) else "any", *ends])
     headers = [f"profile of replicate 0, seed {seed}", "estimate", "95 % low", "95 % high"]
-    figure = draw_profiles(computed, dict(scenario.parameters), scenario.draw_prior(system, seed, 0))
-    return table(rows, headers), list(save_figure(figure, out, f"profile_{scenario.label}", CAPTION, svg=out))
+    prior = scenario.draw_prior(system, seed, 0)
+    picture = draw_profiles(scenario.label, computed, dict(scenario.parameters), prior)
+    return table(rows, headers), save(picture, out, svg=out)

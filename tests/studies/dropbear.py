@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 
 from bench import InputError, Layout, Sample, Sensor
 from bench.entrants.online import make_online
@@ -25,7 +26,6 @@ REFERENCE = {1.23: 26.9, 1.65: 28.1, 2.09: 30.5, 2.51: 34.2, 2.94: 37.8, 3.37: 4
 STILL_V = 0.01
 """The support stands where its sensor moves by less within a tenth of a second."""
 Z95 = 1.96
-TRACKER, PEAK = "#4477AA", "#CC6677"
 MARGIN = 4.0
 """Hz above and below what is known, of what the picture shows."""
 
@@ -114,30 +114,32 @@ def table(record: Record, found: np.ndarray, sds: np.ndarray) -> str:
 
 def draw(record: Record, found: np.ndarray, sds: np.ndarray, folder: Path) -> None:
     """Draw frequency with its band over the reference, and the motion below, with their caption."""
-    from bench.reporting.figures.style import entry, legend_below, panels, save_figure
+    import altair as alt
 
-    figure, (top, low) = panels(2, 1, 46.0, "time (s)", sharex=True)
-    band = top.fill_between(record.times, found * np.exp(-Z95 * sds), found * np.exp(Z95 * sds), color=TRACKER,
-                            alpha=0.25, lw=0, label="95 % interval")  # fmt: skip
-    top.plot(record.times, found, color=TRACKER, lw=1.0)
-    styles = {"color": "black", "lw": 1.4}, {"color": PEAK, "lw": 1.4, "ls": ":"}
+    from bench.reporting.pictures.responses import curves, over_time
+    from bench.reporting.pictures.style import Picture, layered, save, table
+
     known = stays(record)
-    for stay in known:
-        ends = record.times[stay.samples[[0, -1]]]
-        for value, style in zip((stay.reference, stay.peak), styles, strict=True):
-            top.plot(ends, [value] * 2, **style)
     values = [value for stay in known for value in (stay.reference, stay.peak)]
-    top.set_ylim(min(values) - MARGIN, max(values) + MARGIN)
-    top.set_xlim(record.times[0], record.times[-1])
-    top.set_ylabel("first frequency (Hz)")
-    low.plot(record.times, 1000 * record.acceleration, color="0.4", lw=0.5)
-    low.set_ylabel("acceleration (mV)")
-    for axis in (top, low):
-        axis.grid()
-    names = zip(styles, ("spectrogram", "spectrum of the stay"), strict=True)
-    tracker = entry(color=TRACKER, lw=1.0, label="tracker (EKF)")
-    legend_below(figure, [tracker, band, *(entry(**style, label=name) for style, name in names)])
-    save_figure(figure, folder, "online_dropbear", caption(record, found))
+    low, high = min(values) - MARGIN, max(values) + MARGIN
+    bands = {"estimate": found, "low": found * np.exp(-Z95 * sds), "high": found * np.exp(Z95 * sds)}
+    tracked = table(curves("", record.times, **{name: np.clip(own, low, high) for name, own in bands.items()}))
+    ends = [record.times[stay.samples[[0, -1]]] for stay in known]
+    steps = pd.DataFrame(
+        [(*end, value, source) for stay, end in zip(known, ends, strict=True)
+         for value, source in ((stay.reference, "spectrogram"), (stay.peak, "spectrum of the stay"))],
+        columns=["begin", "end", "frequency", "source"],
+    )  # fmt: skip
+    kind = alt.Color("source:N").scale(range=["#7F7F7F", "#D55E00"]).sort(list(steps.source[:2]))
+    rules = (
+        alt.Chart(table(steps)).mark_rule(strokeWidth=1.4).encode(alt.X("begin:Q"), kind, x2="end:Q", y="frequency:Q")
+    )
+    top = layered(tracked, over_time(tracked, "first frequency (Hz)"), rules).resolve_scale(color="independent")
+    motion = table(pd.DataFrame({"time": record.times, "volts": 1000 * record.acceleration})[::2])
+    below = alt.Chart(motion).mark_line(strokeWidth=0.4, style="quiet").encode(
+        alt.X("time:Q").title("time (s)").scale(nice=False), alt.Y("volts:Q").title("acceleration (mV)"))  # fmt: skip
+    parts = [part.properties(width=300, height=height) for part, height in ((top, 130), (below, 80))]
+    save(Picture("online_dropbear", alt.vconcat(*parts), caption(record, found)), folder)
 
 
 def caption(record: Record, found: np.ndarray) -> str:
@@ -147,7 +149,7 @@ def caption(record: Record, found: np.ndarray) -> str:
     return (
         f"The tracker follows the moving support to within {100 * max(off):.2g} % where it stands still. Above: first "
         "natural frequency of the beam, followed sample by sample from the acceleration below, the force unknown, and "
-        "not told when the support moves. Black: what a spectrogram says of each stay of the support. Dotted: the peak "
+        "not told when the support moves. Grey: what a spectrogram says of each stay of the support. Orange: the peak "
         "of the spectrum of that stay alone, which sees all of its samples at once, and from which the error is "
         "measured over the second half of each stay."
     )

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from bench.contract.estimate import Status
-from bench.reporting.figures.png import caption_of
+from bench.reporting.pictures.png import caption_of
 from bench.scoring.row import Row
 from bench.store.store import Store
 from bench.store.stored import StoredCell

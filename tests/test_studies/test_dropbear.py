@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bench.reporting.figures.png import KEYWORD
+from bench.reporting.pictures.png import KEYWORD
 from tests.studies.dropbear import REFERENCE, caption, draw, followed, main, read, stays
 
 PLACES = [os.environ.get("BENCH_SHARED_DATA"), Path(__file__).parents[2].parent / "shared" / "data"]

@@ -21,7 +21,7 @@ from tests.studies.engines import children, floors, page, peers, results, rivals
 from tests.studies.engines.__main__ import main
 from tests.studies.engines.children import ROOT, Outcome, answered
 from tests.studies.engines.floors import Rates
-from tests.studies.engines.picture import caption, lifted, picture, stored_growths
+from tests.studies.engines.picture import caption, picture, stored_growths
 from tests.studies.engines.results import Growth, Result
 from tests.studies.engines.row import METHOD_STREAM
 from tests.studies.engines.rows import CURVES, SEED, Row, chain_fields, rows
@@ -251,14 +251,6 @@ def test_the_picture_alone_needs_stored_numbers(tmp_path: Path, capsys: pytest.C
     assert main(["fit=false", f"out={tmp_path}"]) == 0
     assert (tmp_path / "figures" / "engines_scaling.png").is_file()
     assert not (tmp_path / "engines.md").exists()
-
-
-def test_numbers_at_lines_that_end_near_by_do_not_cover_each_other() -> None:
-    """In a panel of 35 mm for five decades of samples; the third ends a decade further."""
-    ends = ((600, 1.6), (1000, 2.4), (10_000, 2.3))
-    found = {g.sizes[-1]: lift for g, lift in lifted([Growth(CURVES[1], (1, n), (0.1, s)) for n, s in ends])}
-    assert found[600] == found[10_000] == 0.0
-    assert found[1000] > 0.0
 
 
 def test_a_row_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

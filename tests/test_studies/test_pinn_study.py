@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.reporting.figures.png import caption_of
+from bench.reporting.pictures.png import caption_of
 from bench.scenario.scenario import Scenario
 from tests.studies.pinn.__main__ import main, page
 from tests.studies.pinn.common import Comparison
@@ -113,15 +113,6 @@ def point(method: str, size: int, seconds: float, ratio: float) -> dict[str, obj
     return {"method": method, "size": size, "seconds": seconds, "ratio": ratio}
 
 
-LOSS = {
-    name: {
-        "evaluations": [0, last],
-        "loss": [9.0, end],
-        "mean_square_data": [1.0, 0.5],
-        "mean_square_physics": [0.0, 3.0],
-    }
-    for name, last, end in (("pinn", 4, 2.0), ("pinn_adam", 99, 3.0))
-}
 GROWTH = {
     "residuals": [point("pinn", 10, 1.0, 1.0), point("collocation", 10, 0.5, 1.0)],
     "masses": [point("pinn", 2, 4.0, 1.25), point("collocation", 2, 1.0, 1.0), point("shooting", 2, 0.5, 0.9)],
@@ -131,23 +122,16 @@ GROWTH = {
 
 def test_pictures_are_made_from_stored_parts_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "pinn").mkdir()
-    for name, data in (("loss", LOSS), ("scaling", GROWTH)):
-        part = {"title": name, "text": "", "columns": ["a"], "rows": [["b"]], "data": data}
-        (tmp_path / "pinn" / f"{name}.json").write_text(json.dumps(part), encoding="utf-8")
+    part = {"title": "scaling", "text": "", "columns": ["a"], "rows": [["b"]], "data": GROWTH}
+    (tmp_path / "pinn" / "scaling.json").write_text(json.dumps(part), encoding="utf-8")
     assert main(["fit=false", f"out={tmp_path}"]) == 0
     written = capsys.readouterr().out.split()
-    assert [Path(path).name for path in written] == [
-        "pinn_loss.png",
-        "pinn_scaling.png",
-        "pinn.md",
-    ]
+    assert [Path(path).name for path in written] == ["pinn_scaling.png", "pinn.md"]
     text = (tmp_path / "pinn.md").read_text(encoding="utf-8")
-    for name in ("pinn_loss", "pinn_scaling"):
-        assert caption_of(tmp_path / "figures" / f"{name}.png") in text
+    assert caption_of(tmp_path / "figures" / "pinn_scaling.png") in text
 
 
 def test_captions_of_the_pictures_say_what_the_numbers_say() -> None:
-    assert pictures.loss_caption(LOSS).startswith("PINN ends after 5 evaluations, PINN (paper's training) after 100.")
     said = pictures.scaling_caption(GROWTH)
     assert "and PINN takes most" in said
     assert "on the shortest record PINN takes 4 times that of Multiple shooting" in said

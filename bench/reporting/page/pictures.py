@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.reporting.figures.png import caption_of
-from bench.reporting.figures.style import FULL
 from bench.reporting.labels import cards, title
+from bench.reporting.pictures.png import caption_of
+from bench.reporting.pictures.theme import FULL
 
 LEGIBLE = 46.0
 """Width (rem) of a figure as wide as a page below which its letters, of 7 points, are too small; it is scrolled."""
@@ -43,7 +43,7 @@ def picture(path: Path) -> PagePicture:
 
     with Image.open(path) as image:
         (width, height), dpi = image.size, image.info.get("dpi", (100.0,))[0]
-    least = round(LEGIBLE * min(1.0, width / dpi / FULL), 1)
+    least = round(LEGIBLE * min(1.0, 72.0 * width / dpi / FULL), 1)
     first, rest = first_sentence(caption_of(path))
     heading = " ".join(_word(word) for word in path.stem.split("_"))
     heading = heading[:1].upper() + heading[1:]

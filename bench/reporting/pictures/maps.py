@@ -1,128 +1,335 @@
-"""Pictures that are maps: what failed where."""
+"""Pictures that are maps: estimates about the truth, the basin of the likelihood, what failed where, the atlas."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import altair as alt
+import numpy as np
 import pandas as pd
 
+from bench.atlas.axes import Axis
+from bench.atlas.design import Slice
 from bench.contract.estimate import Status
-from bench.entrants.reference import REFERENCES
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture
-from bench.reporting.frame import Result
-from bench.reporting.pictures.style import layered, table
+from bench.dynamics.simulate import simulate
+from bench.entrants.registry import load_method
+from bench.reporting.atlas import NEAR, RARE, near
+from bench.reporting.frame import Result, group
+from bench.reporting.labels import in_order, title
+from bench.reporting.pictures.gallery import METRICS, Arrays, C, Gallery, K, in_lines, replicates, where
+from bench.reporting.pictures.responses import samples_of
+from bench.reporting.pictures.style import ONE, Nothing, Picture, layered, logarithmic, table
+from bench.reporting.pictures.theme import SERIES
 from bench.reporting.rounding import readable
 
-LETTERS = {
-    Status.DIVERGED: "d", Status.NONFINITE: "n", Status.TIMEOUT: "t", Status.KILLED: "k", Status.OOM: "o",
-    Status.CRASHED: "c", Status.INVALID: "i",
-}  # fmt: skip
-ABSENT = {Status.UNSUPPORTED: "–", Status.MISSING_DEPENDENCY: "p"}
-"""Not failures of a fit: the method says that it cannot, or its package is not there."""
+LEVEL = 5.991
+"""The 95 % quantile of chi-squared with two degrees of freedom."""
+REACH = 4.5
+"""Half the width of a panel of estimates, in standard deviations of the bound."""
+
+
+def bound_covariance(cell: Result) -> np.ndarray:
+    """Return the bound on the covariance of (log k/m, log c/m), (2, 2).
+
+    All is in the stored bounds: with ``ζ = (c/m) / 2 (k/m)^(1/2)``, ``var log ζ = var log c/m + var log k/m / 4 -
+    cov(log k/m, log c/m)``.
+    """
+    k, c, zeta = (cell.bound(f"{name}_error_pct") / 100.0 for name in (K, C, "damping_ratio"))
+    cross = c**2 + k**2 / 4.0 - zeta**2
+    return np.array([[k**2, cross], [cross, c**2]])
+
+
+def ellipse(covariance: np.ndarray, points: int = 61) -> np.ndarray:
+    """Return errors (%) on the 95 % ellipse of a normal pair of logarithms around no error, shape (2, points)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, points)
+    circle = np.sqrt(LEVEL) * np.stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(100.0 * np.expm1(np.linalg.cholesky(covariance + 1e-18 * np.eye(2)) @ circle))
+
+
+def draw_scatter(gallery: Gallery) -> Picture:
+    """One panel a method: every replicate's errors of both groups, and the bound's 95 % ellipse."""
+    there = (cell for cell in gallery.scene(gallery.main) if cell.label != "prior")
+    cells = [cell for cell in there if cell.successful(f"{K}_ratio").size and cell.bound(METRICS[C]) > 0]
+    if not cells:
+        raise Nothing("no estimates of k/m and c/m with a bound are stored")
+    covariance, parts = bound_covariance(cells[0]), []
+    reach = 100.0 * REACH * np.sqrt(np.diag(covariance))
+    for cell in sorted(cells, key=lambda cell: gallery.ordered(cells).index(title(cell.label))):
+        errors = 100.0 * (np.stack([cell.successful(f"{name}_ratio") for name in (K, C)], axis=1) - 1.0)
+        outside = np.any(abs(errors) > reach, axis=1)
+        name = in_lines(title(cell.label), 15) + (f"\n{outside.sum()} outside" if any(outside) else "")
+        place = np.where(outside, "beyond the edge", "on the panel")
+        parts.append(pd.DataFrame(errors, columns=["k/m", "c/m"]).assign(method=name, place=place))
+    frame = table(pd.concat(parts))
+    x, y = (
+        kind(f"{name}:Q").scale(domain=[-end, end], clamp=True, nice=False).title(heading).axis(tickCount=3)
+        for kind, name, end, heading in zip(
+            (alt.X, alt.Y), ("k/m", "c/m"), reach.tolist(), ("error of k/m (%)", "of c/m (%)"), strict=True
+        )
+    )
+    points = ellipse(covariance) if np.isfinite(covariance).all() else np.zeros((2, 0))
+    region = pd.DataFrame(points.T, columns=["k/m", "c/m"]).reset_index(names="order")
+    hue = alt.Color("place:N").sort("descending")
+    truth = alt.Chart(ONE).mark_point(shape="cross", filled=True, size=20, style="truth")
+    layers = layered(
+        frame,
+        alt.Chart(table(region)).mark_line(style="region", filled=True).encode(x, y, order="order:Q"),
+        alt.Chart(frame)
+        .mark_point(filled=True, size=8, opacity=0.7)
+        .encode(x, y, hue, tooltip=["method", "k/m", "c/m"]),
+        truth.encode(x=alt.datum(0), y=alt.datum(0)),
+    ).properties(width=70, height=58)
+    facet = alt.Facet("method:N").sort(list(dict.fromkeys(frame.method)))
+    beyond = frame.groupby("method").place.apply(lambda own: (own == "beyond the edge").mean())
+    return Picture(
+        "scatter",
+        layers.facet(facet, columns=min(6, len(cells)), spacing={"row": 4, "column": 8}),
+        f"{(beyond < 0.05).sum()} of {len(cells)} methods have fewer than one estimate in twenty beyond {REACH:g} "
+        f"standard deviations of the bound. One point is a replicate ({where(cells[0])}; {replicates(cells)} a method)."
+        " The ellipse is the Cramér-Rao bound's: 95 % of the estimates of an unbiased method that reaches it lie in it;"
+        " a cloud beside it is a bias, a wider one is information lost. Estimates beyond a panel's edge stand on it, "
+        "and are counted. The paper's Figure 7 shows one estimate of each group.",
+    )
+
+
+# ------------------------------------------------------------------------------------------------ the basin
+
+FAR = np.array([8.0, 30.0])
+"""How many times more and less than the truth the wide panel shows of k/m and c/m."""
+FLOOR = 5.0
+"""Standard deviations of the bound that the narrow one shows."""
+POINTS, LINES, APART = 81, 12, 0.2
+
+
+def misfit(cell: Result, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return the root mean square (m) of the samples' residuals over k/m (nk,) and c/m (nc,), shape (nc, nk).
+
+    From the start that was told, else from the best one for each pair: the response is linear in it.
+    """
+    times, values = samples_of(arrays, 0)
+    p = {"m": np.ones((c.size, k.size)), "k": np.tile(k, (c.size, 1)), "c": np.tile(c[:, None], (1, k.size))}
+
+    def response(x0: float, v0: float) -> np.ndarray:
+        state = (np.full((1, c.size, k.size), x0), np.full((1, c.size, k.size), v0))
+        return np.asarray(simulate(cell.model, p, state, times).displacement[0])
+
+    if (start := cell.start_told) is not None:
+        residual = response(float(start.displacement[0]), float(start.velocity[0])) - values
+    else:
+        basis = np.stack([response(1.0, 0.0), response(0.0, 1.0)], axis=-1)
+        residual = (basis @ (np.linalg.pinv(basis) @ values[:, None]))[..., 0] - values
+    return np.asarray(np.sqrt(np.mean(residual**2, axis=-1)))
+
+
+def contours(k: np.ndarray, c: np.ndarray, surface: np.ndarray, levels: Iterable[float]) -> pd.DataFrame:
+    """Return the lines of equal height of a surface (nc, nk), each point with its level and the line it is on."""
+    from contourpy import contour_generator
+
+    lines = [(level, line) for level in levels for line in contour_generator(k, c, surface).lines(level)]
+    parts = [
+        pd.DataFrame(np.asarray(line), columns=["k/m", "c/m"]).assign(misfit=level, line=i, order=range(len(line)))
+        for i, (level, line) in enumerate(lines)
+    ]
+    return table(pd.concat(parts))
+
+
+def draw_basin(gallery: Gallery) -> Picture:
+    """The whole basin with the other minima on the left, its floor with the 95 % region on the right."""
+    cells = [cell for cell in gallery.main if cell.kind == "sdof" and not cell.forced]
+    if not cells:
+        raise Nothing("no record of one mass in free vibration is stored")
+    found = gallery.recorded(gallery.scene(cells))
+    cell, arrays = found[0]
+    centre = np.array([float(cell.parameters[name]) / float(cell.parameters["m"]) for name in "kc"])
+    frame = np.exp(FLOOR * np.array([cell.bound(METRICS[name]) / 100.0 for name in (K, C)]))
+    ends = [(one.label, *centre * (one.first(f"{K}_ratio"), one.first(f"{C}_ratio"))) for one, _ in found]
+    points = pd.DataFrame(ends, columns=["label", "k/m", "c/m"]).query("`k/m` > 0 and `c/m` > 0")
+    points["method"] = points.label.map(title)
+    best = misfit(cell, arrays, *np.geomspace(centre / frame, centre * frame, POINTS).T).min()
+    limit = best * math.exp(0.5 * LEVEL / arrays["sample_values"].size)  # of the likelihood's 95 % region
+    heights = [misfit(cell, arrays, at[:1], at[1:]).item() for at in points[["k/m", "c/m"]].to_numpy()]
+    points["outside"] = np.array(heights) > limit
+    sides = [
+        _basin(cell, arrays, points, centre, factors, limit).properties(width=150, height=190, title=heading)
+        for heading, factors in (("the whole basin", FAR), ("its floor", frame))
+    ]
+    return Picture(
+        "basin",
+        alt.hconcat(*sides, spacing=14).resolve_scale(color="independent"),
+        f"{(~points.outside).sum()} of {len(points)} methods end inside the 95 % region of one basin. Lines of "
+        f"equal misfit of the samples over k/m and c/m ({where(cell)}; replicate 0). Left: away from the basin the "
+        "surface is flat and rippled, and a descent from there need not end in it. Right: its floor; dashed, where the "
+        "likelihood's 95 % region ends. Dots: what methods found, named outside the region; the cross is the truth. "
+        "The paper's Figure 8 shows estimates from several initialisations and calls their closeness stability; it "
+        "says nothing of their error.",
+    )
+
+
+def _basin(
+    cell: Result, arrays: Arrays, points: pd.DataFrame, centre: np.ndarray, factors: np.ndarray, limit: float
+) -> Any:
+    """Lines of equal misfit so many times around the truth, with the region, and what methods found there."""
+    k, c = np.geomspace(centre / factors, centre * factors, POINTS).T
+    surface = misfit(cell, arrays, k, c)
+    (across, at_k), (up, at_c) = (logarithmic(values[0], values[-1]) for values in (k, c))
+    x, y = (
+        alt.X("k/m:Q").scale(across).axis(at_k).title("k/m (1/s²)"),
+        alt.Y("c/m:Q").scale(up).axis(at_c).title("c/m (1/s)"),
+    )
+    hue = alt.Color("misfit:Q").scale(range=["#0072B2", "#c0c0c0"])
+    legend = hue.legend(title="root mean square misfit (m)", gradientLength=90, gradientThickness=5)
+    levels = np.linspace(surface.min(), surface.max(), LINES + 2)[1:-1].tolist()
+    on_floor = bool(factors[0] < FAR[0])
+    points[["x", "y"]] = np.log(points[["k/m", "c/m"]] / centre) / np.log(factors)  # -1 to 1 over the panel
+    points = points[(abs(points.x) < 1.0) & (abs(points.y) < 1.0)]
+    outside = points[points.outside & on_floor].sort_values("y")
+    groups = outside.groupby((outside.y.diff() > APART).cumsum())
+    named = groups.agg({"k/m": "mean", "c/m": "mean", "x": "mean", "method": "; ".join})
+    dots, names = (alt.Chart(table(own)).encode(x, y, tooltip=["method", "k/m", "c/m"]) for own in (points, named))
+    truth = alt.Chart(table(pd.DataFrame([centre], columns=["k/m", "c/m"])))
+    lines = [alt.Chart(contours(k, c, surface, own)).encode(x, y, detail="line:N", order="order:Q")
+             for own in (levels, [limit])]  # fmt: skip
+    return alt.layer(
+        lines[0].mark_line(strokeWidth=0.8).encode(legend, tooltip=["misfit"]),
+        *([lines[1].mark_line(style="truth", strokeDash=[4, 2])] if on_floor else []),
+        dots.mark_point(filled=True, opacity=0.8, size=20, color=SERIES[1]),
+        names.mark_text(
+            align=alt.expr("datum.x > 0 ? 'right' : 'left'"), dx=alt.expr("datum.x > 0 ? -6 : 6"), limit=90
+        ).encode(text="method:N"),
+        truth.mark_point(shape="cross", filled=True, size=40, style="truth", opacity=1).encode(x, y),
+    )
+
+
+# ------------------------------------------------------------------------------------------------ what failed
+
+ABSENT = frozenset({Status.UNSUPPORTED, Status.MISSING_DEPENDENCY})
+FAILURES = frozenset(Status) - ABSENT - {Status.OK}
 MOST = 60
 """Rows shown at most: those with most failures."""
-Scene = tuple[str, str]
-"""A system and what disturbs it: a row, at its noise level and start with most failures of each method."""
 
 
-@dataclass(frozen=True)
-class Share:
-    """Of the replicates of a method: how many of those tried failed, the status of most, and why not tried, if so."""
-
-    failed: float
-    status: Status | None
-    absent: Status | None
-
-    @property
-    def text(self) -> str:
-        """What stands in the map: a number (%) and the status, or why there is none."""
-        if self.status is None:
-            return ABSENT[self.absent] if self.absent else ""
-        return (
-            f"{100 * self.failed:.0f}\n{LETTERS[self.status]}" if self.failed >= 0.01 else f"<1\n{LETTERS[self.status]}"
-        )
+def heat(frame: pd.DataFrame, rows: Sequence[str], columns: Sequence[str], value: str, **scale: Any) -> Any:
+    """Return a table in colours: ``row``, ``column``, a value from pale to dark, and the text ``shown``."""
+    grid: dict[str, Any] = {"ticks": False, "domain": False, "grid": True, "bandPosition": 0}
+    chart = alt.Chart(table(frame)).encode(
+        alt.X("column:N").sort(list(columns)).title(None).axis(orient="top", labelAngle=-90, **grid),
+        alt.Y("row:N").sort(list(rows)).title(None).axis(**grid),
+        tooltip=list(frame.columns),
+    )
+    coloured = chart.transform_filter(f"isValid(datum['{value}'])")
+    hue = alt.Color(f"{value}:Q").scale(range=["#fee8c8", "#f0765a"], clamp=True, **scale).legend(None)
+    plain = chart.transform_filter(f"!isValid(datum['{value}'])").mark_text().encode(text="shown:N")
+    text = coloured.mark_text(color="#1a1a1a").encode(text="shown:N")
+    return layered(chart.data, coloured.mark_rect().encode(hue), text, plain).properties(width=300, height=alt.Step(11))
 
 
-def share(cell: Result) -> Share:
-    """The share of a cell."""
-    counted = Counter(cell.statuses)
-    absent = max((s for s in ABSENT if counted[s]), key=lambda s: counted[s], default=None)
-    failed = {status: counted[status] for status in LETTERS if counted[status]}
-    total = sum(failed.values()) / cell.n if cell.n else 0.0
-    return Share(total, max(failed, key=lambda s: failed[s], default=None), absent)
-
-
-def worst(cells: Sequence[Result]) -> dict[tuple[Scene, str], Share]:
-    """By row and method, the share of the cell with most failures; not tried only if no cell of it was."""
-    found: dict[tuple[Scene, str], Share] = {}
-    for cell in cells:
-        at, own = ((cell.system, cell.disturbance), cell.label), share(cell)
-        kept = found.get(at)
-        if kept is None or (own.failed, own.absent is None) > (kept.failed, kept.absent is None):
-            found[at] = own
-    return found
+def failed_share(cell: Result) -> float:
+    """Return the share of the replicates that failed."""
+    return sum(status in FAILURES for status in cell.statuses) / cell.n if cell.n else 0.0
 
 
 def draw_failures(gallery: Gallery) -> Picture:
-    """A heat map, a row a system and a column a method, of those rows and columns in which something failed."""
-    found = worst(gallery.cells)
-    bad = Counter[Scene]()
-    for (scene, _), own in found.items():
-        bad[scene] += round(1e6 * own.failed)
-    rows = sorted(sorted((scene for scene in bad if bad[scene]), key=lambda scene: -bad[scene])[:MOST])
+    """A row a system with what disturbs it and a column a method, of those in which something failed."""
+
+    def test(cell: Result) -> str:
+        return readable(cell.system) + (f", {readable(cell.disturbance)}" if cell.disturbance else "")
+
+    places = group(gallery.cells, lambda cell: (test(cell), cell.label))
+    worst = {place: max(map(failed_share, cells)) for place, cells in places.items()}
+    tried = {place for place, cells in places.items() if any({*cell.statuses} - ABSENT for cell in cells)}
+    sizes = Counter[str]()
+    for (name, _), size in worst.items():
+        sizes[name] += round(1e6 * size)
+    rows = sorted(name for name, size in sizes.most_common(MOST) if size)
     if not rows:
         raise Nothing("no replicate of any cell failed")
-    failing = {label for (scene, label), own in found.items() if scene in rows and own.failed}
-    columns = [label for label in gallery.looks if label in failing]
-    shown = [(row, label, found.get((row, label))) for row in rows for label in columns]
-    frame = pd.DataFrame(
-        [
-            (_name(row), gallery.name(label), 100.0 * own.failed if own else 0.0, own.text if own else "·")
-            for row, label, own in shown
-        ],
-        columns=["test", "method", "failed", "shown"],
-    )
-    chart = alt.Chart(table(frame)).encode(
-        alt.X("method:N").sort([gallery.name(label) for label in columns]).title(None)
-        .axis(orient="top", labelAngle=-90, ticks=False, domain=False, grid=True, bandPosition=0),
-        alt.Y("test:N").sort([_name(row) for row in rows]).title(None)
-        .axis(ticks=False, domain=False, grid=True, bandPosition=0),
-        tooltip=["test", "method", "failed", "shown"],
-    )  # fmt: skip
-    heat = alt.Color("failed:Q").scale(domain=[0, 100], range=["#fee8c8", "#e34a33"]).legend(None)
-    failed = chart.transform_filter("datum.failed > 0")
-    dark = failed.mark_text(lineBreak="\n", lineHeight=7.5, dy=-3.5, color="#1a1a1a")
-    text = chart.transform_filter("datum.failed == 0").mark_text()
-    layers = layered(
-        chart.data, failed.mark_rect().encode(heat), dark.encode(text="shown:N"), text.encode(text="shown:N")
-    )
-    scenes = {scene for scene, _ in found}
-    fitted = {label for (scene, label), own in found.items() if scene in rows and own.absent is None}
-    never = [gallery.name(label) for label in gallery.looks if label in fitted - set(columns) - set(REFERENCES)]
-    used = {own.status for *_, own in shown if own}
-    letters = ", ".join(f"{letter} {status}" for status, letter in LETTERS.items() if status in used)
-    drawn = layers.properties(width=300, height=alt.Step(18))
-    return Picture(drawn, _caption(gallery.cells, len(rows), len(scenes), never, letters))
-
-
-def _caption(cells: Sequence[Result], rows: int, scenes: int, never: Sequence[str], letters: str) -> str:
-    tried = sum(cell.n - sum(cell.statuses.count(status) for status in ABSENT) for cell in cells)
-    failed = sum(cell.statuses.count(status) for cell in cells for status in LETTERS)
-    without = f" No fit of these failed there: {'; '.join(never)}." if never else ""
-    return (
-        f"Fits failed in {rows} of {scenes} kinds of test. In a row, a system with what disturbs its record, the "
-        "share (%) of the replicates that were tried and failed, at the noise level and start where it is largest, "
-        f"with the letter of the most frequent status ({letters}). A stroke: the method says that it cannot do this "
-        "('unsupported'), p: a package is missing; neither is a failure of a fit. A point: not run. Kinds of test "
-        f"and methods without any failure are left out.{without} Of all {tried} replicates that were tried {failed} "
-        "failed. A failure counts as an infinite error in medians, ranks and profiles."
+    columns = in_order(label for (name, label), share in worst.items() if share and name in rows)
+    lines = [
+        (name, title(label), 100.0 * share or math.nan, _percent(share) if (name, label) in tried else "–")
+        if (share := worst.get((name, label))) is not None else (name, title(label), math.nan, "·")
+        for name in rows for label in columns
+    ]  # fmt: skip
+    frame = pd.DataFrame(lines, columns=["row", "column", "failed", "shown"])
+    used = Counter(status for cell in gallery.cells for status in cell.statuses)
+    kinds = ", ".join(f"{used[status]} {status}" for status in Status if status in FAILURES and used[status])
+    return Picture(
+        "failures",
+        heat(frame, rows, list(map(title, columns)), "failed", domain=[0, 100]),
+        f"Fits failed in {len(rows)} of {len({name for name, _ in worst})} kinds of test. In a row, a system with what "
+        "disturbs its record: the share (%) of the replicates that failed, at the noise level and start where it is "
+        "largest. A stroke: the method says that it cannot do this; a point: not run. Tests and methods without "
+        f"any failure are left out. Of all {sum(used.values())} replicates: {kinds}.",
     )
 
 
-def _name(scene: Scene) -> str:
-    """A row's name: the system, and what disturbs it."""
-    system, disturbance = scene
-    return readable(system) + (f", {readable(disturbance)}" if disturbance else "")
+def _percent(share: float) -> str:
+    """A share (%) in few letters; nothing where it is nil."""
+    return "" if not share else f"{100 * share:.0f}" if share >= 0.01 else "<1"
+
+
+# ------------------------------------------------------------------------------------------------ the atlas
+
+AXES = {"samples": "samples (−)", "cycles": "cycles (−)", "damping_ratio": "damping ratio (−)", "snr_db": "SNR (dB)"}
+BOUNDS = {
+    "bound_k_over_m": "bound on k/m", "bound_c_over_m": "bound on c/m", "wrong_basin": "wrong basin of the likelihood"
+}  # fmt: skip
+LEVELS = {"below 0.1 %": 0.1, "below 1 %": 1.0, "below 10 %": 10.0, "below 100 %": 100.0, "above": math.inf}
+BLUES = ("#eff3ff", "#bdd7e7", "#6baed6", "#3182bd", "#08519c")
+GOOD, FARTHER = f"within {NEAR:g} times the bound", "farther"
+SOME, MOSTLY, ABOVE = f"gross errors over {100 * RARE:g} %", "over 50 %", "above Nyquist"
+STATES = {GOOD: "#1a9850", FARTHER: "#a6d96a", SOME: "#fdae61", MOSTLY: "#d73027", ABOVE: "#9e9e9e"}
+"""How a method does at a point of the atlas, from best to worst, and its colour."""
+
+
+def draw_atlas(own: Slice, frame: pd.DataFrame) -> Picture:
+    """A slice: the bounds, and how each method does at each point."""
+    axes = own.axes()
+    names = [axis.name for axis in axes]
+    first = frame[frame.method == frame.method.iloc[0]]
+    bounds = first.melt(names, [name for name in BOUNDS if name in first], "panel").dropna()
+    cuts = [0.0, *LEVELS.values()]
+    bounds["state"] = pd.cut(100.0 * bounds.value, cuts, labels=list(LEVELS), include_lowest=True).astype(str)
+    gross = frame[f"{K}_gross"]
+    cases = [frame.aliased.astype(bool), gross > 0.5, gross > RARE, near(frame)]
+    state = np.select(cases, [ABOVE, MOSTLY, SOME, GOOD], FARTHER)
+    panel = [load_method(name).card.title for name in frame.method]
+    states = frame[names].assign(panel=panel, state=state)
+    told = states[states.state != ABOVE]
+    shares = (told.state == GOOD).groupby(told.panel, sort=False).mean().sort_values(ascending=False, kind="stable")
+    parts = [
+        _map(bounds.assign(panel=bounds.panel.map(BOUNDS)), axes, list(BOUNDS.values()), list(LEVELS), BLUES),
+        _map(states, axes, list(shares.index), list(STATES), list(STATES.values())),
+    ]
+    return Picture(
+        f"atlas_{own.name}",
+        alt.vconcat(*parts, spacing=6).resolve_scale(color="independent"),
+        f"{shares.index[0]} is within {NEAR:g} times the bound on the largest part of this map, "
+        f"{100 * shares.max():.0f} %. Above: the Cramér-Rao bounds, and how often the likelihood itself has its "
+        "highest peak at another frequency. Below, a map a method: how its error of k/m stands to the bound. Above "
+        "Nyquist several frequencies fit the samples equally. A point has "
+        f"{int(frame.fits.max())} data sets, so that neighbours differ by chance.",
+    )
+
+
+def _map(
+    frame: pd.DataFrame, axes: tuple[Axis, Axis], panels: Sequence[str], states: Sequence[str], colours: Sequence[str]
+) -> Any:
+    """Rectangles coloured by state, a panel each, between the edges half way to the next points."""
+    frame, sides = frame.copy(), []
+    for axis, kind, name in zip(axes, (alt.X, alt.Y), "xy", strict=True):
+        log = axis.spacing == "logarithmic"
+        values = np.sort(frame[axis.name].unique())
+        middle = np.sqrt(values[1:] * values[:-1]) if log else (values[1:] + values[:-1]) / 2.0
+        edges, place = np.array([values[0], *middle, values[-1]]), np.searchsorted(values, frame[axis.name])
+        frame[name], frame[f"{name}2"] = edges[place], edges[place + 1]
+        scale, ticks = logarithmic(edges[0], edges[-1]) if log else (alt.Scale(zero=False, nice=False), alt.Axis())
+        sides.append(kind(f"{name}:Q").scale(scale).axis(ticks).title(AXES[axis.name]))
+    hue = alt.Color("state:N").scale(domain=list(states), range=list(colours)).legend(columns=5)
+    marks = alt.Chart(table(frame)).mark_rect(x2Offset=0.4, y2Offset=-0.4)
+    chart = marks.encode(*sides, hue, x2="x2:Q", y2="y2:Q", tooltip=[*(axis.name for axis in axes), "state"])
+    columns = len(panels) if len(panels) < 6 else 4
+    facet = alt.Facet("panel:N").sort(list(panels))
+    return chart.properties(width=330 / columns, height=76).facet(facet, columns=columns, spacing=6)

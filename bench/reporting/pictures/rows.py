@@ -1,270 +1,296 @@
-"""Pictures whose rows are methods: distance from the bound, time, and performance profiles read along a row."""
+"""Pictures whose rows are methods: distance from the bound, what intervals hold, time, and the family of PINNs."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from itertools import groupby
 from typing import Any
 
 import altair as alt
 import numpy as np
 import pandas as pd
 
-from bench.contract.estimate import Status
+from bench.config.experiment import Experiment
 from bench.entrants.reference import REFERENCES
-from bench.reporting.figures.gallery import Gallery, Nothing, Picture, best_first, counts, methods_only, where
-from bench.reporting.frame import Result
-from bench.reporting.pictures.style import ONE, layered, plain, table
-from bench.scoring.statistics import RESAMPLES
+from bench.reporting.family import PLACE, Section, family_of
+from bench.reporting.frame import Result, experiment_frame, group, table_experiments
+from bench.reporting.labels import title
+from bench.reporting.pictures.gallery import METRICS, MOTION, C, Gallery, K, replicates, where
+from bench.reporting.pictures.style import Nothing, Picture, layered, logarithmic, table
+from bench.reporting.tables.family import NEAR as ORACLE
+from bench.reporting.tables.family import oracle_seconds
+from bench.reporting.tables.pooling import root_mean_square
+from bench.scoring.statistics import counts, middle_95, wilson_interval
+from bench.scoring.traces import MOMENTS
 
-K, C, MOTION = ("k_over_m_error_pct", "k/m"), ("c_over_m_error_pct", "c/m"), ("rmse", "displacement")
-"""Metrics with what pictures call them."""
 NEAR = 1.25
-"""A method at most so many times the bound is called near it; alike are those at most so many times the least."""
-FARTHEST = 100.0
+"""A method at most so many times the bound is called near it."""
+FARTHEST, NEAREST = 100.0, 0.3
+"""Error over bound: what is beyond stands at the edge."""
 MOST = 6
 """Noise levels shown at most."""
-STARTS = ("known", "unknown")
-SHARES = (0.25, 0.5, 0.75, 0.95)
-"""Of the data sets, at which a profile is read: a bar from the first to the third, a marker, a line to the last."""
-Scene = tuple[str, float]
+FEWEST = 20
+"""Replicates: of fewer a share says nothing."""
+LEVELS = (50, 80, 95)
+NAMES = {K: "k/m", C: "c/m", MOTION: "displacement"}
+"""What pictures call a quantity."""
+COMPARED = (("optimizer", 0), ("optimizer", 1), ("weighting", 0), ("architecture", 0))
+"""The setting that a part of the family's picture varies, and around which base."""
+Across = Callable[[str], alt.X]
+"""The axis of a column."""
 
 
-def _chart(frame: pd.DataFrame, order: Sequence[str], labels: bool = True) -> Any:
-    """Rows of a table without marks yet: a method a row."""
-    axis = alt.Axis(grid=True, ticks=False, domain=False, labels=labels)
-    rows = alt.Y("method:N").sort(list(order)).title(None).axis(axis)
-    return alt.Chart(frame).encode(rows, tooltip=list(frame.columns))
+def rows(
+    frame: pd.DataFrame, order: Sequence[str], across: Across, columns: tuple[str, str, str], *, by: str = "",
+    tiers: Mapping[str, int] | None = None, labels: bool = True,
+) -> Any:  # fmt: skip
+    """Return a row for each method, with a marker, and a line between two ends.
+
+    Args:
+        frame: The data, with a column ``method``; a line across all rows stands where its column ``rule`` says.
+        order: The methods, from above.
+        across: The axis, whose clamped scale keeps at its edge, as a triangle, what is beyond.
+        columns: Those of the marker and of the ends of the line.
+        by: The column that gives colours, with a place of its own in the row each.
+        tiers: By method, the tier of the ranking; a stronger line stands above the first method of each.
+        labels: Whether the rows are named.
+    """
+    first = [next(own) for _, own in groupby(order, lambda name: (tiers or {}).get(name, 0))]
+    width: Any = {"condition": {"test": {"field": "value", "oneOf": first[1:]}, "value": 1.6}, "value": 0.4}
+    axis = alt.Axis(grid=True, gridWidth=width, bandPosition=0, ticks=False, domain=False, labels=labels)
+    tips = [name for name in frame.columns if name not in ("rule", "edge")]
+    chart = alt.Chart(frame).encode(alt.Y("method:N").sort(list(order)).title(None).axis(axis), tooltip=tips)
+    if by:
+        values = list(dict.fromkeys(frame[by]))
+        chart = chart.encode(alt.Color(f"{by}:N").sort(values), alt.YOffset(f"{by}:N").sort(values))
+    marker, low, high = columns
+    end = across(marker).to_dict()["scale"]["domain"][1]  # type: ignore[call-overload]
+    beyond = f"datum['{marker}'] > {end}"
+    shape = alt.condition(beyond, alt.value("triangle-right"), alt.value("circle"))
+    return layered(
+        frame,
+        alt.Chart(frame).mark_rule(style="truth").encode(across("mean(rule)")),
+        chart.mark_rule(strokeWidth=1.1).encode(across(low), x2=f"{high}:Q"),
+        chart.mark_point(filled=True, size=11, opacity=1).encode(across(marker), shape=shape),
+    )
 
 
-def _told_apart(chart: Any, column: str, values: Sequence[str], title: str | None = None) -> Any:
-    """Rows with a colour and a place of its own for each value of a column."""
-    hue, place = alt.Color(f"{column}:N").sort(list(values)), alt.YOffset(f"{column}:N").sort(list(values))
-    return chart.encode(hue.legend(title=title) if len(values) > 1 else hue.legend(None), place)
-
-
-def _across(column: str, low: float, high: float, title: str | None = None) -> alt.X:
-    """A logarithmic axis, at whose ends stands what is beyond."""
-    axis = alt.Axis(values=plain(low, high), format="~g", grid=True)
-    return alt.X(f"{column}:Q").scale(type="log", domain=[low, high], clamp=True, nice=False).axis(axis).title(title)
-
-
-def _points(chart: Any, x: alt.X, farthest: float = math.inf) -> Any:
-    """A marker a line of the table, a triangle where it is beyond the edge."""
-    beyond = f"datum['{x.shorthand.split(':')[0]}'] > {min(farthest, 1e300):g} ? 'triangle-right' : 'circle'"
-    shape = alt.Shape("mark:N").scale(None).legend(None)
-    return chart.transform_calculate(mark=beyond).mark_point(filled=True, size=11, opacity=1).encode(x, shape)
+def log_axis(column: str, low: float, high: float, name: str) -> alt.X:
+    """Return a logarithmic axis between two limits."""
+    scale, axis = logarithmic(low, high)
+    return alt.X(f"{column}:Q").scale(scale).axis(axis).title(name)
 
 
 def excess_interval(errors: np.ndarray, bound: float) -> tuple[float, float, float]:
-    """Root mean square of errors (n,) over their bound, with its 95 % bootstrap interval; NaNs for fewer than two.
+    """Return the root mean square of errors (n,) over their bound, with its 95 % bootstrap interval.
 
-    Errors that are not finite (failures) are left out.
+    Errors that are not finite (failures) are left out; NaNs for fewer than two.
     """
     squares = errors[np.isfinite(errors)] ** 2
-    if squares.size < 2 or not (math.isfinite(bound) and bound > 0):
+    if squares.size < 2 or not bound > 0:
         return math.nan, math.nan, math.nan
-    index = np.random.default_rng(0).integers(0, squares.size, (RESAMPLES, squares.size))
-    low, high = np.quantile(np.sqrt(squares[index].mean(axis=1)), [0.025, 0.975]) / bound
-    return float(np.sqrt(squares.mean()) / bound), float(low), float(high)
+    low, high = middle_95(np.sqrt(squares @ counts(squares.size) / squares.size))
+    return float(np.sqrt(squares.mean())) / bound, low / bound, high / bound
 
 
-def draw_forest(gallery: Gallery) -> Picture:
-    """A column a noise level, a row a method, best first: distance from the bound with its interval."""
-    told = gallery.scene(gallery.main, "unknown")[0].initial_state
-    cells = [cell for cell in gallery.main if cell.initial_state == told and cell.label != "prior"]
-    metrics = [m for m in (K, C) if any(math.isfinite(c.bound(m[0])) for c in cells)] or [MOTION]
-    rows = [
-        (c.label, gallery.name(c.label), c.snr_db, c.n_ok, c.n, name, *excess_interval(c.errors(key), c.bound(key)))
-        for c in cells
-        for key, name in metrics
-    ]
-    found = pd.DataFrame(rows, columns=["label", "method", "SNR", "ok", "n", "quantity", "excess", "low", "high"])
-    known = found.dropna()
-    if known.empty:
+def excesses(cells: Iterable[Result], quantities: Iterable[str]) -> pd.DataFrame:
+    """Return the error over the bound of each cell and quantity, with its interval and the time of a fit (s)."""
+    lines = [
+        (title(cell.label), cell.snr_db, f"initial state {cell.initial_state}", NAMES[name],
+         f"{cell.n_ok} of {cell.n}", *_seconds(cell), *excess_interval(cell.errors(METRICS[name]),
+                                                                       cell.bound(METRICS[name])))
+        for cell in cells for name in quantities
+    ]  # fmt: skip
+    columns = ["method", "SNR", "start", "quantity", "fits", "seconds", "slowest", "excess", "low", "high"]
+    found = pd.DataFrame(lines, columns=columns).dropna().assign(begins=lambda own: own.seconds)
+    if found.empty:
         raise Nothing("no method with an error and a bound over two replicates or more is stored")
-    levels = sorted(set(known.SNR), reverse=True)[:MOST]
-    excesses = {label: own.tolist() for label, own in known.groupby("label", sort=False).excess}
-    found = found[found.SNR.isin(levels)]
-    order = [gallery.name(label) for label in [*best_first(excesses), *found.label] if label in set(found.label)]
-    names = [name for _, name in metrics]
-    rows_alone = _chart(table(found.drop(columns="label")), list(dict.fromkeys(order)))
-    chart = _told_apart(rows_alone, "quantity", names)
-    low, high = 0.85 * min(known.low.min(), 0.95), min(FARTHEST, 1.15 * max(known.high.max(), 2.0))
-    low = max(low, 0.01)
-    excess = _across("excess", low, high)
-    some = rows_alone.transform_filter("datum.ok < datum.n").transform_calculate(count="datum.ok + '/' + datum.n")
-    layers = layered(
-        chart.data,
-        alt.Chart(ONE).mark_rule(style="truth").encode(x=alt.datum(1)),
-        chart.mark_rule(strokeWidth=1.1).encode(_across("low", low, high), x2="high:Q"),
-        _points(chart, excess, high),
-        some.mark_text(align="left", dx=2).encode(x=alt.value("width"), text="count:N"),
-    ).properties(width=70, height=alt.Step(5 if len(names) > 1 else 9))
-    header = alt.Header(labelExpr="datum.value + ' dB'")
-    spacing = 30 if (found.ok < found.n).any() else 10
-    spaced = layers.facet(column=alt.Column("SNR:Q").sort("descending").header(header), spacing=spacing)
-    spaced = spaced.properties(title=alt.Title("root mean square error / Cramér-Rao bound (−)", anchor="middle"))
-    middles = [float(np.median(own)) for label, own in excesses.items() if label not in REFERENCES]
-    return Picture(
-        spaced,
-        f"{sum(middle <= NEAR for middle in middles)} of {len(middles)} methods are within {NEAR:g} times the best "
-        f"that the data allow. Columns are noise levels ({cells[0].system}, initial state {told}; {counts(cells)} "
-        f"replicates), colours the {' and the '.join(names)}. Lines are 95 % intervals (bootstrap over the "
-        "replicates). At the line at 1 no unbiased method can do better; methods whose intervals overlap are not told "
-        "apart by this picture, but may be by the tables, which compare them on the same data. A triangle: beyond the "
-        "edge. Failed replicates are left out; where there are any, the number that succeeded stands beside. The "
-        "count, and the order to a tenth of the logarithm, are by a method's median excess over all columns.",
-    )
-
-
-def draw_time(gallery: Gallery) -> Picture:
-    """Time on the left, error over the bound on the right, fastest first; what is far from the bound is paler."""
-    usual = gallery.scene(gallery.main, "known")[0].snr_db
-    cells = [c for c in methods_only(gallery.main) if c.snr_db == usual and c.initial_state in STARTS]
-    choices = [(name, frame) for metric, name in (K, MOTION) if len(frame := _times(gallery, cells, metric))]
-    if not choices:
-        raise Nothing("no method with a time and an excess is stored")
-    name, found = choices[0]
-    slowest = found.groupby("method", sort=False).seconds.max().sort_values(kind="stable")
-    found["near"] = found.method.map(found.groupby("method").excess.max() <= NEAR)
-    near = [method for method in slowest.index if found[found.method == method].near.all()]
-    starts = [told for told in STARTS if told in set(found.start)]
-    frame = table(found)
-    pale = alt.condition("datum.near", alt.value(1.0), alt.value(0.35))
-    rows = (_chart(frame, list(slowest.index), labels).encode(opacity=pale) for labels in (True, False))
-    left, right = (_told_apart(own, "start", starts, "initial state") for own in rows)
-    limits = 0.8 * found.seconds.min(), 1.2 * found.slowest.max()
-    seconds = _across("seconds", *limits, "processor time of a fit (s)")
-    excess = _across("excess", min(0.9, 0.9 * found.excess.min()), 1.15 * found.excess.max(),
-                     f"error of {name} / bound (−)")  # fmt: skip
-    panels = (
-        layered(frame, left.mark_rule().encode(seconds, x2="slowest:Q"), _points(left, seconds)),
-        layered(frame, alt.Chart(ONE).mark_rule(style="truth").encode(x=alt.datum(1)), _points(right, excess)),
-    )
-    chart = alt.hconcat(*(own.properties(width=150, height=alt.Step(5)) for own in panels), data=frame, spacing=12)
-    lead = f"{near[0]} is the fastest method near the bound" if near else "No method is near the bound"
-    two = " Colours tell whether the initial state is known." if len(starts) > 1 else f" Initial state {starts[0]}."
-    return Picture(
-        chart,
-        f"{lead}. Left: processor time of a fit, fastest first ({where(cells[0]).rpartition(', initial state')[0]}); "
-        "the marker is the median fit, everything loaded, and the line goes to the slowest, often the first of a "
-        "process, which loads and builds what the method needs. Right: root mean square error of "
-        f"{name} over its Cramér-Rao bound; left is better, 1 is the best that the data allow.{two} Pale: more than "
-        f"{NEAR:g} times the bound from one of the starts.",
-    )
-
-
-def _times(gallery: Gallery, cells: Sequence[Result], metric: str) -> pd.DataFrame:
-    """Of each cell that has both: median and longest time (s) of a fit, and the error over the bound."""
-    rows = []
-    for cell in cells:
-        ok = np.array([status is Status.OK for status in cell.statuses])
-        seconds = np.sort(cell.cpu_s[ok & np.isfinite(cell.cpu_s) & (cell.cpu_s > 0)])
-        excess = cell.summary.get(metric, {}).get("excess", math.nan)
-        if seconds.size and math.isfinite(excess) and excess > 0:
-            median, longest = float(seconds[seconds.size // 2]), float(seconds[-1])
-            rows.append((gallery.name(cell.label), cell.initial_state, median, longest, excess))
-    return pd.DataFrame(rows, columns=["method", "start", "seconds", "slowest", "excess"])
-
-
-def draw_profiles(gallery: Gallery) -> Picture:
-    """A column a metric: within what factors of the best error a method is, and how often."""
-    told = gallery.scene(gallery.main, "unknown")[0].initial_state
-    labels, scenes, cells = common(gallery, told)
-    if len(labels) < 2:
-        raise Nothing("a comparison needs two methods on the same data")
-    chosen = [cells[label, scene] for label in labels for scene in scenes]
-    fewest = min(c.n for c in chosen)
-    metrics = [m for m in (K, C, MOTION) if all(np.isfinite(c.scores(m[0])).any() or not c.n_ok for c in chosen)]
-    if not metrics:
-        raise Nothing("no error that all methods have is stored")
-    found = {name: factors(joined(labels, scenes, cells, metric, fewest)) for metric, name in metrics}
-    first = next(iter(found.values()))
-    order = sorted(labels, key=lambda label: tuple(first[label][[1, 2, 3, 0]]))
-    columns = ["method", "quantity", "quarter", "median", "three quarters", "most"]
-    rows = [
-        (gallery.name(label), name, *np.minimum(own[label], 2.0 * FARTHEST))
-        for name, own in found.items()
-        for label in order
-    ]
-    frame, names = table(pd.DataFrame(rows, columns=columns)), [name for _, name in metrics]
-    chart = _chart(frame, [gallery.name(label) for label in order])
-    chart = chart.encode(alt.Color("quantity:N").sort(names).legend(None))
-    x = {column: _across(column, 1.0, FARTHEST) for column in columns[2:]}
-    layers = layered(
-        chart.data,
-        chart.mark_rule(strokeWidth=0.9).encode(x["three quarters"], x2="most:Q"),
-        chart.mark_rule(strokeWidth=3.5, opacity=0.5).encode(x["quarter"], x2="three quarters:Q"),
-        _points(chart, x["median"], FARTHEST),
-        _points(chart.transform_filter(f"datum.most > {FARTHEST}"), x["most"], FARTHEST),
-    ).properties(width=100, height=alt.Step(10))
-    columns_of = alt.Column("quantity:N").sort(names)
-    spaced = layers.facet(column=columns_of, spacing=12)
-    spaced = spaced.properties(title=alt.Title("error / least of all methods (−)", anchor="middle"))
-    middle = [first[label][SHARES.index(0.5)] for label in order]
-    alike = sum(own <= NEAR * middle[0] for own in middle)
-    levels = ", ".join(f"{snr:g}" for snr in sorted({snr for _, snr in scenes}, reverse=True))
-    low, half, high, most = (f"{100.0 * share:g} %" for share in SHARES)
-    return Picture(
-        spaced,
-        f"{alike} of {len(order)} methods are about equally often near the least error of {names[0]}. Over "
-        f"{len(scenes)} scenarios ({len({c.series for c in chosen})} parameter sets, {levels} dB, initial state {told}"
-        f"), the first {fewest} replicates of each, on which every method here was run: how many times the least error "
-        f"of all methods on the same data a method's error is, read off its performance profile. Marker: {half} of "
-        f"the data sets are within; bar: from {low} to {high}; line: up to {most}. Further left is better. A failed "
-        "fit is within no factor, and a triangle is beyond the edge. Methods on the bound take turns at being best by "
-        "luck, so that none is always at the edge; what tells them from others is how far the line reaches. About "
-        f"equally often: the markers of the first column are within {NEAR:g} times the leftmost. Methods in order of "
-        "that column.",
-    )
-
-
-def common(gallery: Gallery, told: str) -> tuple[list[str], list[Scene], dict[tuple[str, Scene], Result]]:
-    """Methods and scenarios of which the store has every cell, as many cells as possible.
-
-    Undisturbed scenarios with the main one's prior, seed and start.
-    """
-    main = gallery.main[0]
-    cells = {
-        (c.label, (c.series, c.snr_db)): c
-        for c in methods_only(gallery.cells)
-        if (c.initial_state, c.seed, c.disturbance) == (told, main.seed, main.disturbance)
-        and (c.prior, c.truth_drawn) == (main.prior, main.truth_drawn)
-        and c.kind == main.kind
-    }
-    scenes: dict[str, set[Scene]] = {}
-    for label, scene in cells:
-        scenes.setdefault(label, set()).add(scene)
-    order = sorted(scenes, key=lambda label: -len(scenes[label]))
-    chosen, best = list[str](), set[Scene]()
-    for i in range(1, len(order) + 1):
-        shared = set.intersection(*(scenes[label] for label in order[:i]))
-        if i * len(shared) > len(chosen) * len(best):
-            chosen, best = order[:i], shared
-    return [label for label in gallery.looks if label in chosen], sorted(best), cells
-
-
-def factors(errors: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """By method, within what factors of the least error it is on SHARES of the data sets (4,); infinite if on fewer.
-
-    Read off its performance profile (E. D. Dolan, J. J. Moré, Math. Program. 91:201, 2002).
-    """
-    least = np.min(np.stack(list(errors.values())), axis=0)
-    found = {}
-    for method, own in errors.items():
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(own == least, 1.0, own / least)
-        ratio = np.sort(np.where(np.isfinite(own), ratio, np.inf))
-        found[method] = ratio[[math.ceil(share * ratio.size) - 1 for share in SHARES]]
     return found
 
 
-def joined(
-    labels: Sequence[str], scenes: Sequence[Scene], cells: dict[tuple[str, Scene], Result], metric: str, n: int
-) -> dict[str, np.ndarray]:
-    """The errors of every method on the first ``n`` replicates of every scenario, failures infinite."""
-    values = {label: np.concatenate([cells[label, scene].errors(metric)[:n] for scene in scenes]) for label in labels}
-    if not any(np.isfinite(own).any() for own in values.values()):
-        raise Nothing("every replicate failed")
-    return values
+def _seconds(cell: Result) -> tuple[float, float]:
+    """The median and the longest time (s) of a successful fit."""
+    seconds = cell.cpu_s[cell.ok]
+    return (float(np.median(seconds)), float(seconds.max())) if seconds.size else (math.nan, math.nan)
+
+
+def tiers_of(gallery: Gallery) -> dict[str, int]:
+    """Return the tier of each method, as pictures call it; 99 beside the tiers."""
+    return {title(label): tier or 99 for label, tier in gallery.tiers.items()}
+
+
+def _spoken(gallery: Gallery) -> str:
+    """What a caption says of tiers."""
+    tiers = list(gallery.tiers.values())
+    return (
+        f"Methods stand by tier of the ranking over these scenarios ({tiers.count(1)} of {len(tiers)} are in the "
+        "first), a stronger line between tiers; those that do not serve all stand last."
+    )
+
+
+def draw_forest(gallery: Gallery) -> Picture:
+    """A column a noise level: distance from the bound with its interval."""
+    start = gallery.scene(gallery.main, "unknown")[0].initial_state
+    cells = [cell for cell in gallery.main if cell.initial_state == start and cell.label != "prior"]
+    frame = excesses(cells, (K, C) if any(cell.bound(METRICS[K]) > 0 for cell in cells) else (MOTION,))
+    frame = frame[frame.SNR.isin(sorted(set(frame.SNR))[-MOST:])].assign(rule=1.0)
+    axis = error_axis(frame, "error / bound (−)")
+    kept = table(frame.drop(columns=["seconds", "begins", "slowest", "start"]))
+    chart = rows(kept, gallery.ordered(cells), axis, ("excess", "low", "high"), by="quantity", tiers=tiers_of(gallery))
+    header = alt.Header(labelExpr="datum.value + ' dB'", labelAnchor="middle")
+    facet = alt.Column("SNR:Q").sort("descending").header(header)
+    middle = frame.groupby("method").excess.median().drop(map(title, REFERENCES), errors="ignore")
+    return Picture(
+        "forest",
+        chart.properties(width=70, height=alt.Step(5)).facet(column=facet, spacing=8),
+        f"{(middle <= NEAR).sum()} of {len(middle)} methods are within {NEAR:g} times the best that the data allow. "
+        f"Columns are noise levels ({cells[0].system}, initial state {start}; {replicates(cells)} replicates): root "
+        "mean square error of the fits that succeeded over the Cramér-Rao bound, with its 95 % bootstrap interval. At "
+        "the line at 1 no unbiased method can do better. A triangle is beyond the edge. The count is by a method's "
+        f"median over columns and quantities. {_spoken(gallery)}",
+    )
+
+
+def _most_replicates(gallery: Gallery) -> list[Result]:
+    """The main scenario under the seed with most fits: intervals are tested on one of its own."""
+
+    def alike(cell: Result) -> str:
+        return json.dumps({**json.loads(cell.series), "seed": 0}, sort_keys=True)
+
+    cells = [cell for cell in gallery.cells if alike(cell) == alike(gallery.main[0])]
+    scenes = [gallery.scene(own, "unknown") for own in group(cells, lambda cell: cell.seed).values()]
+    return max(scenes, key=lambda own: (sum(cell.successful(f"{K}_pit").size for cell in own), -own[0].seed))
+
+
+def draw_coverage(gallery: Gallery) -> Picture:
+    """A column a nominal level: how often the intervals of that level held the truth."""
+    cells = [cell for cell in _most_replicates(gallery) if cell.label != "prior"]
+    cells = [cell for cell in cells if cell.successful(f"{K}_pit").size >= FEWEST]
+    if not cells:
+        raise Nothing(f"no method with intervals of k/m over {FEWEST} replicates or more is stored")
+    frame = pd.DataFrame(
+        [
+            (title(cell.label), NAMES[name], level, cell.n_ok, *(100.0 * part for part in held(cell, name, level)))
+            for cell in cells for level in LEVELS for name in (K, C, MOTION)
+        ], columns=["method", "quantity", "rule", "fits", "held", "low", "high"]
+    ).dropna()  # fmt: skip
+
+    def axis(column: str) -> alt.X:
+        scale, ticks = alt.Scale(domain=[0, 100], clamp=True), alt.Axis(values=[0, *LEVELS])
+        return alt.X(f"{column}:Q").scale(scale).axis(ticks).title("held the truth (%)")
+
+    chart = rows(table(frame), gallery.ordered(cells), axis, ("held", "low", "high"), by="quantity")
+    header = alt.Header(labelExpr="'intervals of ' + datum.value + ' %'", labelAnchor="middle")
+    judged = frame[(frame["rule"] == 95) & (frame.quantity == NAMES[K]) & ~frame.method.isin(map(title, REFERENCES))]
+    right = ((judged.low <= 95) & (judged.high >= 95)).sum()
+    return Picture(
+        "coverage",
+        chart.properties(width=120, height=alt.Step(4)).facet(column=alt.Column("rule:Q").header(header), spacing=8),
+        f"The 95 % intervals of k/m hold the truth as often as they say in {right} of {len(judged)} methods. Measured "
+        f"share of the intervals that held it ({where(cells[0])}, seed {cells[0].seed}; {replicates(cells)} "
+        "replicates), with the 95 % interval of the share (Wilson); the line is the nominal level. Left of it a method "
+        "is too sure of itself, right of it too modest. Displacement: the mean share of the record inside the "
+        "method's band.",
+    )
+
+
+def held(cell: Result, quantity: str, level: int) -> tuple[float, float, float]:
+    """Return the share of equal-tailed intervals of a level (%) that held the truth, and its 95 % interval.
+
+    An interval holds the truth where the belief's level there is within half the interval's of a half.
+    """
+    if quantity == MOTION:
+        inside = cell.successful(f"band_inside_{level}")
+        return (float(inside.mean()) if inside.size else math.nan,) * 3
+    hits = np.abs(cell.successful(f"{quantity}_pit") - 0.5) <= level / 200.0 + 1e-12
+    return (float(hits.mean()), *wilson_interval(int(hits.sum()), hits.size)) if hits.size else (math.nan,) * 3
+
+
+def error_axis(every: pd.DataFrame, name: str) -> Across:
+    """Return the axis of errors over bounds."""
+    low, high = max(NEAREST, 0.9 * min(every.low.min(), 1.0)), min(FARTHEST, 1.15 * max(every.high.max(), 2.0))
+    return partial(log_axis, low=low, high=high, name=name)
+
+
+def beside(
+    frame: pd.DataFrame, order: Sequence[str], height: float, limits: pd.DataFrame | None = None,
+    width: float = 150.0, **kept: Any,
+) -> Any:  # fmt: skip
+    """Return time on the left and error over bound on the right, of the same rows; ``limits`` has those of the axes."""
+    every = frame if limits is None else limits
+    time = partial(log_axis, low=0.8 * every.begins.min(), high=1.25 * every.slowest.max(), name="processor time (s)")
+    error = error_axis(every, "error of k/m / bound (−)")
+    seconds, excess = table(frame.assign(rule=math.nan)), table(frame.assign(rule=1.0))
+    left = rows(seconds, order, time, ("seconds", "begins", "slowest"), **kept)
+    right = rows(excess, order, error, ("excess", "low", "high"), labels=False, **kept)
+    panels = (panel.properties(width=width, height=alt.Step(height)) for panel in (left, right))
+    return alt.hconcat(*panels, spacing=8)
+
+
+def draw_time(gallery: Gallery) -> Picture:
+    """Time beside error over the bound, by tier, within a tier the fastest first."""
+    level = gallery.scene(gallery.main)[0].snr_db
+    cells = [cell for cell in gallery.main if cell.snr_db == level and not cell.is_reference]
+    frame, tiers = excesses(cells, (K,)), tiers_of(gallery)
+    seconds = frame.groupby("method").seconds.max()
+    order = sorted(seconds.index, key=lambda name: (tiers.get(name, 99), seconds[name]))
+    starts = sorted(set(frame.start))
+    chart = beside(frame.drop(columns=["SNR", "quantity"]), order, 5 if len(starts) > 1 else 8, by="start", tiers=tiers)
+    first = [name for name in order if tiers.get(name, 99) == tiers.get(order[0], 99)]
+    slowest = seconds[first].max() / seconds[first].min()
+    return Picture(
+        "accuracy_against_time",
+        chart,
+        f"{order[0]} is the fastest of {len(first)} methods of the first tier; the slowest of them takes "
+        f"{slowest:.2g} times as long. Left: processor time of a fit ({cells[0].system}, {level:g} dB); the marker is "
+        "the median, and the line goes to the slowest, often the first of a process, which loads and builds what the "
+        "method needs. Right: root mean square error of k/m over its Cramér-Rao bound, with its 95 % interval; 1 is "
+        f"the best that the data allow. Colours tell whether the initial state is known. {_spoken(gallery)} Within a "
+        "tier the fastest comes first.",
+    )
+
+
+def draw_family(gallery: Gallery) -> Picture:
+    """A part for each factor and base: when each variant's training is as good as the oracle, and how good at last."""
+    name = next(name for name in table_experiments() if Experiment(name).table.get("form") == "family")
+    family = family_of(experiment_frame(name, gallery.store))
+    oracle = next((member.at(PLACE) for member in family.variants if member.method == "oracle"), None)
+    compared = [own for own in (family.section(*which) for which in COMPARED) if own]
+    frames = {f"{own.heading}, {own.base}": trainings(own, oracle) for own in compared}
+    frames = {heading: frame for heading, frame in frames.items() if len(frame)}
+    if not frames:
+        raise Nothing("no training of a family is stored")
+    every = pd.concat(frames.values())
+    parts = [
+        beside(frame, frame.method.tolist(), 8, limits=every).properties(title=alt.Title(heading, frame="group"))
+        for heading, frame in frames.items()
+    ]
+    return Picture(
+        family.method,
+        alt.vconcat(*parts, spacing=8),
+        f"{every.seconds.notna().sum()} of {len(every)} trainings become as good as the oracle. Left: the training, "
+        f"and as a marker the moment from which on the error of k/m stays within {ORACLE:g} times that of the oracle "
+        "on the same data. Right: root mean square error at the end over the "
+        f"Cramér-Rao bound, in a part on the same data sets ({PLACE[0]:g} dB, initial state {PLACE[1]}; "
+        f"{every.n.min()} to {every.n.max()}), so that all are above 1 where these happen to be hard. In a part, each "
+        "differs in one thing from its base; the least error comes first.",
+    )
+
+
+def trainings(section: Section, oracle: Result | None) -> pd.DataFrame:
+    """Return when each training of a section is as good as the oracle and when it ends (s), and its error at the end.
+
+    The error is over the bound, of the first data sets, which all have.
+    """
+    n, lines = section.common(PLACE), []
+    for row in section.rows:
+        cell = row.at(PLACE)
+        if cell and cell.successful("training_s").size:
+            seconds, error = oracle_seconds(cell, oracle), root_mean_square(cell.successful(METRICS[K], n))
+            end, excess = float(cell.successful("training_s").max()), error / cell.bound(METRICS[K])
+            lines.append((row.title, n, seconds if seconds <= end else math.nan, end, excess, excess, excess))
+    frame = pd.DataFrame(lines, columns=["method", "n", "seconds", "slowest", "excess", "low", "high"])
+    return frame.assign(begins=MOMENTS[0]).sort_values(["excess", "slowest"])

@@ -9,10 +9,12 @@ from bench.atlas.model import FEWEST, AtlasModel, features, held_out, told, unkn
 from bench.atlas.point import FreeDecay
 from bench.commands.main import main
 from bench.reporting.atlas import point_frame
-from bench.reporting.figures.atlas_regions import draw_regions, near_bound
-from bench.reporting.figures.png import caption_of
 
 pytest.importorskip("sklearn")
+pytest.importorskip("vl_convert")
+
+from bench.reporting.pictures.maps import draw_atlas
+
 SPREAD = 0.1
 
 
@@ -105,16 +107,14 @@ def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, cap
     assert "bench: atlas=" in capsys.readouterr().err
 
 
-def test_a_region_is_where_the_model_expects_a_method_near_the_bound(model: AtlasModel, tmp_path) -> None:
+def test_a_map_has_the_states_of_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near where the core error is within 1.2 bounds and at most 5 % are gross; by the rule that is at 23 samples."""
     frame = atlas()
     own = Slice("samples_snr", FreeDecay(50, 2.0, 0.05, 20.0, 0.5, False), "samples", "snr_db", (6, 5))
-    points = pd.concat([point_frame(point) for point in own.points()], ignore_index=True)
-    near = near_bound(points, model)
-    quiet = points.snr_db > 20
-    assert near[quiet & (points.samples < 16)].mean() > 0.8  # by the rule the excess is 1.2 at 23 samples
-    assert not near[quiet & (points.samples > 60)].any()
-    assert not near[points.snr_db < 5].any()
-    assert all(path.is_file() for path in draw_regions([own], frame, tmp_path))
-    said = caption_of(tmp_path / "figures" / "atlas_map_samples_snr.png")
-    share = 100.0 * near.mean()  # of the one method that there is
-    assert f"near the bound on {share:.0f} % of this map" in said
+    drawn = draw_atlas(own, frame)
+    shown = drawn.chart.vconcat[1].data
+    assert (shown.state == "above Nyquist").sum() == frame.aliased.sum()
+    good = (frame.k_over_m_core <= 1.2) & (frame.k_over_m_gross <= 0.05) & ~frame.aliased
+    assert (shown.state == "within 1.2 times the bound").sum() == good.sum()
+    assert drawn.caption.startswith("Output error is within 1.2 times the bound on the largest part of this map")
+    assert f", {100 * good.sum() / (~frame.aliased).sum():.0f} %." in drawn.caption

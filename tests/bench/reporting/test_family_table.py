@@ -215,43 +215,22 @@ def full(tmp_path: Path) -> Store:
     return store
 
 
-def test_the_picture_shows_the_error_over_the_bound_at_every_moment(full: Store) -> None:
-    pytest.importorskip("matplotlib")
-    from bench.reporting.pictures.family import family_picture
-    from bench.scoring.traces import MOMENTS
+def test_the_picture_shows_when_a_training_is_good_and_how_good_it_ends(full: Store) -> None:
+    pytest.importorskip("vl_convert")
+    from bench.reporting.pictures.gallery import Gallery
+    from bench.reporting.pictures.rows import draw_family, trainings
 
     stored = experiment_frame("pinn", full)
-    panels = family_picture(stored).figure.concat
-    assert [panel.title.text for panel in panels] == [
-        "Optimisers, our base", "Optimisers, the paper's base", "Weightings, our base", "Functions of time, our base"
-    ]  # fmt: skip
-    base = next(one for one in stored if one.label.startswith(FAMILY) and one.stored)
-    ends = base.scores("training_s").max()
-    seconds = [moment for moment in MOMENTS if moment < ends]
-    expected = [base.scores(f"k_over_m_off_pct_at_{moment:g}s")[0] / 0.5 for moment in seconds]
-    line = panels[0].data[panels[0].data.base]
-    assert np.allclose(line.seconds, [*seconds, ends])
-    assert np.allclose(line.ratio[:-1], expected, rtol=1e-4)
-    assert set(panels[2].data["name"]) == {CHOICES["weighting"][name].title for name in CHOICES["weighting"]}
-
-
-def test_the_command_draws_it_under_the_family_s_name_and_no_variant_elsewhere(full: Store, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    from bench.commands.main import main
-    from bench.reporting.figures.gallery import Gallery
-
+    section = family_of(stored).section("optimizer", 0)
+    assert section is not None
+    oracle = next(result for result in stored if result.method == "oracle" and result.stored)
+    shown = trainings(section, oracle).set_index("method")
+    base = next(row.at(PLACE) for row in section.rows if row.base)
+    assert base is not None
+    assert shown.loc["Levenberg-Marquardt", "slowest"] == base.scores("training_s").max()
+    assert shown.loc["Levenberg-Marquardt", "excess"] == pytest.approx(base.scores("k_over_m_error_pct")[0] / 0.5)
+    assert shown.loc["Levenberg-Marquardt", "seconds"] == oracle_seconds(base, oracle)
     fill(full, ["shooting"])
-    assert main(["tables", "what=figures", f"store={full.folder}", f"out={tmp_path / 'out'}"]) == 0
-    assert (tmp_path / "out" / f"{FAMILY}.png").is_file()
-    assert not [one.label for one in Gallery(full).cells if one.method == FAMILY]
-
-
-def test_names_beside_a_panel_lie_apart_and_near_what_they_name() -> None:
-    from bench.reporting.figures.beside import spread
-
-    wanted, sizes = np.array([0.5, 0.5, 0.9, 0.52]), np.full(4, 0.1)
-    found = spread(wanted, sizes)
-    assert np.all(np.diff(np.sort(found)) >= 0.1 - 1e-9)
-    assert found[2] == pytest.approx(0.9)  # nobody is near it
-    assert np.mean(found[[0, 1, 3]]) == pytest.approx(np.mean(wanted[[0, 1, 3]]))
-    assert spread(np.array([0.0]), np.array([0.2]))[0] == pytest.approx(0.1)  # inside the panel
+    gallery = Gallery(full)
+    assert draw_family(gallery).name == FAMILY
+    assert not [one.label for one in gallery.cells if one.method == FAMILY]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import json
 import math
 import re
@@ -24,12 +25,12 @@ from scipy.stats import binom, binomtest
 from bench.commands.main import main
 from bench.contract.estimate import Status
 from bench.information.fisher import Bound
-from bench.reporting.figures import png
 from bench.reporting.frame import Result
 from bench.reporting.page import board, charts, home, origin, pictures, told
 from bench.reporting.page.addresses import scenario_slugs, slug, slugs
 from bench.reporting.page.reading import ScenarioPanel, TableOfExperiment
 from bench.reporting.page.situations import Advice, advice
+from bench.reporting.pictures import png
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
@@ -377,7 +378,8 @@ def test_figures_of_the_results_are_copied_into_the_site(cells: Cells) -> None:
     store = cells(stored("ls"))
     folder = store.folder.parent
     (folder / "figures").mkdir()
-    whole = png.packed(Image.new("RGB", (1378, 700), "white"), 200, "First & foremost_ones. The rest.")
+    Image.new("RGB", (1378, 700), "white").save(plain := io.BytesIO(), "PNG")
+    whole = png.packed(plain.getvalue(), "First & foremost_ones. The rest.")
     (folder / "figures" / "a_b.png").write_bytes(whole)
     site = made(store)
     assert (site / "results" / "figures" / "a_b.png").read_bytes() == whole

@@ -55,8 +55,9 @@ def pinn(
         print(f"\n{result.title}\n\n{markdown_table(result.rows, result.columns)}", flush=True)
         content = {**asdict(result), "python": platform.python_version()}
         write(folder / f"{name}.json", json.dumps(content, indent=1) + "\n", out)
-    for path in drawn(folder, out / "figures"):
-        print(path)
+    stored = folder / "scaling.json"
+    if stored.is_file() and (data := json.loads(stored.read_text(encoding="utf-8"))["data"]):
+        print(*pictures.scaling_picture(data, out / "figures"), sep="\n")
     publish(out / "pinn.md", page(folder))
     return 0
 
@@ -89,19 +90,9 @@ def page(folder: Path) -> str:
         if path.is_file():
             part = json.loads(path.read_text(encoding="utf-8"))
             sections += [f"## {part['title']}", part["text"], markdown_table(part["rows"], part["columns"])]
-            if part["data"]:
-                caption = getattr(pictures, f"{name}_caption")(part["data"])
-                sections += [f"![{part['title']}](figures/pinn_{name}.png)", caption]
+            if name == "scaling" and part["data"]:
+                sections += [f"![{part['title']}](figures/pinn_scaling.png)", pictures.scaling_caption(part["data"])]
     return "\n\n".join(sections) + "\n"
-
-
-def drawn(folder: Path, out: Path) -> list[Path]:
-    """Draw the pictures of all stored parts that have numbers for one."""
-    files: list[Path] = []
-    for path in (folder / f"{name}.json" for name in PARTS):
-        data = json.loads(path.read_text(encoding="utf-8"))["data"] if path.is_file() else {}
-        files += getattr(pictures, f"{path.stem}_picture")(data, out) if data else []
-    return files
 
 
 main = partial(study, pinn, "tests.studies.pinn")
