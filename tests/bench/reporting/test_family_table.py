@@ -217,6 +217,7 @@ def full(tmp_path: Path) -> Store:
 
 def test_the_picture_shows_when_a_training_is_good_and_how_good_it_ends(full: Store) -> None:
     pytest.importorskip("vl_convert")
+    from bench.reporting.family import PLACE
     from bench.reporting.pictures.gallery import Gallery
     from bench.reporting.pictures.rows import draw_family, trainings
 
