@@ -163,7 +163,7 @@ def test_the_noise_picture_draws_root_mean_squares_and_bounds(store: Store) -> N
     for cell in gallery.cells:
         for metric, name, factor in (("k_over_m_error_pct", "k/m (%)", 1.0), ("rmse", "displacement (mm)", 1000.0)):
             at = shown.loc[(names[cell.label], name, cell.snr_db)]
-            rms = factor * np.sqrt(np.mean([row.scores[metric] ** 2 for row in cell.rows]))
+            rms = factor * np.sqrt(np.mean([row.scores[metric] ** 2 for row in cell.stored.rows]))
             assert (at.bound, at.error) == pytest.approx((factor * metric_bounds(BOUND)[metric], rms), rel=1e-4)
             assert at.series == ("PINN" if cell.label == "pinn" else "other methods")
     printed = shown[shown.series == "PINN in the paper"]
