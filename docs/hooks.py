@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import posixpath
 import re
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from functools import cache
 from importlib import import_module
@@ -21,12 +20,15 @@ FIRST = "<!-- the site has the first screen of the results in place of what is a
 README = "readme.md"
 """Where README.md stands in the site, whose first page is docs/index.md."""
 OF_THE_ROOT = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "SECURITY.md")
-LINK = re.compile(r"(?P<open>\]\()(?P<target>[^)#\s]+)(?P<rest>(?:#[^)\s]*)?\))")
+SHOWN = (".md", ".png")
+"""Files of results/ that the site has; the others are in the repository."""
+LINK = re.compile(r"\[(?P<text>[^\[\]]*)\]\((?P<target>[^)#\s]+)(?P<part>#[^)\s]*)?\)")
 
 
-def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the results, but for packed cells, the documents of the root, and the pages of what the archive holds."""
-    for path in _beside():
+def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
+    """Add the results, the documents of the root, and the pages of what the archive holds."""
+    results = [path for path in sorted((ROOT / "results").rglob("*")) if path.suffix in SHOWN]
+    for path in (*(ROOT / name for name in OF_THE_ROOT), *results):
         name = path.relative_to(ROOT).as_posix()
         place = README if name == "README.md" else name
         files.append(File.generated(config, place, abs_src_path=str(path), inclusion=InclusionLevel.NOT_IN_NAV))
@@ -43,36 +45,38 @@ def on_page_read_source(page: Any, **_: Any) -> str | None:
     return _pages()["index.md"].decode() + (ROOT / "docs" / "index.md").read_text(encoding="utf-8").partition(FIRST)[2]
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: Files, **_: Any) -> str:
     """Let links lead to where files stand in the site, and fill in numbers and the help of the commands."""
-    source = page.file.src_uri
     documents = import_module("bench.reporting.documents")
     if any(documents.used(markdown)):
         markdown = documents.filled(markdown, _facts())
     if PLACE in markdown:
-        markdown = markdown.replace(PLACE, "\n\n".join(_helps()))
-    return LINK.sub(lambda found: f"{found['open']}{_moved(source, found['target'])}{found['rest']}", markdown)
+        pages = (f"## `{f'python -m bench {verb}'.strip()}`\n\n```text\n{text}\n```" for verb, text in helps().items())
+        markdown = markdown.replace(PLACE, "\n\n".join(pages))
+    source = page.file.src_uri
+
+    def moved(link: re.Match[str]) -> str:
+        if re.match(r"\w+:|/", link["target"]):
+            return link[0]
+        target = _place(source, link["target"])
+        inside = posixpath.relpath(target, posixpath.dirname(source) or ".")
+        if files.get_file_from_path(target):
+            return f"[{link['text']}]({inside}{link['part'] or ''})"
+        if (ROOT / target).exists():
+            return f"[{link['text']}]({config.repo_url}/blob/main/{target})" if config.repo_url else link["text"]
+        return link[0]
+
+    return LINK.sub(moved, markdown)
 
 
-def _beside() -> Iterator[Path]:
-    yield from (ROOT / name for name in OF_THE_ROOT if (ROOT / name).is_file())
-    archive = ROOT / "results" / "archive"
-    yield from (
-        path for path in sorted((ROOT / "results").rglob("*")) if path.is_file() and archive not in path.parents
-    )
-
-
-def _moved(source: str, target: str) -> str:
-    """The target of a link in the site: docs/ is its root, and results/ and the documents of the root stand in it."""
-    if "://" in target or target.startswith(("mailto:", "/")):
-        return target
+def _place(source: str, target: str) -> str:
+    """Where a link's target stands in the site, in which docs/ is the root beside results/ and the documents."""
     outside = source in (README, *OF_THE_ROOT) or source.startswith("results/")
     folder = posixpath.dirname(source if outside else f"docs/{source}")
     found = posixpath.normpath(posixpath.join(folder, target))
-    if (ROOT / found).is_dir():
-        found = "results/README.md" if found.startswith("results") else found
-    inside = README if found == "README.md" else found.removeprefix("docs/")
-    return posixpath.relpath(inside, posixpath.dirname(source) or ".")
+    if found.startswith("results") and (ROOT / found).is_dir():
+        return "results/README.md"
+    return README if found == "README.md" else found.removeprefix("docs/")
 
 
 def helps() -> dict[str, str]:
@@ -99,8 +103,3 @@ def _pages() -> dict[str, bytes]:
     store, site = import_module("bench.store.store"), import_module("bench.reporting.page.site")
     published = store.open_store(ROOT / "build" / "no cells of one's own", str(ROOT / "results" / "archive"))
     return dict(site.site_files(published, ROOT / "results"))
-
-
-def _helps() -> Iterator[str]:
-    for verb, page in helps().items():
-        yield f"## `python -m bench{f' {verb}' if verb else ''}`\n\n```text\n{page}\n```"

@@ -13,11 +13,11 @@ import numpy as np
 from bench.contract.estimate import Status
 from bench.reporting.frame import ERROR, Result
 from bench.reporting.page.charts import forest, scenario_data
-from bench.reporting.page.describe import system_words
-from bench.reporting.page.reading import ScenarioPanel, decibels
-from bench.reporting.page.words import heading, number, seconds
+from bench.reporting.page.reading import ScenarioPanel
+from bench.reporting.page.words import USUAL_DB, decibels, heading, number, seconds, system_words
 from bench.reporting.ranking import first_tier, median_time
 from bench.scoring.summary import gross
+from bench.store.stored import unmarked
 
 STANDINGS = ("first tier", "behind", "not ranked", "reference", "failed", "unsupported")
 """In the order in which a board is sorted at first."""
@@ -48,10 +48,9 @@ def first_tiers(panels: Sequence[ScenarioPanel]) -> FirstTiers:
 
 def data_files(site: Any) -> Iterator[tuple[str, bytes]]:
     """What the pages' scripts load: the path in the site, and a call of one of their functions."""
-    whole = board(site.panels, site.first_tiers, site.words, site.scenarios, site.methods)
-    yield "data/board.js", called("board", whole)
-    for slug, panel in zip(site.scenarios, site.panels, strict=True):
-        yield f"scenarios/{slug}.js", called("scenario", {"slug": slug, **scenario_data(panel)})
+    yield "data/board.js", called("board", board(site.panels, first_tiers(site.panels), site.methods))
+    for panel in site.panels:
+        yield f"scenarios/{panel.slug}.js", called("scenario", {"slug": panel.slug, **scenario_data(panel)})
     if site.advice:
         yield "data/home.js", called("draw", {"forest": forest(site.advice[0])})
 
@@ -62,22 +61,19 @@ def called(function: str, value: Any) -> bytes:
     return f"bench.{function}({text});\n".encode()
 
 
-def board(
-    panels: Sequence[ScenarioPanel], tiers: FirstTiers, words: Sequence[str], scenarios: Sequence[str],
-    methods: Mapping[str, str],
-) -> list[dict[str, Any]]:  # fmt: skip
-    """Its columns, from the titles of the scenarios and the addresses of scenarios and methods."""
+def board(panels: Sequence[ScenarioPanel], tiers: FirstTiers, methods: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Its columns, with the addresses of methods."""
     lines = [
         Line(i, panel, metric, result, tiers.get((i, metric)))
         for i, panel in enumerate(panels)
-        for metric in panel.metrics
+        for metric in panel.ranked
         for result in panel.results
         if metric in result.summary and result.status is not Status.UNSUPPORTED
     ]
     used = [panels[i] for i in sorted({line.place for line in lines})]
     return [
         column("Method", lines, lambda line: (line.result.title, line.result.label), lambda own: own[0],
-               lambda own: f"methods/{methods[own[1]]}.html"),
+               lambda own: f"methods/{methods[unmarked(own[1])]}.html"),
         column("Error of", lines, lambda line: heading(line.metric)),
         column("× bound", lines, statistic("excess"), number),
         column("Standing", lines, lambda line: STANDINGS.index(standing_of(line.result, line.tier)),
@@ -89,8 +85,8 @@ def board(
         column("Prior", lines, prior_share, lambda own: f"{own:g} %"),
         column("Fits ok", lines, fits, lambda own: f"{own[1]}/{own[2]}"),
         column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), seconds),
-        column("Scenario", lines, lambda line: line.place, words.__getitem__,
-               lambda place: f"scenarios/{scenarios[place]}.html"),
+        column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
+               lambda place: f"scenarios/{panels[place].slug}.html"),
         *(column(name, list(map(choices, used)), itemgetter(name), by="Scenario") for name in BY_SCENARIO),
     ]  # fmt: skip
 
@@ -106,6 +102,12 @@ def column(
     found = {"title": name, "values": ["–" if own is None else text(own) for own in order], "by": by}
     links = {"links": [link(own) for own in order]} if link else {}
     return {**found, **links, "codes": [places[own] for own in values]}
+
+
+def first_choice(panels: Sequence[ScenarioPanel]) -> dict[str, str]:
+    """What the leaderboard shows at first: one of some scenarios at the usual noise, and a quantity that is told."""
+    panel = min(panels, key=lambda one: abs(one.facts.snr_db - USUAL_DB))
+    return {**choices(panel), **({"Error of": heading(panel.ranked[0])} if panel.ranked else {})}
 
 
 def choices(panel: ScenarioPanel) -> dict[str, str]:
@@ -144,12 +146,6 @@ def prior_share(line: Line) -> float | None:
 def fits(line: Line) -> tuple[float, int, int]:
     """Fits that returned an answer, most first."""
     return -line.result.n_ok / max(line.result.n, 1), line.result.n_ok, line.result.n
-
-
-def middle(values: Sequence[float]) -> float:
-    """The median of the finite values; NaN where there is none."""
-    finite = [value for value in values if math.isfinite(value)]
-    return float(np.median(finite)) if finite else math.nan
 
 
 def short(value: float, digits: int = 4) -> float | None:

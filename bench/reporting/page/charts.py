@@ -18,9 +18,9 @@ import pandas as pd
 from bench.errors import InputError
 from bench.reporting.frame import ERROR, Result, group
 from bench.reporting.labels import title
-from bench.reporting.page.reading import ScenarioPanel, decibels
+from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.situations import Advice
-from bench.reporting.page.words import quantity, seconds
+from bench.reporting.page.words import decibels, quantity, seconds
 from bench.reporting.pictures.responses import samples_of, simulated
 from bench.reporting.ranking import ON_BOUND, fits_of
 
@@ -46,11 +46,6 @@ def scenario_data(panel: ScenarioPanel) -> dict[str, Any]:
 def packed(errors: np.ndarray) -> str:
     """Errors (n,) as half-precision numbers in base 64."""
     return base64.b64encode(errors.astype("<f2").tobytes()).decode()
-
-
-def bound_of(panel: ScenarioPanel, metric: str) -> float:
-    """The bound on the root mean square of a metric; NaN where no cell has one."""
-    return next((cell.bound(metric) for cell in panel.results if metric in cell.summary), math.nan)
 
 
 def forest(one: Advice) -> Spec:
@@ -170,7 +165,7 @@ def spread(panel: ScenarioPanel) -> Spec | None:
     if not rows:
         return None
     frame = pd.DataFrame(rows, columns=["quantity", "method", "from", "to"])
-    bounds = {quantity(metric): 1.96 * bound_of(panel, metric) for metric in quantities}
+    bounds = {quantity(metric): 1.96 * panel.bound(metric) for metric in quantities}
     widest = frame.assign(width=frame[["from", "to"]].abs().max(axis=1)).groupby("quantity")["width"].quantile(0.75)
     reach = (1.1 * np.fmax(widest, 1.5 * pd.Series(bounds))).clip(1e-3, 1e4).round(4)
     ends = {"domainMin": {"expr": "-reach[quantity]"}, "domainMax": {"expr": "reach[quantity]"}, "nice": False}

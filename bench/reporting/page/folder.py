@@ -5,10 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-import shutil
-import uuid
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from importlib.resources import as_file, files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,15 +16,15 @@ from bench.reporting.page.site import NAV
 
 MARKS = ("index.html", "assets", "data")
 """What a site has: no other folder that holds anything is replaced."""
+SHOWN = (".md", ".csv", ".gz", ".png")
 OUTSIDE = re.compile(r"\[([^\]]*)\]\((\.\./|archive|README)[^)]*\)")
 """A link of a table to what is not beside it."""
 
 
 def check_folder(out: Path) -> None:
     """Raise InputError, before any work, for what must not be replaced, or where no folder can be written."""
-    if os.path.isfile(out) or (
-        os.path.isdir(out) and any(out.iterdir()) and not all((out / name).exists() for name in MARKS)
-    ):
+    other = out.is_dir() and any(out.iterdir()) and not all((out / name).exists() for name in MARKS)
+    if out.is_file() or other:
         raise InputError("out", out, "a folder that is new, empty, or a site that this command wrote")
     whole_file.check_folder(out)
 
@@ -35,7 +32,7 @@ def check_folder(out: Path) -> None:
 def results_files(folder: Path) -> Iterator[tuple[str, bytes]]:
     """The tables and figures of a folder, with their paths in the site; HTML in a table is text there."""
     for path in sorted([*folder.glob("*"), *folder.glob("figures/*.png")]):
-        if path.is_file() and path.suffix in (".md", ".csv", ".gz", ".png") and path.name != "README.md":
+        if path.is_file() and path.suffix in SHOWN and path.name != "README.md":
             content = path.read_bytes()
             if path.suffix == ".md":
                 text = re.sub(r"<(?=[A-Za-z/!?])", "&lt;", content.decode())
@@ -50,27 +47,25 @@ def write_site(out: Path, pages: Iterable[tuple[str, bytes]]) -> None:
 
     os.environ.setdefault("NO_MKDOCS_2_WARNING", "1")
     logging.getLogger("mkdocs").setLevel(logging.ERROR)
-    new, old = (out.with_name(f".{out.name}.{uuid.uuid4().hex}.{what}.tmp") for what in ("new", "old"))
+    settings = as_file(files("bench.reporting.page") / "mkdocs.yml")
     try:
-        with TemporaryDirectory() as folder, as_file(files("bench.reporting.page") / "mkdocs.yml") as shared:
-            docs, tables = Path(folder), []
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with (
+            TemporaryDirectory(prefix=f".{out.name}.", suffix=".tmp", dir=out.parent.resolve()) as work,
+            settings as shared,
+        ):
+            docs, new, old = (Path(work, name) for name in ("docs", "new", "old"))
             for name, content in pages:
                 (docs / name).parent.mkdir(parents=True, exist_ok=True)
                 (docs / name).write_bytes(content)
-                tables += [name] if name.startswith("results/") and name.endswith(".md") else []
-            nav = [{title: page} for title, page in NAV.items()] + [{"Tables": tables}] * bool(tables)
-            config = load_config(str(shared), docs_dir=folder, site_dir=str(new.resolve()), nav=nav)
+            tables = [path.relative_to(docs).as_posix() for path in sorted(docs.glob("results/*.md"))]
+            nav = [*({title: page} for title, page in NAV.items()), *[{"Tables": tables}] * bool(tables)]
+            config = load_config(str(shared), docs_dir=str(docs), site_dir=str(new), nav=nav)
             config.plugins.on_startup(command="build", dirty=False)
             build(config)
             config.plugins.on_shutdown()
-        for dated in ("sitemap.xml", "sitemap.xml.gz"):
-            (new / dated).unlink(missing_ok=True)
-        if out.exists():
-            os.replace(out, old)
-        os.replace(new, out)
+            if out.exists():
+                os.replace(out, old)
+            os.replace(new, out)
     except OSError as error:
         raise InputError("out", out, f"cannot be written ({error.strerror}); name another folder") from None
-    finally:
-        with suppress(OSError):
-            shutil.rmtree(new, ignore_errors=True)
-            shutil.rmtree(old, ignore_errors=True)

@@ -1,20 +1,33 @@
-"""What mkdocs does to every page of a site: the search works from a folder, and has a name for screen readers."""
+"""What mkdocs does to every site: the search works from a folder and has a name, and nothing superfluous stays."""
 
 from __future__ import annotations
 
+import re
+import shutil
 from html import unescape
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
+
+from mkdocs.plugins import event_priority
 
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """Where the theme would load from what lets the search work from a folder (iframe-worker, MIT)."""
 DIALOG = 'data-md-component="search" role="dialog"'
+SUPERFLUOUS = ("sitemap.xml*", "search/search_index.json", "assets/**/*.map", "assets/javascripts/lunr/*")
+"""Files with a date, what only debugging or another language needs, and what the search reads as a script."""
 
 
 def on_config(config: Any, **_: Any) -> Any:
     """Say in the footer of every page whose it is."""
     config.copyright = f"vibration-bench {version('vibration-bench')} · MIT licence · to cite: CITATION.cff"
     return config
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> None:
+    """Leave the numbers of tables out of the search."""
+    if page.file.src_uri.startswith("results/") and page.file.name != "index":
+        page.meta["search"] = {"exclude": True}
 
 
 def on_page_context(context: Any, page: Any, **_: Any) -> Any:
@@ -33,5 +46,15 @@ def on_post_template(output_content: str, template_name: str, **_: Any) -> str:
     return _finished(output_content, "")
 
 
+@event_priority(-200)  # behind the plugin that makes a script of the search's index
+def on_post_build(config: Any, **_: Any) -> None:
+    """Remove what no page uses."""
+    for path in (path for pattern in SUPERFLUOUS for path in Path(config.site_dir).glob(pattern)):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
 def _finished(html: str, root: str) -> str:
-    return html.replace(SHIM, f"{root}static/iframe-worker.js").replace(DIALOG, f'{DIALOG} aria-label="Search"')
+    """A page that asks for nothing elsewhere, without the indentation of the theme's templates."""
+    html = html.replace(SHIM, f"{root}static/iframe-worker.js").replace(DIALOG, f'{DIALOG} aria-label="Search"')
+    parts = re.split(r"(<pre\b.*?</pre>)", html, flags=re.DOTALL)
+    return "".join(part if part.startswith("<pre") else re.sub(r"\s*\n\s*", "\n", part) for part in parts)

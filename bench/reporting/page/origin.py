@@ -1,49 +1,49 @@
-"""Where the cells come from, whether they are current, and what failed."""
+"""Where the stored cells come from, what of them is stale or missing, and what failed."""
 
 from __future__ import annotations
 
 import subprocess
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError
-from bench.reporting.frame import Result
-from bench.reporting.page.reading import decibels
+from bench.reporting.frame import Result, table_experiments
+from bench.reporting.page.words import decibels
 from bench.store.stored import StoredCell
 from bench.store.version import settings_version
 
+LONGEST = 200
+"""Letters of a message that are shown."""
+Lines = list[dict[str, Any]]
+"""Of a table: values by heading."""
 
-def origin(results: Sequence[Result]) -> list[tuple[str, str, str]]:
-    """Lines for the page: name, text, and what is behind it, folded; of several values each with its cells."""
-    cells = [result.stored for result in results if result.stored]
-    packages: dict[str, Counter[str]] = {}
-    for cell in cells:
-        for name, version in (cell.provenance.get("packages") or {}).items():
-            packages.setdefault(name, Counter())[str(version)] += 1
-    commits = Counter(_commit(cell) for cell in cells)
-    moments = sorted(
-        str(cell.provenance[key]) for cell in cells for key in ("started", "finished") if cell.provenance.get(key)
-    )
-    cpu = sum(float(np.nansum(cell.columns.numbers("cpu_s"))) for cell in cells)
-    fits = sum(len(cell.columns) for cell in cells)
-    older = Counter(filter(None, map(changed, cells)))
-    machines = Counter(_machine(cell) for cell in cells)
-    return [
-        ("Results", f"{len(cells):,} cells (a method with its settings on the data sets of a scenario), {fits:,} fits, "
-         f"{cpu / 3600:.1f} hours of processor time", ""),
-        ("Stale", f"{older.total():,} of {len(cells):,} cells were computed by another version of their "
-         "method, system or scoring than today's", _several(older)),
-        ("Computed", f"{_moment(moments[0])} to {_moment(moments[-1])} UTC" if moments else "not recorded", ""),
-        ("Commits", _commits(cells), _several(commits)),
-        ("Machines", str(len(machines)), _several(machines)),
-        ("Packages", ", ".join(sorted(packages)) or "not recorded",
-         ", ".join(f"{name} {_several(found)}" for name, found in sorted(packages.items()))),
-    ]  # fmt: skip
+
+def cells_of(results: Sequence[Result]) -> pd.DataFrame:
+    """A line a cell: fits, processor time (h), where and when it was computed, and which version has changed since."""
+    return pd.DataFrame([_facts(result.stored) for result in results if result.stored])
+
+
+def _facts(cell: StoredCell) -> dict[str, Any]:
+    facts = cell.provenance
+    packages = facts.get("packages") or {}
+    machine = (facts.get("processor"), facts.get("cores"), facts.get("system"), facts.get("python"))
+    return {
+        "identity": cell.identity,
+        "fits": len(cell.columns),
+        "hours": float(np.nansum(cell.columns.numbers("cpu_s"))) / 3600.0,
+        "commit": str(facts.get("commit") or "not recorded") + (" with changes" if facts.get("dirty") else ""),
+        "machine": ", ".join(str(part) for part in machine if part) or "not recorded",
+        "packages": ", ".join(f"{name} {version}" for name, version in sorted(packages.items())) or "not recorded",
+        "started": str(facts.get("started") or "")[:16].replace("T", " "),
+        "changed": changed(cell),
+    }
 
 
 def changed(cell: StoredCell) -> str:
@@ -55,66 +55,52 @@ def changed(cell: StoredCell) -> str:
         return "not installed here"
 
 
-def _commits(cells: Sequence[StoredCell]) -> str:
-    """How many commits, and how many of them the repository of this checkout holds."""
-    named = sorted({str(cell.provenance["commit"]) for cell in cells if cell.provenance.get("commit")})
-    done = None
+def counted(cells: pd.DataFrame, column: str) -> Lines:
+    """The values of a column with their cells and fits, the most frequent first; empty ones are left out."""
+    groups = cells[cells[column] != ""].groupby(column, as_index=False)
+    groups = groups.agg(cells=("fits", "size"), fits=("fits", "sum"))
+    return groups.sort_values(["cells", column], ascending=[False, True]).to_dict("records")
+
+
+def experiments(cells: pd.DataFrame) -> Lines:
+    """Of each experiment of which a cell is stored: its cells, and how many are missing or stale."""
+    stale = dict(zip(cells.identity, cells.changed != "", strict=True))
+    lines = []
+    for name in table_experiments():
+        own = {cell.identity for cell in Experiment(name).cells()}
+        there = own & stale.keys()
+        counts = {"cells": len(own), "missing": len(own - there), "stale": sum(stale[one] for one in there)}
+        lines += [{"experiment": name, **counts}] if there else []
+    return lines
+
+
+def commits_here(cells: pd.DataFrame) -> int | None:
+    """How many of the commits the repository of this checkout holds; None where there is none."""
+    named = sorted({commit.split()[0] for commit in cells.commit if commit != "not recorded"})
     with suppress(OSError):
         command = ["git", "cat-file", "--batch-check"]
-        done = subprocess.run(
-            command, input="\n".join(named), text=True, capture_output=True, cwd=Path(__file__).parent
-        )
-    if done is None or done.returncode:
-        return str(len(named))
-    there = sum(line.split()[1] == "commit" for line in done.stdout.splitlines())
-    return f"{len(named)}, of which this repository holds {there}"
+        here = Path(__file__).parent
+        done = subprocess.run(command, input="\n".join(named), text=True, capture_output=True, cwd=here)
+        if not done.returncode:
+            return sum(line.split()[1] == "commit" for line in done.stdout.splitlines())
+    return None
 
 
-def _moment(text: str) -> str:
-    return text[:16].replace("T", " ")
-
-
-def _commit(cell: StoredCell) -> str:
-    commit = cell.provenance.get("commit")
-    if not commit:
-        return "not recorded"
-    return str(commit)[:12] + (" with changes" if cell.provenance.get("dirty") else "")
-
-
-def _machine(cell: StoredCell) -> str:
-    p = cell.provenance
-    parts = [p.get("processor"), f"{p['cores']} cores" if p.get("cores") else "", p.get("system")]
-    parts.append(f"Python {p['python']}" if p.get("python") else "")
-    return ", ".join(str(part) for part in parts if part) or "not recorded"
-
-
-def _several(found: Counter[str]) -> str:
-    if len(found) == 1:
-        return next(iter(found))
-    return "; ".join(f"{value} ({n} cell{'s' if n > 1 else ''})" for value, n in sorted(found.items()))
-
-
-def unsupported(results: Sequence[Result]) -> list[tuple[int, str, str]]:
-    """What was not tried, since a method cannot take such data: how many fits, method, reason; most frequent first."""
-    counts = Counter(
-        (result.title, message[:200])
+def not_ok(results: Sequence[Result], unsupported: bool) -> Lines:
+    """What failed, or what was not tried since a method cannot take such data: how often, and with what message."""
+    lines = [
+        {"method": result.title, "status": status.value, "message": message[:LONGEST], "scenario": _where(result)}
         for result in results
         for status, message in zip(result.statuses, result.messages, strict=True)
-        if status is Status.UNSUPPORTED
-    )
-    return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))
+        if status is not Status.OK and (status is Status.UNSUPPORTED) == unsupported
+    ]
+    if not lines:
+        return []
+    by = ["method", "message"] if unsupported else ["method", "status", "scenario", "message"]
+    counts = pd.DataFrame(lines).groupby(by, as_index=False).size().rename(columns={"size": "fits"})
+    return counts.sort_values(["fits", *by], ascending=[False, *[True] * len(by)]).to_dict("records")
 
 
-def failures(results: Sequence[Result]) -> list[tuple[int, str, str, str, str]]:
-    """What failed: how often, method, status, scenario's system and noise, message; most frequent first.
-
-    Data that a method cannot take are no failure (:func:`unsupported`).
-    """
-    counts: Counter[tuple[str, str, str, str]] = Counter()
-    for result in results:
-        where = f"{result.system}, {decibels(result.snr_db)} dB"
-        where += f", {result.disturbance.replace('_', ' ')}" if result.disturbance else ""
-        for status, message in zip(result.statuses, result.messages, strict=True):
-            if status not in (Status.OK, Status.UNSUPPORTED):
-                counts[result.title, status.value, where, message[:200]] += 1
-    return sorted(((n, *key) for key, n in counts.items()), key=lambda line: (-line[0], line[1:]))
+def _where(result: Result) -> str:
+    kind = f", {result.disturbance.replace('_', ' ')}" if result.disturbance else ""
+    return f"{result.system}, {decibels(result.snr_db)} dB{kind}"

@@ -1,16 +1,15 @@
-"""Stored cells by scenario: what was asked, of which system, and which experiments' tables show it."""
+"""Stored cells by scenario, and the tables that show them: what every page of the site is made of."""
 
 from __future__ import annotations
 
-import math
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from bench.config.drawn import drawn_scenarios
-from bench.config.experiment import Experiment
 from bench.reporting.family import is_variant
 from bench.reporting.frame import (
     ERROR,
@@ -21,54 +20,34 @@ from bench.reporting.frame import (
     stored_results,
     table_experiments,
 )
+from bench.reporting.page.words import (
+    decibels,
+    disturbed,
+    hashed,
+    prior_words,
+    slug,
+    system_words,
+    table_number,
+    true_values,
+)
 from bench.store.store import Store
 
 DERIVED = ("natural_frequency", "damping_ratio")
 """Quantities that say the same as k/m and c/m once more; they are in the CSVs."""
-SIZES = {
-    "integrator": "relative tolerance {:g}", "jitter": "{:g} of a step", "irregular": "",
-    "coloured": "correlation {:g}", "heavy_tails": "{:g} degrees of freedom", "outliers": "{:g} × the noise",
-    "bias": "{:g} of the signal’s rms", "drift": "{:g} of the signal’s rms at the end", "late_trigger": "{:g} s",
-}  # fmt: skip
-"""What the size of a disturbance is, by kind; of others the bare number is shown."""
 
 
-def disturbed(kind: str, size: float) -> str:
-    """A disturbance and its size with the unit."""
-    said = "" if math.isnan(size) else SIZES.get(kind, "{:g}").format(size)
-    return (f"{kind}, {said}" if said else kind).replace("_", " ")
-
-
-def decibels(snr_db: float) -> str:
-    """A signal-to-noise ratio to a tenth of a decibel."""
-    return f"{round(snr_db, 1):g}"
-
-
-@dataclass(frozen=True)
-class TableOfExperiment:
-    """An experiment that describes a table: its name in ``conf``, the table's number if any, its scenarios' keys."""
-
-    name: str
-    number: int | None
-    scenarios: frozenset[str]
-
-    @property
-    def short(self) -> str:
-        """The number of its table, else its name."""
-        return self.name if self.number is None else str(self.number)
-
-    @property
-    def said(self) -> str:
-        """``Table 3``, else the name."""
-        return self.name if self.number is None else f"Table {self.number}"
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScenarioPanel:
-    """All that is stored of one scenario and seed: one result a label, methods and reference rows alike."""
+    """All that is stored of one scenario and seed: one result a label, methods and reference rows alike.
+
+    ``experiments`` are those that describe a table with it, ``slug`` is its permanent address, ``title`` says what it
+    is in a line that no other has.
+    """
 
     results: tuple[Result, ...]
-    experiments: tuple[TableOfExperiment, ...]
+    experiments: tuple[str, ...] = ()
+    slug: str = ""
+    title: str = ""
 
     @property
     def facts(self) -> Result:
@@ -78,8 +57,7 @@ class ScenarioPanel:
     @property
     def disturbance(self) -> str:
         """What breaks the assumptions; empty where nothing does."""
-        facts = self.facts
-        return disturbed(facts.disturbance, facts.disturbance_size) if facts.disturbance else ""
+        return disturbed(self.facts.disturbance, self.facts.disturbance_size)
 
     @property
     def kind(self) -> str:
@@ -88,7 +66,7 @@ class ScenarioPanel:
         drawn = "truth drawn anew" if facts.truth_drawn else ""
         prior = "no prior" if facts.prior is None else "wrong prior" if facts.prior.get("wrong") else ""
         parts = [self.disturbance, drawn, prior, f"seed {facts.seed}" if facts.seed else ""]
-        return ", ".join(part for part in parts if part) or "undisturbed"
+        return ", ".join(filter(None, parts)) or "undisturbed"
 
     @property
     def plain(self) -> bool:
@@ -100,18 +78,22 @@ class ScenarioPanel:
         """The results of methods; reference rows left out."""
         return tuple(result for result in self.results if not result.is_reference)
 
+    @property
+    def most_sets(self) -> int:
+        """The data sets of the method that has most."""
+        return max((result.n for result in self.methods), default=0)
+
     @cached_property
     def metrics(self) -> tuple[str, ...]:
         """Errors of parameters and groups, and the displacement's, in the order in which the results have them."""
         names = dict.fromkeys(name for result in self.results for name in result.summary)
-        errors = [n for n in names if n.endswith(ERROR) and not n.startswith(DERIVED)]
+        errors = [name for name in names if name.endswith(ERROR) and not name.startswith(DERIVED)]
         return (*errors, *(["rmse"] if "rmse" in names else []))
 
     @cached_property
     def ranked(self) -> tuple[str, ...]:
-        """The metrics that the data decide: what methods can be compared on. Groups first where parameters are not."""
-        told = self.identifiable
-        return tuple(name for name in self.metrics if name == "rmse" or told.get(name.removesuffix(ERROR), True))
+        """The metrics that the data decide: what methods can be compared on."""
+        return tuple(name for name in self.metrics if self.identifiable.get(name.removesuffix(ERROR), True))
 
     @cached_property
     def identifiable(self) -> Mapping[str, bool]:
@@ -123,26 +105,23 @@ class ScenarioPanel:
         """By quantity, the prior's share of the variance at the bound."""
         return {name: share for result in reversed(self.results) for name, share in result.prior_share.items()}
 
-    def title(self) -> str:
-        """One line for people."""
-        special = "" if self.kind == "undisturbed" else f", {self.kind}"
-        facts = self.facts
-        return f"{facts.system}, {decibels(facts.snr_db)} dB, initial state {facts.initial_state}{special}"
+    def bound(self, metric: str) -> float:
+        """The bound on the root mean square of a metric; that of any result that has one."""
+        return next((result.bound(metric) for result in self.results if metric in result.summary), float("nan"))
 
 
 @dataclass(frozen=True)
 class StoreReading:
-    """The store as the page needs it; ``hidden`` results gave way to others of the same label and scenario.
+    """What the site shows of a store.
 
-    ``hidden``: how many times each such label and scenario is there, as text. ``drawn`` are the results of the
-    scenarios that experiments draw, which have no page each.
+    ``stored`` are all of its results, ``drawn`` those of drawn scenarios, which have no page each; ``hidden`` counts
+    those that gave way to others of the same label and scenario, by title.
     """
 
     panels: tuple[ScenarioPanel, ...]
-    results: tuple[Result, ...]
-    experiments: tuple[TableOfExperiment, ...]
+    stored: tuple[Result, ...]
+    drawn: tuple[Result, ...]
     hidden: Mapping[str, int]
-    drawn: tuple[Result, ...] = ()
 
 
 def read(store: Store) -> StoreReading:
@@ -151,42 +130,66 @@ def read(store: Store) -> StoreReading:
     Scenarios that were drawn, hundreds with one data set each, say something together only: they are left to their
     table. So are the variants of a family, dozens of one method.
     """
-    described = [_table(name) for name in table_experiments() if not drawn_scenarios(name)]
-    stored = [result for result in stored_results(store) if not is_variant(result)]
-    results = [result for result in stored if result.question not in drawn_questions()]
-    drawn = tuple(result for result in stored if result.question in drawn_questions())
+    stored = stored_results(store)
+    drawn = [result for result in stored if result.question in drawn_questions()]
+    results = [result for result in stored if result.question not in drawn_questions() and not is_variant(result)]
     grouped = group(results, lambda result: result.question)
-    found = [one for one in described if one.scenarios & set(grouped)]
-    experiments = tuple(sorted(found, key=lambda one: (one.number is None, one.number or 0, one.name)))
-    panels = [_panel(own, [one for one in experiments if key in one.scenarios]) for key, own in grouped.items()]
-    panels.sort(key=_order(experiments))
-    shown = {result for panel in panels for result in panel.results}
-    hidden = Counter(f"{one.title} ({ScenarioPanel((one,), ()).title()})" for one in results if one not in shown)
-    return StoreReading(tuple(panels), tuple(results), experiments, hidden, drawn)
+    tables = {name: questions(name) for name in table_experiments() if not drawn_scenarios(name)}
+    order = sorted(tables, key=lambda name: (table_number(name), name))
+    panels = [_panel(own, [name for name in order if key in tables[name]]) for key, own in grouped.items()]
+    panels.sort(key=lambda panel: _order(panel, order))
+    panels = named(panels)
+    shown = {result.identity for panel in panels for result in panel.results}
+    title = {panel.facts.question: panel.title for panel in panels}
+    gone = (f"{one.title} ({title[one.question]})" for one in results if one.identity not in shown)
+    return StoreReading(tuple(panels), tuple(stored), tuple(drawn), Counter(gone))
 
 
-def _table(name: str) -> TableOfExperiment:
-    """What an experiment describes."""
-    number = Experiment(name).table.get("number")
-    return TableOfExperiment(name, None if number is None else int(number), questions(name))
-
-
-def _panel(results: Sequence[Result], experiments: Sequence[TableOfExperiment]) -> ScenarioPanel:
+def _panel(results: Sequence[Result], experiments: Sequence[str]) -> ScenarioPanel:
     """Of several results of a label, the one of most replicates."""
-    chosen: dict[str, Result] = {}
-    for result in sorted(results, key=lambda one: (-one.n, one.identity)):
-        chosen.setdefault(result.label, result)
+    fewest_first = sorted(results, key=lambda one: (-one.n, one.identity), reverse=True)
+    chosen = {result.label: result for result in fewest_first}
     return ScenarioPanel(tuple(chosen[label] for label in sorted(chosen)), tuple(experiments))
 
 
-def _order(experiments: Sequence[TableOfExperiment]) -> Any:
+def _order(panel: ScenarioPanel, tables: Sequence[str]) -> Any:
     """Tables, other experiments, single cells; then by system, less noise first, start unknown first."""
-    rank = {one.name: i for i, one in enumerate(experiments)}
+    facts, first = panel.facts, tables.index(panel.experiments[0]) if panel.experiments else len(tables)
+    known = facts.initial_state != "unknown"
+    return first, bool(panel.disturbance), facts.system, -facts.snr_db, known, facts.question
 
-    def key(panel: ScenarioPanel) -> tuple[Any, ...]:
-        places = [rank[one.name] for one in panel.experiments]
-        first, facts = min(places, default=len(rank)), panel.facts
-        unknown_first = facts.initial_state != "unknown"
-        return first, bool(panel.disturbance), facts.system, -facts.snr_db, unknown_first, facts.question
 
-    return key
+def named(panels: Iterable[ScenarioPanel]) -> list[ScenarioPanel]:
+    """Scenarios with their titles and permanent addresses, which a link may outlive new results with.
+
+    An address is of system, noise, start and what is special; where another scenario has that already, it ends with a
+    hash of the whole question. Panels come in the order of the tables, so that a scenario of a table keeps the plain
+    address. Scenarios of the same title have in it what tells them apart.
+    """
+    taken: dict[str, str] = {}
+    for panel in panels:
+        facts, special = panel.facts, "" if panel.kind == "undisturbed" else f" {panel.kind}"
+        special = re.sub(r"[^\w .,-]+", "", special, flags=re.ASCII)
+        plain = slug(f"{facts.system} {decibels(facts.snr_db)}db start {facts.initial_state}{special}")
+        taken[facts.question] = hashed(plain, facts.question) if plain in taken.values() else plain
+    alike = group(panels, _title)
+    titles = {panel.facts.question: text for title, own in alike.items() for panel, text in _told_apart(title, own)}
+    return [replace(panel, slug=taken[(key := panel.facts.question)], title=titles[key]) for panel in panels]
+
+
+def _title(panel: ScenarioPanel) -> str:
+    facts, special = panel.facts, "" if panel.kind == "undisturbed" else f"; {panel.kind}"
+    return f"{system_words(facts)}, {decibels(facts.snr_db)} dB, initial state {facts.initial_state}{special}"
+
+
+def _told_apart(title: str, panels: Sequence[ScenarioPanel]) -> Iterable[tuple[ScenarioPanel, str]]:
+    """Scenarios of one title: the first with the title alone, others with those of their facts in which they differ."""
+
+    def facts(one: Result) -> tuple[str, str, str]:
+        length = f"{one.samples} samples in {one.duration:g} s"
+        return length, true_values(one), f"prior: {prior_words(one)}"
+
+    usual = facts(panels[0].facts)
+    for panel in panels:
+        special = [text for text, first in zip(facts(panel.facts), usual, strict=True) if text != first]
+        yield panel, "; ".join((title, *special))

@@ -74,7 +74,7 @@ def advice(words: str, href: str, results: Sequence[Result], panels: Sequence[Sc
 def situation(panel: ScenarioPanel) -> str:
     """Return the name of a scenario's situation; empty where it is of none."""
     facts, model = panel.facts, panel.facts.known_model
-    regime = "regimes" in {table.name for table in panel.experiments}
+    regime = "regimes" in panel.experiments
     if facts.disturbance in WRONG_MODEL:
         return "wrong-model"
     if facts.truth_drawn or model is None or (regime and facts.disturbance):

@@ -1,13 +1,29 @@
-"""Numbers and names as the page shows them."""
+"""Numbers, names and addresses as the site shows them."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from bench.reporting.frame import ERROR
+from scipy.stats import beta
+
+from bench.config.experiment import Experiment
+from bench.reporting.frame import ERROR, Result
+from bench.reporting.ranking import Ranked
 from bench.reporting.rounding import readable
+
+USUAL_DB = 20.0
+"""The SNR (dB) that is shown first: the nearest that there is."""
+LONGEST = 80
+"""Letters of an address."""
+SIZES = {
+    "integrator": "relative tolerance {:g}", "jitter": "{:g} of a step", "irregular": "",
+    "coloured": "correlation {:g}", "heavy_tails": "{:g} degrees of freedom", "outliers": "{:g} × the noise",
+    "bias": "{:g} of the signal’s rms", "drift": "{:g} of the signal’s rms at the end", "late_trigger": "{:g} s",
+}  # fmt: skip
+"""What the size of a disturbance is, by kind; of others the bare number is shown."""
 
 
 def quantity(metric: str) -> str:
@@ -26,24 +42,13 @@ def number(value: float, digits: int = 3) -> str:
         return "–"
     if math.isinf(value):
         return "failed"
-    if value == 0 or 1e-3 <= abs(value) < 1000:
-        return f"{value:.{digits}g}"
-    return f"{value:.{digits - 1}e}"
+    plain = value == 0 or 1e-3 <= abs(value) < 1000
+    return f"{value:.{digits}g}" if plain else f"{value:.{digits - 1}e}"
 
 
 def percent(share: float) -> str:
-    """A share in percent."""
-    return "–" if math.isnan(share) else f"{100 * share:.0f} %"
-
-
-def unbroken(text: str) -> str:
-    """The same, no line of which begins with a percent sign or a unit."""
-    return re.sub(r"(?<=\d) (?=%|dB)", "\u00a0", text)
-
-
-def joined(names: Sequence[str], last: str = "and") -> str:
-    """``a, b and c``."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}" if names else ""
+    """A share in percent to two digits."""
+    return "–" if math.isnan(share) else "100\u00a0%" if share >= 0.995 else f"{100 * share:.2g}\u00a0%"
 
 
 def seconds(value: float) -> str:
@@ -51,3 +56,77 @@ def seconds(value: float) -> str:
     if math.isnan(value):
         return "–"
     return f"{1000 * value:.2g} ms" if value < 0.1 else f"{value:.2g} s" if value < 100 else f"{value:.0f} s"
+
+
+def decibels(snr_db: float) -> str:
+    """A signal-to-noise ratio to a tenth of a decibel."""
+    return f"{round(snr_db, 1):g}"
+
+
+def disturbed(kind: str, size: float) -> str:
+    """A disturbance and its size with the unit; nothing where there is none."""
+    said = "" if math.isnan(size) else SIZES.get(kind, "{:g}").format(size)
+    return (f"{kind}, {said}" if said else kind).replace("_", " ")
+
+
+def system_words(facts: Result) -> str:
+    """What vibrates: how many masses, what is special, and whether a force drives it."""
+    model = facts.known_model
+    n = model.n_dof if model else facts.n_dof or 1
+    masses = "One mass" if n == 1 else f"{n} masses"
+    law = f", nonlinear ({facts.kind.replace('_', ' ')})" if model and not model.linear else ""
+    if facts.added_mass:
+        return f"{masses}{law}, free decays without and with a known added mass"
+    return f"{masses}{law}, {f'driven by a known {facts.force}' if facts.forced else 'free decay'}"
+
+
+def true_values(facts: Result) -> str:
+    """The true parameters, in SI units."""
+    return ", ".join(f"{name} = {number(float(value))}" for name, value in facts.parameters.items())
+
+
+def prior_words(facts: Result) -> str:
+    """How far the nominal values may be off, by kind of parameter."""
+    if facts.prior is None:
+        return "none"
+    kinds = {parameter.kind for parameter in facts.known_model.parameters} if facts.known_model else set(facts.prior)
+    widths = [f"{kind} {100 * float(facts.prior[kind]):g} %" for kind in facts.prior if kind in kinds - {"wrong"}]
+    wrong = "; deliberately three standard deviations off" if facts.prior.get("wrong") else ""
+    return f"nominal values, off by about: {', '.join(widths)}{wrong}"
+
+
+def at_most(row: Ranked) -> float:
+    """The upper end of the one-sided 95 % interval of the share of lost fits (C. J. Clopper, E. S. Pearson, 1934)."""
+    return 1.0 if row.lost == row.fits else float(beta.ppf(0.95, row.lost + 1, row.fits - row.lost))
+
+
+def table_number(experiment: str) -> float:
+    """The number of the table that an experiment describes; infinite where it has none."""
+    return float(Experiment(experiment).table.get("number", math.inf))
+
+
+def table_name(experiment: str) -> str:
+    """``Table 3``, or the name of an experiment whose table has no number."""
+    number = table_number(experiment)
+    return f"Table {number:.0f}" if math.isfinite(number) else experiment
+
+
+def slug(name: str) -> str:
+    """A name as part of an address: lower case, digits, ``-`` and ``_``; what loses letters gets a hash of the name."""
+    plain = re.sub(r"[^a-z0-9_.]+", "-", name.lower()).strip("-.")[:LONGEST]
+    whole = re.fullmatch(r"[\w .,=()-]+", name, re.ASCII) and plain and len(name) <= LONGEST
+    return plain if whole else hashed(plain, name)
+
+
+def hashed(plain: str, name: str) -> str:
+    """An address that ends with a hash of the whole name."""
+    return f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}".lstrip("-")
+
+
+def slugs(names: Sequence[str]) -> Mapping[str, str]:
+    """The addresses of several names, all different."""
+    found: dict[str, str] = {}
+    for name in names:
+        own = slug(name)
+        found.setdefault(name, hashed(own, name) if own in found.values() else own)
+    return found
