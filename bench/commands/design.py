@@ -89,7 +89,7 @@ def design(
 
     With samples= and duration=: the errors of that test.
     """
-    from bench.reporting.plans.free_decay import decay_page, errors_of, proposals
+    from bench.reporting.plans import decay_page, errors_of, proposals
 
     request = _request(want, frequency, damping, noise, method, verify)
     start = None if amplitude is None else amplitude / noise
@@ -122,7 +122,7 @@ def best_times(
 ) -> int:
     """Find the best sampling times of a free decay, beside even ones."""
     from bench.planning.free_decay import Decay
-    from bench.reporting.plans.free_decay import times_page
+    from bench.reporting.plans import times_page
 
     request = _request(want, frequency, damping, noise, method, verify, out)
     text, times = times_page(request, Decay(samples, duration, amplitude / noise))
@@ -143,7 +143,7 @@ def best_force(
     verify: Verify = 0,
 ) -> int:
     """Find the best force of a given energy, from rest, beside a hammer blow, noise and an even multisine."""
-    from bench.reporting.plans.forced import forced_test, forces_page
+    from bench.reporting.plans import forced_test, forces_page
 
     request = _request(want, frequency, damping, noise, method, verify, out)
     test, size = forced_test(request, samples, duration, energy, mass)
@@ -162,7 +162,7 @@ def longer(
     from bench.config.atlas import on_the_bound
     from bench.config.overrides import read_overrides
     from bench.planning.taken import taken
-    from bench.reporting.plans.longer import longer_page
+    from bench.reporting.plans import longer_page
 
     try:
         measured = taken(read_overrides([f"data={given}", f"method={method or on_the_bound()[0]}", *record]))
@@ -185,7 +185,7 @@ def expected(
     """State the errors that each method is expected to have at a free decay, from the atlas."""
     from bench.atlas.model import ensembles
     from bench.atlas.point import FreeDecay
-    from bench.reporting.plans.expected import expected_page, read_atlas
+    from bench.reporting.plans import expected_page, read_atlas
 
     ensembles()  # before the work, where the package is missing
     if atlas == ATLAS and not atlas.exists():  # in another folder than the clone
@@ -212,7 +212,7 @@ def _request(
     """Return the request; raises InputError, before any work, where it cannot be met or its file not be written."""
     from bench.config.atlas import on_the_bound
     from bench.planning.search import Likely
-    from bench.reporting.plans.request import PlanRequest
+    from bench.reporting.plans import PlanRequest
     from bench.reporting.whole_file import check_file
 
     if damping[0] >= 1.0:

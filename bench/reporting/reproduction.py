@@ -206,7 +206,7 @@ WEIGHING = 1.96
 def written(data: pd.DataFrame, ratios: pd.DataFrame, base: Mapping[Place, Cell]) -> dict[str, str]:
     """The page and its numbers, by name."""
     scenario, consistent = next(iter(base.values())).scenario, consistency(base)
-    parts = [
+    parts: list[str | Rows] = [
         PAGE.format(**_page_numbers(data, ratios, scenario)),
         _moves(data),
         RATIOS,

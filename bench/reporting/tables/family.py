@@ -160,7 +160,7 @@ def family_table(frame: Frame) -> Mapping[str, str]:
         return {}
     family = family_of(frame)
     notes = failure_notes(replace(cell, label=v.title) for v in family.variants for cell in v.cells.values())
-    parts = [
+    parts: list[str | Rows] = [
         f"# {frame.title}",
         _legend(family),
         f"Regenerate: `python -m bench -m experiment={frame.experiment}`, then `python -m bench tables`.",

@@ -1,0 +1,302 @@
+"""What plans of tests say: a table of tests, times, forces or methods with their errors, and what it means."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bench.atlas.model import AtlasModel, unknown
+from bench.atlas.point import FreeDecay
+from bench.config.atlas import on_the_bound
+from bench.contract.method import Identifier
+from bench.entrants.registry import load_method
+from bench.errors import InputError
+from bench.planning.forced import FORCED_QUANTITIES, ForcedTest
+from bench.planning.forces import LEAST_LINES, Forces, line_frequencies
+from bench.planning.forces import told_by as told_by_force
+from bench.planning.free_decay import QUANTITIES, Decay
+from bench.planning.longer import Taken
+from bench.planning.multisine import ALL
+from bench.planning.optimal import VOLUME, best_times, told_by
+from bench.planning.search import LEAST_RATE, SHARE, WITHIN, Likely, ProposedTest, cheapest, proposal
+from bench.planning.verify import counted, reached, simulated, simulated_forced
+from bench.reporting.atlas import RARE, point_frame
+from bench.reporting.terminal import table, wrapped
+
+Simulation = Callable[[Identifier, int, Callable[[], object]], np.ndarray]
+"""Errors of a test that is simulated: called with a method, a number of tests, and what to call after each."""
+Row = dict[str, str]
+"""By heading, what stands in a row."""
+TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency", "damping_ratio": "damping ratio"}
+AMPLITUDES = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+"""Initial displacements that are proposed where none is given, in units of the noise."""
+FACTORS, REPEATS = (1.25, 1.5, 2.0, 3.0), (2, 4)
+"""Multiples of a record's duration, and numbers of records alike, that are shown."""
+WRITTEN = "a file that python -m bench -m experiment=atlas has written"
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """A quantity wanted to an ``error`` (of its logarithm), of a likely oscillator, from samples with ``noise`` (m).
+
+    Each proposed test is simulated ``simulations`` times and fitted by ``method``.
+    """
+
+    quantity: str
+    error: float
+    likely: Likely
+    noise: float
+    method: str
+    simulations: int
+
+    @property
+    def title(self) -> str:
+        """Name the wanted quantity."""
+        return TITLES[self.quantity]
+
+    @property
+    def median(self) -> str:
+        """Say what a percentage is, where more than one oscillator is likely."""
+        return ", median over the likely oscillators" if self.likely.in_doubt else ""
+
+    def simulate(
+        self, rows: Sequence[Row], heading: str, tests: Sequence[Simulation], text: Callable[[np.ndarray], str]
+    ) -> None:
+        """Add a column with what simulated tests have, where simulations are wanted."""
+        from bench.engine.progress import counter
+        from bench.entrants.registry import make_method
+
+        if self.simulations:
+            method = make_method(self.method, {})
+            with counter("test", self.simulations * len(tests)) as advance:
+                for row, test in zip(rows, tests, strict=True):
+                    row[heading] = text(test(method, self.simulations, advance))
+
+    def simulate_decays(
+        self, rows: Sequence[Row], decays: Sequence[Decay], times: Sequence[np.ndarray | None] = ()
+    ) -> None:
+        """Add the share of simulated decays, sampled at ``times`` if any, that reach the wanted error."""
+
+        def simulation(decay: Decay, sampled: np.ndarray | None) -> Simulation:
+            return partial(simulated, self.likely, decay, self.quantity, times=sampled)
+
+        tests = [simulation(*test) for test in zip(decays, times or [None] * len(decays), strict=True)]
+        self.simulate(rows, "simulated, %", tests, lambda errors: f"{100 * reached(errors, self.error):.1f}")
+
+
+def percent(value: float) -> str:
+    """Write an error in percent; a dash where there is none."""
+    shown = 100 * value
+    return "-" if not math.isfinite(value) else f"{shown:.0f}" if shown >= 10 else f"{shown:.2g}"
+
+
+def _errors(errors: Mapping[str, float], names: Iterable[str] = QUANTITIES) -> Row:
+    """Errors (%) by heading."""
+    return {f"{TITLES.get(name, name)}, %": percent(errors[name]) for name in names}
+
+
+def _page(rows: Sequence[Row], *notes: str, words: Collection[int] = (0,)) -> str:
+    """Rows as a table, and below it what they mean."""
+    shown = table([list(row.values()) for row in rows], list(rows[0]), words)
+    return "\n".join([shown, "", *(wrapped(note, "") for note in notes)])
+
+
+# ---- free decays
+
+
+def proposals(request: PlanRequest, amplitude: float | None, rate: float) -> list[ProposedTest]:
+    """Return the free decay of fewest samples for each initial displacement (in units of the noise) that has one."""
+    amplitudes = AMPLITUDES if amplitude is None else (amplitude,)
+    tests = [cheapest(request.likely, request.quantity, request.error, start, rate) for start in amplitudes]
+    return [test for test in tests if test is not None]
+
+
+def errors_of(request: PlanRequest, amplitude: float | None, samples: int, duration: float) -> list[ProposedTest]:
+    """Return what a given test reaches from each initial displacement."""
+    amplitudes = AMPLITUDES if amplitude is None else (amplitude,)
+    return [proposal(request.likely, Decay(samples, duration, start)) for start in amplitudes]
+
+
+def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
+    """Return a table of tests with their errors, and what it means."""
+    rows = []
+    for test in tests:
+        decay, rest = test.decay, {}
+        for name, share in test.share.items():
+            same = math.isclose(test.median[name], share, rel_tol=1e-3)
+            rest[f"{TITLES[name]}, %"] = percent(test.median[name]) + ("" if same else f" ({percent(share)})")
+        rows.append(
+            {
+                "initial, mm": f"{1e3 * request.noise * decay.amplitude:.3g}", "samples": f"{decay.samples}",
+                "duration, s": f"{decay.duration:.3g}", "rate, 1/s": f"{(decay.samples - 1) / decay.duration:.3g}",
+                **rest, "wrong frequency, %": f"{100 * test.wrong_basin:.1g}",
+            }
+        )  # fmt: skip
+    request.simulate_decays(rows, [test.decay for test in tests])
+    doubt = f" (median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)"
+    text = (
+        "Each line is the test of fewest samples for its initial displacement, released from rest; percentages are "
+        f"standard deviations by the Cramér-Rao bound{doubt if request.likely.in_doubt else ''}. "
+        f"Methods that reach it: {', '.join(on_the_bound())}."
+    )
+    if request.simulations:
+        text += (
+            f" simulated: of {request.simulations} tests, fitted by {request.method}, those whose error of "
+            f"{request.title} is within {WITHIN:g} times the wanted one; 95 % where it is just reached."
+        )
+    return _page(rows, text, words=())
+
+
+def times_page(request: PlanRequest, decay: Decay) -> tuple[str, np.ndarray]:
+    """Return a table that compares even sampling times with the best ones, and the best for the wanted quantity (s)."""
+    best = f"best for {request.title}"
+    compared = {
+        "even": told_by(request.likely, decay.times, decay.amplitude),
+        best: best_times(request.likely, decay, request.quantity),
+        "best for k/m and c/m": best_times(request.likely, decay, VOLUME),
+    }
+    rows = [{"times": title, **_errors(sampled.median)} for title, sampled in compared.items()]
+    request.simulate_decays(rows, [decay] * len(compared), [sampled.times for sampled in compared.values()])
+    times = compared[best].times
+    meaning = f"Percentages are standard deviations by the Cramér-Rao bound{request.median}."
+    return _page(rows, f"Best for {request.title} (s): {_bursts(times, decay)}.", meaning), times
+
+
+def _bursts(times: np.ndarray, decay: Decay) -> str:
+    """Write consecutive sampling times as one burst."""
+    gap = 0.5 * decay.duration / (decay.samples - 1)
+    bursts = np.split(times, 1 + np.flatnonzero(np.diff(times) > gap))
+    return ", ".join(f"{b[0]:.3g}" if b.size == 1 else f"{b.size} from {b[0]:.3g} to {b[-1]:.3g}" for b in bursts)
+
+
+def longer_page(record: Taken, quantity: str | None, error: float) -> str:
+    """Return a table of longer and repeated records, and what it takes to reach a wanted error, if one is wanted."""
+    lines = [("as it is", record.duration, record.supported)]
+    lines += [(f"{factor:g} times as long", factor * record.duration, record.expected(factor)) for factor in FACTORS]
+    lines += [(f"{n} records alike", n * record.duration, record.repeated(n)) for n in REPEATS]
+    rows = [{"record": title, "seconds": f"{seconds:.3g}", **_errors(errors)} for title, seconds, errors in lines]
+    meaning = (
+        "Percentages are standard errors; those of the record are what it supports, the others follow by ratios of "
+        "Cramér-Rao bounds. A longer record continues at the same sampling rate."
+    )
+    return _page(rows, meaning, *([_until(record, quantity, error)] if quantity else []))
+
+
+def _until(record: Taken, quantity: str, error: float) -> str:
+    """Say what it takes to reach a wanted error."""
+    title, factor = TITLES[quantity], record.factor_for(quantity, error)
+    now = percent(record.supported[quantity])
+    if factor == 1.0:
+        return f"The record determines {title} to {now} %, which is enough."
+    again = f"{record.number_for(quantity, error)} records like it do"
+    if factor is None:
+        return f"No longer record determines {title} to {100 * error:g} %: the motion has died away; {again}."
+    more = f"{(factor - 1.0) * record.duration:.2g} s more bring {title} from {now} to {100 * error:g} %"
+    return f"{more}; {again} as well."
+
+
+# ---- tests under a measured force
+
+
+def forced_test(
+    request: PlanRequest, samples: int, duration: float, energy: float, mass: float
+) -> tuple[ForcedTest, float]:
+    """Return a test, and the force (N) of one unit of the plan; raises InputError for a test that is too short."""
+    size = mass * request.noise
+    test = ForcedTest(samples, duration, energy / size**2)
+    least = math.ceil(LEAST_RATE * request.likely.fastest * duration) + 1
+    if samples < least:
+        fastest = f"{LEAST_RATE:g} a cycle of {request.likely.fastest:.3g} Hz"
+        raise InputError("samples", samples, f"at least {least}: {fastest}")
+    if line_frequencies(request.likely, test).size < LEAST_LINES:
+        raise InputError("duration", f"{duration:g}", f"longer: at least {LEAST_LINES} lines below the band's end")
+    return test, size
+
+
+def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: float) -> tuple[str, np.ndarray]:
+    """Return a table of forces with their errors, and the best force (N) for the wanted quantity."""
+    forces, quantity, title = Forces(request.likely, test), request.quantity, request.title
+    compared = {
+        "hammer blow": forces.hammer_blow(),
+        "band-limited noise": forces.noise(quantity),
+        "even multisine": forces.even_multisine(quantity),
+        f"best pulse for {title}": forces.best_pulse(quantity),
+        f"best multisine for {title}": forces.best_multisine(quantity),
+        f"best for {title}": forces.best(quantity),
+        "best for m, c and k": forces.best(ALL),
+    }
+    told = {name: told_by_force(request.likely, test, force) for name, force in compared.items()}
+    best = told[f"best for {title}"]
+    rows = [
+        {
+            "force": name, "peak, N": f"{size * float(np.abs(force.force).max()):.3g}",
+            **_errors(force.median, FORCED_QUANTITIES),
+            "over the best": f"{force.median[quantity] / best.median[quantity]:.2f}",
+        }
+        for name, force in told.items()
+    ]  # fmt: skip
+
+    def simulation(force: np.ndarray) -> Simulation:
+        return partial(simulated_forced, request.likely, test, force, quantity)
+
+    tests = [simulation(force.force) for force in told.values()]
+    request.simulate(rows, "counted, %", tests, lambda errors: percent(counted(errors)))
+    notes = [
+        f"Each force has the energy {energy:g} N² s and starts from an unknown state of rest; it is measured with the "
+        "motion. Percentages are standard deviations by the Cramér-Rao bound of the finite record, with its "
+        f"transient{request.median}. Over the best: ratio of the errors of {title}."
+    ]
+    if request.simulations:
+        notes.append(
+            f"Counted: the standard deviation of {title} in {request.simulations} simulated tests, fitted by "
+            f"{request.method}, by the median size of their errors."
+        )
+    return _page(rows, *notes), size * best.force
+
+
+# ---- what each method is expected to do at a free decay, from the atlas and its model
+
+
+def read_atlas(path: Path, quantity: str) -> pd.DataFrame:
+    """Read the atlas; raises InputError for a file that is none, or is not of this quantity."""
+    try:
+        atlas = pd.read_csv(path)
+    except (OSError, ValueError, EOFError, zlib.error):
+        raise InputError("atlas", path, WRITTEN) from None
+    if not {"method", f"{quantity}_core", f"{quantity}_gross"} <= set(atlas):
+        raise InputError("atlas", path, WRITTEN)
+    return atlas
+
+
+def expected_page(point: FreeDecay, atlas: pd.DataFrame, quantity: str) -> str:
+    """Return a table of methods with their expected errors; raises InputError for an atlas with too few points."""
+    frame = point_frame(point)
+    if why := unknown(frame, quantity):
+        return wrapped(f"The atlas does not cover this test: {why}.")
+    rows = []
+    for name, fits in atlas.groupby("method", sort=False):
+        try:
+            answer = AtlasModel(fits, quantity).expected(frame)[0]
+        except ValueError:  # too few points of this method
+            continue
+        low, middle, high = answer.excess
+        spread = "-" if math.isnan(middle) else f"{middle:.2f} ({low:.2f} to {high:.2f})"
+        order = (answer.gross > RARE, middle if math.isfinite(middle) else math.inf)
+        row = {"method": load_method(str(name)).card.title, "error over the bound (range)": spread}
+        rows.append((order, {**row, "gross errors, %": f"{100 * answer.gross:.1f}"}))
+    if not rows:
+        raise InputError("atlas", "", "an atlas with more points of some method")
+    bound, wrong = float(frame[f"bound_{quantity}"].iloc[0]), float(frame.wrong_basin.iloc[0])
+    meaning = (
+        f"The bound on the standard deviation of {TITLES[quantity]} is {100 * bound:.2g} %; in {100 * wrong:.2g} % of "
+        "such records the likelihood is largest at a wrong frequency. Errors are those of fits without a gross error, "
+        "with the range of eight in ten tests like this; a gross error is beyond five times the bound."
+    )
+    return _page([row for _, row in sorted(rows, key=lambda pair: pair[0])], meaning)

@@ -1,1 +1,0 @@
-"""Pages of tests that are planned, and of what each method is expected to do at one."""
