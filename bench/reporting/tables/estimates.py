@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -18,7 +18,8 @@ from bench.reporting.rounding import answered, excess_text, number, percent, per
 from bench.reporting.tables.pooling import lower_median, root_mean_square
 from bench.reporting.tables.render import (
     MISSING,
-    Rows,
+    Columns,
+    Panel,
     TableForm,
     Texts,
     bold,
@@ -26,9 +27,8 @@ from bench.reporting.tables.render import (
     failure_notes,
     measured,
     named,
-    panel,
-)
-from bench.reporting.tables.tidy import line, tidy_lines
+)  # fmt: skip
+from bench.reporting.tables.tidy import line_of, tidy_lines
 from bench.scoring.calibration import calibration, together
 from bench.scoring.statistics import counts
 from bench.scoring.summary import gross
@@ -44,22 +44,22 @@ DASH = "A dash: the method does not tell it, or the experiment does not ask for 
 # ---- what several tables show
 
 
-def covered(one: Line, digits: int = 0) -> str:
+def covered(line: Line, digits: int = 0) -> str:
     """The share of the 95 % intervals that held the truth, with its interval."""
-    return percent_between(one["coverage_95"], one["low_95"], one["high_95"], digits)
+    return percent_between(line["coverage_95"], line["low_95"], line["high_95"], digits)
 
 
-def bounded(one: Line) -> str:
+def bounded(line: Line) -> str:
     """The bound, and how much of it is the prior's."""
-    if not math.isfinite(one["bound"]):
+    if not math.isfinite(line["bound"]):
         return "not told"
-    share = percent(one["prior_share"])
-    return number(one["bound"]) + (f" ({share} % prior)" if share not in ("0", MISSING) else "")
+    share = percent(line["prior_share"])
+    return number(line["bound"]) + (f" ({share} % prior)" if share not in ("0", MISSING) else "")
 
 
 def results_of(lines: Iterable[Line]) -> list[Result]:
     """The results of lines, each once."""
-    return list(dict.fromkeys(one["result"] for one in lines))
+    return list(dict.fromkeys(line["result"] for line in lines))
 
 
 def failures(lines: Sequence[Line]) -> list[str]:
@@ -69,12 +69,12 @@ def failures(lines: Sequence[Line]) -> list[str]:
 
 def fits(lines: Sequence[Line]) -> Texts:
     """The median time, what was told beyond the data, and how many fits gave an answer at each noise level."""
-    own = results_of(lines)
+    results = results_of(lines)
     if lines[0]["method"] == "bound":
         return {}
     return {
-        "time (s)": seconds(median_time(own)), "uses": uses(own[0]),
-        "ok": ", ".join(dict.fromkeys(answered(one.n_ok, one.n) for one in own)),
+        "time (s)": seconds(median_time(results)), "uses": uses(results[0]),
+        "ok": ", ".join(dict.fromkeys(answered(result.n_ok, result.n) for result in results)),
     }  # fmt: skip
 
 
@@ -89,14 +89,14 @@ def uses(result: Result) -> str:
     return ", ".join(word for word in told(result.method).split(", ") if there.get(word.partition(" ")[0], True))
 
 
-def place(one: Line) -> Texts:
+def place(line: Line) -> Texts:
     """The method and the noise level of a line."""
-    return {**named(one), "SNR (dB)": f"{one['snr_db']:g}"}
+    return {**named(line), "SNR (dB)": f"{line['snr_db']:g}"}
 
 
-def start(one: Line) -> str:
+def start(line: Line) -> str:
     """The reading of the initial state."""
-    return f"Initial state {one['initial_state']}"
+    return f"Initial state {line['initial_state']}"
 
 
 # ---- Tables 2 to 5: every method beside the paper's numbers
@@ -113,14 +113,14 @@ def paper_lines(frame: Frame) -> list[Line]:
     lines: list[Line] = []
     scenarios = set[str]()
     columns = ("system", "initial_state", "snr_db", "metric", "bound", "prior_share")
-    for one in tidy_lines(frame, scored, PAPER_COLUMNS):
-        result = one["result"]
+    for line in tidy_lines(frame, scored, PAPER_COLUMNS):
+        result = line["result"]
         if result.stored and result.question not in scenarios:
             scenarios.add(result.question)
-            head = {"table": one["table"], "row": one["row"], "method": "bound"}
+            head = {"table": line["table"], "row": line["row"], "method": "bound"}
             metrics = [metric for metric in result.summary if math.isfinite(result.bound(metric))]
-            lines += [{**head, **line(result, metric, columns)} for metric in metrics]
-        lines.append({**one, "prior_share": math.nan})  # it is the bound's
+            lines += [{**head, **line_of(result, metric, columns)} for metric in metrics]
+        lines.append({**line, "prior_share": math.nan})  # it is the bound's
     return lines
 
 
@@ -129,27 +129,25 @@ def scored(result: Result) -> list[str]:
     return [metric for metric in result.summary if metric != "realised_snr_db"] or list(HEADINGS)
 
 
-def paper_row(one: Line) -> Texts:
+def paper_row(line: Line) -> Texts:
     """The row of the paper's table, where it has several, and the method."""
-    first = {4: "set", 5: "SNR (dB)"}.get(one["table"])
-    return {**({first: one["row"]} if first else {}), **named(one)}
+    first = {4: "set", 5: "SNR (dB)"}.get(line["table"])
+    return {**({first: line["row"]} if first else {}), **named(line)}
 
 
-def paper_entry(one: Line) -> Texts:
+def paper_entry(line: Line) -> Texts:
     """A median with its excess, and the paper's number, whose reading is the known start."""
-    if one["metric"] not in HEADINGS:
-        return {}
-    if one["method"] == "bound":
-        return {HEADINGS[one["metric"]]: bounded(one)}
-    beside = f" (paper {number(one['paper'])})" if one["paper"] > 0 and one["initial_state"] == "known" else ""
-    return {HEADINGS[one["metric"]]: bold(with_excess(one["median"], one["excess"]) + beside, one["tied"])}
+    if line["method"] == "bound":
+        return {HEADINGS[line["metric"]]: bounded(line)}
+    beside = f" (paper {number(line['paper'])})" if line["paper"] > 0 and line["initial_state"] == "known" else ""
+    return {HEADINGS[line["metric"]]: bold(with_excess(line["median"], line["excess"]) + beside, line["tied"])}
 
 
 def paper_last(lines: Sequence[Line]) -> Texts:
     """The share of the mean square error of k/m and of c/m that is bias, and the rest."""
     if lines[0]["method"] == "bound":
         return {}
-    shares = [percent(one["bias_share"]) for one in lines if one["metric"] in list(HEADINGS)[:2]]
+    shares = [percent(line["bias_share"]) for line in lines if line["metric"] in list(HEADINGS)[:2]]
     return {"bias² %": ", ".join(shares), **fits(lines)}
 
 
@@ -166,8 +164,14 @@ share of the mean square errors of k/m and c/m that is the square of their mean 
 average out (less what chance makes of no bias). Time: processor time of the median fit. Uses: what a method was told
 beyond the data; *prior after*: by one step that all such methods share. In brackets the paper's number: the verdicts on
 it are in the CSV, and what they rest on in [the reproduction](reproduction.md). All 95 % intervals are in the CSV.""",
-    columns=PAPER_COLUMNS, lines=paper_lines, section=start, row=paper_row, entry=paper_entry, last=paper_last,
-    order=lambda one: [*HEADINGS, one["metric"]].index(one["metric"]), beside=failures, latex=True,
+    columns=PAPER_COLUMNS, lines=paper_lines, section=start,
+    panels=(
+        Panel(
+            paper_entry, paper_row, paper_last, of=lambda line: line["metric"] in HEADINGS,
+            order=lambda line: list(HEADINGS).index(line["metric"]),
+        ),
+    ),
+    notes=failures, latex=True,
 )  # fmt: skip
 
 
@@ -180,9 +184,9 @@ FEWEST, COUNTED = 20, 5
 def calibration_lines(frame: Frame) -> list[Line]:
     """One line a method, noise, start and quantity; the tests of all of them are adjusted together."""
     lines = [calibrated(result, name) for result in frame if result.stored for name in ("k_over_m", "c_over_m")]
-    judged = [one for one in lines if one["n"] >= FEWEST]
-    for one, found in zip(judged, together([one["alone"] for one in judged]), strict=True):
-        one["verdict"] = found.verdict
+    judged = [line for line in lines if line["n"] >= FEWEST]
+    for line, found in zip(judged, together([line["alone"] for line in judged]), strict=True):
+        line["verdict"] = found.verdict
     return list(lines)
 
 
@@ -190,18 +194,22 @@ def calibrated(result: Result, name: str) -> dict[str, Any]:
     """Coverage and normal scores of a quantity, without a verdict."""
     levels, inside = (result.scores(score) for score in (f"{name}_pit", "band_inside_95"))
     levels, inside = levels[~np.isnan(levels)], inside[~np.isnan(inside)]
-    head = line(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity"))
+    head = line_of(result, name + ERROR, ("method", "initial_state", "snr_db", "quantity"))
     head |= {"n": levels.size, "verdict": MISSING, "band_95": float(np.mean(inside)) if inside.size else math.nan}
     if levels.size < COUNTED:
         return head | dict.fromkeys(("coverage_95", "low_95", "high_95", "rms_z"), math.nan)
     alone = calibration(levels)
-    shares = {f"coverage_{round(100 * own.level)}": own.share for own in alone.coverage}
+    shares = {f"coverage_{round(100 * part.level)}": part.share for part in alone.coverage}
     return {
         **head, **shares, "low_95": alone.coverage[-1].low, "high_95": alone.coverage[-1].high, "alone": alone,
         "mean_z": alone.mean_z, "rms_z": alone.rms_z, "uniform_p": alone.p_values[2],
     }  # fmt: skip
 
 
+CALIBRATED: Columns[Line] = {
+    "95 %": partial(covered, digits=1), "RMS of z": lambda line: excess_text(line["rms_z"]),
+    "verdict": lambda line: line["verdict"],
+}  # fmt: skip
 CALIBRATION = TableForm(
     legend=f"""{COVERAGE} z is the truth's normal score under the belief, cut at 6: of mean 0 and root mean square (RMS)
 1 if the belief is calibrated; an RMS of 2 means intervals half as wide as the errors ask for, bias included: too sure;
@@ -214,15 +222,13 @@ displacement lies in the method's own 95 % band. A dash: the method states no un
         "method", "initial_state", "snr_db", "quantity", "n", "coverage_50", "coverage_80", "coverage_95", "low_95",
         "high_95", "mean_z", "rms_z", "uniform_p", "verdict", "band_95",
     ),
-    lines=calibration_lines, section=start, row=place,
-    entry=each(
-        measured,
-        {
-            "95 %": partial(covered, digits=1), "RMS of z": lambda one: excess_text(one["rms_z"]),
-            "verdict": lambda one: one["verdict"],
-        },
+    lines=calibration_lines, section=start,
+    panels=(
+        Panel(
+            each(measured, CALIBRATED), place,
+            lambda lines: {"band 95 %": percent(lines[0]["band_95"], 1), "n": str(lines[0]["n"])},
+        ),
     ),
-    last=lambda own: {"band 95 %": percent(own[0]["band_95"], 1), "n": str(own[0]["n"])},
     digits=5,
 )  # fmt: skip
 
@@ -242,7 +248,7 @@ def misspecified_lines(frame: Frame) -> list[Line]:
     noticed = coloured(frame.results)
     return [
         {
-            **line(result, name + ERROR), "wrong": wrong(result), "said": said(result),
+            **line_of(result, name + ERROR), "wrong": wrong(result), "said": said(result),
             "median_error_pct": result.statistic(name + ERROR, "median"),
             "coloured": np.mean(noticed[result.identity]) if np.size(noticed.get(result.identity, ())) else math.nan,
         }
@@ -258,6 +264,10 @@ def said(result: Result) -> float:
     return float(np.mean([not ok or bool(message) for ok, message in zip(result.ok, result.messages, strict=True)]))
 
 
+UNDER_ERROR: Columns[Line] = {
+    "error %": lambda line: with_excess(line["median_error_pct"], line["excess"]),
+    "bias %": lambda line: number(line["bias_pct"]), "95 %": covered,
+}  # fmt: skip
 MISSPECIFIED = TableForm(
     legend=f"""What is fitted is one mass with a viscous damper and a linear spring; the data are of something else, or
 the nominal values are off by three standard deviations. Errors are against what truth and model have in common: the
@@ -272,20 +282,17 @@ alarms). {ORACLE} It has the same wrong model. {DASH}""",
         "coverage_95", "low_95", "high_95", "said", "coloured", "n_ok", "n",
     ),
     lines=misspecified_lines,
-    section=lambda one: f"Wrong: {one['wrong'].replace('_', ' ')}; initial state {one['initial_state']}",
-    row=place,
-    entry=each(
-        measured,
-        {
-            "error %": lambda one: with_excess(one["median_error_pct"], one["excess"]),
-            "bias %": lambda one: number(one["bias_pct"]), "95 %": covered,
-        },
+    section=lambda line: f"Wrong: {line['wrong'].replace('_', ' ')}; initial state {line['initial_state']}",
+    panels=(
+        Panel(
+            each(measured, UNDER_ERROR), place,
+            lambda lines: {
+                "said %": percent(lines[0]["said"]), "residuals %": percent(lines[0]["coloured"]),
+                "ok": answered(lines[0]["n_ok"], lines[0]["n"]),
+            },
+        ),
     ),
-    last=lambda own: {
-        "said %": percent(own[0]["said"]), "residuals %": percent(own[0]["coloured"]),
-        "ok": answered(own[0]["n_ok"], own[0]["n"]),
-    },
-    beside=failures, own=lambda result: wrong(result) != RIGHT,
+    notes=failures, own=lambda result: wrong(result) != RIGHT,
 )  # fmt: skip
 
 
@@ -324,36 +331,28 @@ def robustness_lines(frame: Frame) -> list[Line]:
         for metric in PANELS:
             beside, ratios = {}, (math.nan,) * 3
             if plain:
-                beside = {f"{name}_undisturbed": value for name, value in line(plain, metric, BESIDE).items()}
+                beside = {f"{name}_undisturbed": value for name, value in line_of(plain, metric, BESIDE).items()}
             if plain and plain.stored and result.stored:
                 ratios = ratio(result.errors(metric), plain.errors(metric))
             named_ratios = dict(zip(("ratio", "ratio_low", "ratio_high"), ratios, strict=True))
-            lines.append({**line(result, metric), **beside, **named_ratios})
+            lines.append({**line_of(result, metric), **beside, **named_ratios})
     return lines
 
 
-def disturbed(one: Line) -> str:
+def disturbed(line: Line) -> str:
     """The disturbance of a line, which heads its column."""
-    name = "undisturbed" if one["disturbance"] == "none" else one["disturbance"].replace("_", " ")
-    return name + (" (start known)" if one["initial_state"] == "known" else "")
+    name = "undisturbed" if line["disturbance"] == "none" else line["disturbance"].replace("_", " ")
+    return name + (" (start known)" if line["initial_state"] == "known" else "")
 
 
-def robustness_entry(one: Line) -> Texts:
+def robustness_entry(line: Line) -> Texts:
     """The excess, whether it differs from the undisturbed one, and how many fits gave an answer where not all did."""
-    if not one["n"]:
-        return {disturbed(one): "not run"}
-    apart = one["ratio_low"] > 1 + TOLD_APART or one["ratio_high"] < 1 - TOLD_APART
-    star = " *" if apart and one["disturbance"] != "none" else ""
-    answers = f" ({one['n_ok']}/{one['n']})" if one["n_ok"] < one["n"] else ""
-    return {disturbed(one): excess_text(one["excess"]) + star + answers}
-
-
-def coverage_under(frame: Frame, lines: Sequence[Line]) -> Iterator[str | Rows]:
-    """How often the intervals of k/m held the truth, and what was not run."""
-    yield "## Coverage of the 95 % interval of k/m, in percent"
-    own = [one for one in lines if one["metric"] == next(iter(PANELS))]
-    yield panel(own, named, lambda one: {disturbed(one): percent(one["coverage_95"]) if one["n"] else "not run"})
-    yield failure_notes(frame)
+    if not line["n"]:
+        return {disturbed(line): "not run"}
+    apart = line["ratio_low"] > 1 + TOLD_APART or line["ratio_high"] < 1 - TOLD_APART
+    star = " *" if apart and line["disturbance"] != "none" else ""
+    answers = f" ({line['n_ok']}/{line['n']})" if line["n_ok"] < line["n"] else ""
+    return {disturbed(line): excess_text(line["excess"]) + star + answers}
 
 
 BESIDE = ("excess", "coverage_95", "n_ok")
@@ -370,8 +369,15 @@ one. Ratios with their intervals are in the CSV.""",
         "disturbance", "size", "system", "initial_state", "snr_db", "method", "metric", "excess", "excess_undisturbed",
         "ratio", "ratio_low", "ratio_high", "coverage_95", "coverage_95_undisturbed", "n_ok", "n_ok_undisturbed", "n",
     ),
-    lines=robustness_lines, section=lambda one: f"{PANELS[one['metric']]}: root mean square error over the bound",
-    entry=robustness_entry, below=coverage_under, own=lambda result: bool(result.disturbance),
+    lines=robustness_lines, section=lambda line: f"{PANELS[line['metric']]}: root mean square error over the bound",
+    panels=(
+        Panel(robustness_entry),
+        Panel(
+            lambda line: {disturbed(line): percent(line["coverage_95"])},
+            title="Coverage of the 95 % intervals, in percent:",
+        ),
+    ),
+    own=lambda result: bool(result.disturbance),
 )  # fmt: skip
 
 
@@ -394,7 +400,7 @@ def open_lines(frame: Frame) -> list[Line]:
     bounds = {metric: bounds_of(frame, metric) for metric in METRICS}
     for part, has in PARTS.items():
         methods = group(filter(has, frame), lambda result: result.label)
-        scenarios = len({result.question for own in methods.values() for result in own})
+        scenarios = len({result.question for results in methods.values() for result in results})
         for label in in_order(methods):
             head = {"part": part, "scenarios": scenarios, "method": label, "results": methods[label]}
             time = {"median_cpu_s": median_time(methods[label])}
@@ -429,18 +435,22 @@ def over_bounds(results: Iterable[Result], metric: str, bounds: Mapping[str, flo
     }  # fmt: skip
 
 
-def typical(one: Line) -> str:
+def typical(line: Line) -> str:
     """The median error over the bound, infinite where most fits failed."""
-    return "failed" if math.isinf(one["median_over_bound"]) else excess_text(one["median_over_bound"])
+    return "failed" if math.isinf(line["median_over_bound"]) else excess_text(line["median_over_bound"])
 
 
 def open_last(lines: Sequence[Line]) -> Texts:
     """How many scenarios were answered, and the time."""
     results = lines[0]["results"]
-    ok = answered(sum(one.n_ok for one in results), sum(one.n for one in results))
+    ok = answered(sum(result.n_ok for result in results), sum(result.n for result in results))
     return {"answered": ok, "time (s)": seconds(lines[0]["median_cpu_s"])}
 
 
+OVER_BOUND: Columns[Line] = {
+    "median": typical, "RMS": lambda line: excess_text(line["rms_over_bound"]),
+    "gross %": lambda line: percent_between(line["gross"], line["gross_low"], line["gross_high"]), "95 %": covered,
+}  # fmt: skip
 OPEN = TableForm(
     legend=f"""One replicate of each scenario, drawn at random by the name of the release ({{release}}) from the ranges
 of `conf/experiment/{{name}}.yaml`, uniformly or, of what is a size, uniformly in the logarithm. No setting was chosen
@@ -457,13 +467,6 @@ the panel.""",
         "part", "method", "metric", "n", "n_answered", "median_over_bound", "rms_over_bound", "gross", "gross_low",
         "gross_high", "n_coverage", "coverage_95", "low_95", "high_95", "median_cpu_s",
     ),
-    lines=open_lines, section=lambda one: f"{one['part'].capitalize()}: {one['scenarios']} scenarios",
-    entry=each(
-        lambda one: METRICS[one["metric"]],
-        {
-            "median": typical, "RMS": lambda one: excess_text(one["rms_over_bound"]),
-            "gross %": lambda one: percent_between(one["gross"], one["gross_low"], one["gross_high"]), "95 %": covered,
-        },
-    ),
-    last=open_last, below=lambda frame, lines: [failure_notes(frame)], digits=5,
+    lines=open_lines, section=lambda line: f"{line['part'].capitalize()}: {line['scenarios']} scenarios",
+    panels=(Panel(each(lambda line: METRICS[line["metric"]], OVER_BOUND), last=open_last),), digits=5,
 )  # fmt: skip

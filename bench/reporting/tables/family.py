@@ -22,7 +22,7 @@ from bench.reporting.frame import ERROR, Frame, Line, Result, group
 from bench.reporting.labels import cards
 from bench.reporting.rounding import answered, excess_text, number, percent
 from bench.reporting.tables.pooling import root_mean_square
-from bench.reporting.tables.render import MISSING, Columns, Rows, Texts, failure_notes, files, listing, panel
+from bench.reporting.tables.render import MISSING, Columns, Panel, Rows, Texts, failure_notes, files, listing
 from bench.scoring.traces import MOMENTS
 
 STIFFNESS, DAMPING = "k_over_m", "c_over_m"
@@ -300,7 +300,7 @@ def _combinations(family: Family) -> list[str | Rows]:
         "processor seconds of a whole fit."
     )
     heading = f"## All combinations of {', '.join(map(_words, settings))}"
-    return [heading, explanation, panel(sorted(shown, key=order), row, entry)] if shown else []
+    return [heading, explanation, Panel(entry, row, order=order).rows(shown)] if shown else []
 
 
 def _words(setting: str) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
 from bench.reporting.frame import Line, group
 from bench.reporting.rounding import answered, excess_text, number, percent, readable
-from bench.reporting.tables.render import MISSING, Rows, Texts, each, files, measured, panel
+from bench.reporting.tables.render import MISSING, Panel, Rows, Texts, each, files, measured
 
 BEHIND = {f"excess_after_{low}_{high}": f"after {low}-{high}" for low, high in AFTER}
 """Columns of the excess behind a step, and what stands over them."""
@@ -55,7 +55,7 @@ def table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> 
     for scenario, sentence in described.items():
         shown = [line for line in scored if line["scenario"] == scenario]
         parts += [f"## {readable(scenario)}", sentence]
-        parts += [panel(in_order(shown), named, ENTRY, last)] if {line["method"] for line in shown} - {BOUND} else []
+        parts += [SHOWN.rows(in_order(shown))] if {line["method"] for line in shown} - {BOUND} else []
         others = [line for line in lines if line["scenario"] == scenario and "quantity" not in line]
         refused = group(others, lambda line: line["message"])
         parts += [f"Not there: {', '.join(one['title'] for one in its)}: {said}." for said, its in refused.items()]
@@ -73,24 +73,9 @@ def in_order(lines: Sequence[Line]) -> list[Line]:
     return sorted(lines, key=lambda line: (line["method"] != BOUND, -line["ok"], largest[line["method"]]))
 
 
-def named(line: Line) -> Texts:
-    """What a row begins with."""
-    return {"method": line["title"]}
-
-
-ENTRY = each(
-    measured,
-    {
-        "rms %": lambda line: number(line["rms_pct"]), "excess": lambda line: excess_text(line["excess"]),
-        "told": lambda line: f"{line['share_told']:.2f}", "cov. %": lambda line: percent(line["coverage_pct"] / 100.0),
-    },
-)  # fmt: skip
-"""What is shown of a quantity."""
-
-
-def last(own: Sequence[Line]) -> Texts:
+def last(lines: Sequence[Line]) -> Texts:
     """What follows a step in the first quantity, and what a sample costs."""
-    line = own[0]
+    line = lines[0]
     steps = {f"{readable(line['quantity'])} {heading}": excess_text(line[name]) for name, heading in BEHIND.items()}
     costs = {"µs": MISSING, "kB held": MISSING}
     if line["method"] != BOUND:
@@ -103,14 +88,30 @@ def _samples(delay: float) -> str:
     return MISSING if math.isnan(delay) else "never" if math.isinf(delay) else f"{delay:.0f}"
 
 
+SHOWN = Panel(
+    each(
+        measured,
+        {
+            "rms %": lambda line: number(line["rms_pct"]), "excess": lambda line: excess_text(line["excess"]),
+            "told": lambda line: f"{line['share_told']:.2f}",
+            "cov. %": lambda line: percent(line["coverage_pct"] / 100.0),
+        },
+    ),
+    lambda line: {"method": line["title"]}, last,
+)  # fmt: skip
+
+
 def false_alarms(lines: Iterable[Line]) -> Rows:
     """A method a row, of those that have both scenarios, by the first quantity of each; half-widths side by side."""
-    first = {key: own[0]["curve"] for key, own in group(lines, lambda one: (one["title"], one["scenario"])).items()}
-    return panel(
-        [(name, i) for name, at in first if at == CONSTANT and (name, STEP) in first for i in range(len(LEVELS))],
-        lambda cell: {"method": cell[0]},
-        lambda cell: {
-            f"{LEVELS[cell[1]]:g} sd": f"{first[cell[0], CONSTANT][cell[1]][0]:.2g} / "
-            f"{_samples(first[cell[0], STEP][cell[1]][1])}"
-        },
+    members = group(lines, lambda line: (line["title"], line["scenario"]))
+    curves = {key: own[0]["curve"] for key, own in members.items()}
+    titles = [title for title, scenario in curves if scenario == CONSTANT and (title, STEP) in curves]
+    points = [
+        (title, f"{width:g} sd", f"{constant[0]:.2g} / {_samples(step[1])}")
+        for title in titles
+        for width, constant, step in zip(LEVELS, curves[title, CONSTANT], curves[title, STEP], strict=True)
+    ]
+    shown = Panel(
+        lambda point: {point[1]: f"{point[2]:.2g} / {_samples(point[3])}"}, lambda point: {"method": point[0]}
     )
+    return shown.rows(points)

@@ -36,11 +36,6 @@ def named(line: Line) -> Texts:
     return {"method": title(line["method"])}
 
 
-def nothing(_: Any) -> Texts:
-    """No column."""
-    return {}
-
-
 def each(name: Callable[[Item], str], columns: Columns[Item]) -> Callable[[Item], Texts]:
     """What an item shows under headings that begin with a name, which stand side by side by name."""
     return lambda item: {f"{name(item)} {heading}": text(item) for heading, text in columns.items()}
@@ -51,25 +46,37 @@ def measured(line: Line) -> str:
     return readable(line["quantity"])
 
 
-def panel(
-    items: Iterable[Item],
-    row: Callable[[Item], Texts],
-    entry: Callable[[Item], Texts],
-    last: Callable[[Sequence[Item]], Texts] = nothing,
-) -> Rows:
-    """Items side by side: those of the same ``row`` stand in one, each with its ``entry`` under headings of its own.
+@dataclass(frozen=True)
+class Panel:
+    """What is shown of lines, side by side in rows.
 
-    ``last`` ends a row, by its items. A column in which nothing stands is left out.
+    Attributes:
+        entry: What a line adds to its row, under headings of its own.
+        row: What begins a row; lines of the same beginning stand in one.
+        last: What ends a row, by its lines.
+        title: What is said above; what the first line holds stands in braces.
+        of: Which lines it shows.
+        order: What sorts them.
     """
-    import pandas as pd
 
-    rows = group(items, lambda item: tuple(row(item).items()))
-    entries = pd.DataFrame([entry(item) for own in rows.values() for item in own])
-    place = [i for i, own in enumerate(rows.values()) for _ in own]
-    ends = pd.DataFrame([last(own) for own in rows.values()])
-    whole = pd.concat([pd.DataFrame(map(dict, rows)), entries.groupby(place).first(), ends], axis=1).fillna(MISSING)
-    shown = whole.loc[:, ~whole.isin([MISSING, ""]).all()]
-    return shown.to_numpy().tolist(), list(shown)
+    entry: Callable[[Any], Texts]
+    row: Callable[[Any], Texts] = named
+    last: Callable[[Sequence[Any]], Texts] = lambda lines: {}
+    title: str = ""
+    of: Callable[[Any], bool] = lambda line: True
+    order: Callable[[Any], Any] = lambda line: 0
+
+    def rows(self, lines: Iterable[Any]) -> Rows:
+        """The rows of lines; columns in which nothing stands are left out, and all where no entry is left."""
+        import pandas as pd
+
+        by_row = group(sorted(filter(self.of, lines), key=self.order), lambda line: tuple(self.row(line).items()))
+        entries = pd.DataFrame([self.entry(line) for lines in by_row.values() for line in lines])
+        place = [i for i, lines in enumerate(by_row.values()) for _ in lines]
+        starts, ends = pd.DataFrame(map(dict, by_row)), pd.DataFrame(map(self.last, by_row.values()))
+        whole = pd.concat([starts, entries.groupby(place).first(), ends], axis=1).fillna(MISSING)
+        shown = whole.loc[:, ~whole.isin([MISSING, ""]).all()]
+        return (shown.to_numpy().tolist(), list(shown)) if set(shown) & set(entries) else ([], [])
 
 
 @dataclass(frozen=True)
@@ -81,28 +88,20 @@ class TableForm:
         columns: Of the CSV.
         lines: Makes the lines of the results.
         section: The heading under which a line stands.
-        row: What begins the row of a line.
-        entry: What a line adds to its row.
-        last: What ends a row, by its lines.
-        order: Sorts the lines of a section.
-        beside: What stands below a section, by its lines.
-        below: What stands below all sections.
+        panels: What is shown of the lines of a section.
+        notes: What is said below a section.
         own: Whether a result is of this table alone; without one that is stored, the table is not written.
         in_csv: Whether a line stands in the CSV.
         digits: Significant digits of its numbers.
-        latex: Whether there are tables in LaTeX.
+        latex: Whether the first panels are written in LaTeX, too.
     """
 
     legend: str
     columns: Sequence[str]
     lines: Callable[[Frame], list[Line]]
     section: Callable[[Line], str]
-    entry: Callable[[Line], Texts]
-    row: Callable[[Line], Texts] = named
-    last: Callable[[Sequence[Line]], Texts] = nothing
-    order: Callable[[Line], Any] = lambda line: 0
-    beside: Callable[[Sequence[Line]], Iterable[str | Rows]] = lambda lines: ()
-    below: Callable[[Frame, Sequence[Line]], Iterable[str | Rows]] = lambda frame, lines: ()
+    panels: Sequence[Panel]
+    notes: Callable[[Sequence[Line]], Iterable[str]] = lambda lines: ()
     own: Callable[[Result], bool] = lambda result: True
     in_csv: Callable[[Line], bool] = lambda line: True
     digits: int = 6
@@ -112,19 +111,18 @@ class TableForm:
         """The files by name; none where the store holds no cell of the table's own."""
         if not any(result.stored and self.own(result) for result in frame):
             return {}
-        data = self.lines(frame)
-        shown: dict[str, Rows] = {}
+        lines, captioned = self.lines(frame), list[tuple[str, Rows]]()
         legend = self.legend.format(name=frame.experiment, **frame.table)
-        parts: list[str | Rows] = [
-            f"# Table {frame.number}. {frame.title}" if frame.number else f"# {frame.title}",
-            textwrap.fill(legend, 120, break_on_hyphens=False),
-        ]
-        for heading, lines in group(data, self.section).items():
-            shown[heading] = panel(sorted(lines, key=self.order), self.row, self.entry, self.last)
-            parts += [f"## {heading}", shown[heading], *self.beside(lines)]
-        parts += [*self.below(frame, data), f"Regenerate: `{frame.command}`"]
-        captioned = [(f"{frame.title}. {heading}", rows) for heading, rows in shown.items()] if self.latex else ()
-        return files(frame.name, parts, filter(self.in_csv, data), self.columns, self.digits, captioned)
+        title = f"# Table {frame.number}. {frame.title}" if frame.number else f"# {frame.title}"
+        parts: list[str | Rows] = [title, textwrap.fill(legend, 120, break_on_hyphens=False)]
+        for heading, members in group(lines, self.section).items():
+            shown = [(panel.title.format(**members[0]), panel.rows(members)) for panel in self.panels]
+            captioned.append((f"{frame.title}. {heading}", shown[0][1]))
+            parts += [f"## {heading}", *(part for both in shown if any(both[1]) for part in both), *self.notes(members)]
+        noted = [] if any(self.notes(lines)) else [failure_notes(frame)]
+        parts += [*noted, f"Regenerate: `{frame.command}`"]
+        latex = captioned if self.latex else ()
+        return files(frame.name, parts, filter(self.in_csv, lines), self.columns, self.digits, latex)
 
 
 def files(

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from bench.dynamics.modal import modes
-from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity
+from bench.reporting.frame import ERROR, Frame, Line, Result, group
 from bench.reporting.labels import place_of, states_terms
 from bench.reporting.ranking import FIRST_TIER, first_tier
-from bench.reporting.rounding import excess_text, number, percent, readable, with_excess
+from bench.reporting.rounding import excess_text, number, percent, with_excess
 from bench.reporting.tables.estimates import DASH, EXCESS, ORACLE, bounded, failures, fits, results_of
 from bench.reporting.tables.pooling import (
     MODAL,
@@ -26,8 +27,8 @@ from bench.reporting.tables.pooling import (
     pooled_quantities,
     root_mean_square,
 )
-from bench.reporting.tables.render import MISSING, Rows, TableForm, Texts, bold, named, panel
-from bench.reporting.tables.tidy import errors_of, line
+from bench.reporting.tables.render import MISSING, Panel, TableForm, Texts, bold, measured
+from bench.reporting.tables.tidy import errors_of, line_of
 from bench.reporting.terms import terms_found
 from bench.scenario.scenario import Scenario
 
@@ -35,28 +36,38 @@ MANY = 8
 """Parameters beyond which a panel of single parameters would not be read."""
 SHOWN_AT = 20.0
 """The noise level (dB) at which single parameters are shown; the middle one where an experiment has not this."""
-POOLED, PARAMETERS = "told_pooled", "parameters_pooled"
-"""Metrics that are pooled over the quantities that the data tell, and over all parameters."""
-SHOWN = {POOLED: "error", PARAMETERS: "95 %", "rmse": "RMSE (m)"}
-MODAL_NAMES = dict(zip(MODAL, ("frequencies %", "damping ratios %", "MAC"), strict=True))
-MODES = """As modes (median over the replicates of the root mean square error over the modes, and of the lowest modal
-assurance criterion):"""
+POOLED, PARAMETERS, NOT_RUN = "told_pooled", "parameters_pooled", "not run"
+"""Metrics that are pooled over the quantities that the data tell, and over all parameters; and of a missing cell."""
+HEADINGS = {NOT_RUN: "error", POOLED: "error", PARAMETERS: "95 %", "rmse": "RMSE (m)"}
+MODAL_HEADINGS = dict(zip(MODAL, ("frequencies %", "damping ratios %", "MAC"), strict=True))
+COLUMNS = (
+    "table", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high", "bound",
+    "prior_share", "excess", "coverage_95", "n_ok", "n",
+)  # fmt: skip
 
 
 def system_lines(frame: Frame) -> list[Line]:
     """One line a cell and metric: every score, the pooled ones, those of the modes; and the bounds of each panel."""
     lines: list[Line] = []
-    for (name, start, _), own in group(frame, lambda one: (called(one), one.initial_state, one.kind)).items():
-        section = f"{name}, initial state {start}\n\n{describe(own[0].scenario)}"
-        head = {"table": frame.number or frame.experiment, "section": section}
+    for (name, start, _), results in group(frame, lambda one: (called(one), one.initial_state, one.kind)).items():
+        levels = list(dict.fromkeys(result.snr_db for result in results))
+        parameters = {name + ERROR for name in results[0].model.names}
+        head = {
+            "table": frame.number or frame.experiment, "system": name, "parameters": parameters,
+            "section": f"{name}, initial state {start}\n\n{describe(results[0].scenario)}",
+            "shown_at": SHOWN_AT if SHOWN_AT in levels else levels[len(levels) // 2],
+        }  # fmt: skip
         tied: dict[tuple[str, str], frozenset[Result]] = {}
-        for question, results in group([one for one in own if one.stored], lambda one: one.question).items():
-            metrics = {POOLED: told_metrics(results[0]), "rmse": ("rmse",)}
-            tied |= {(question, metric): first_tier(results, pooled) for metric, pooled in metrics.items()}
-            lines += [{**head, **one, "method": "bound", "tied": False} for one in _bounds(results[0])]
-        for result in own:
-            found = [{**line(result, "", COLUMNS), **one, **head, "system": called(result)} for one in _lines(result)]
-            lines += [{**one, "tied": result in tied.get((result.question, one["metric"]), ())} for one in found]
+        stored = [result for result in results if result.stored]
+        for question, rivals in group(stored, lambda result: result.question).items():
+            told = told_metrics(rivals[0])
+            parameters |= set(told)
+            tied |= {(question, POOLED): first_tier(rivals, told), (question, "rmse"): first_tier(rivals, ["rmse"])}
+            lines += [{**line, **head, "method": "bound"} for line in _bounds(rivals[0], told)]
+        for result in results:
+            for metric in _metrics(result):
+                marked = result in tied.get((result.question, metric["metric"]), ())
+                lines.append({**line_of(result, metric["metric"]), **metric, **head, "tied": marked})
     return lines
 
 
@@ -70,87 +81,68 @@ def told_metrics(result: Result) -> tuple[str, ...]:
     return tuple(name + ERROR for name in pooled_quantities(result.model, result.identifiable))
 
 
-def _bounds(result: Result) -> Iterator[Line]:
-    pooled = [result.bound(metric) for metric in told_metrics(result)]
-    yield {**line(result, POOLED), "bound": root_mean_square(np.array(pooled))}
-    yield from (line(result, metric) for metric in (PARAMETERS, *errors_of(result)))
+def _bounds(result: Result, told: Sequence[str]) -> Iterator[Line]:
+    yield {**line_of(result, POOLED), "bound": root_mean_square(np.array([result.bound(metric) for metric in told]))}
+    yield from (line_of(result, metric) for metric in (PARAMETERS, *errors_of(result)))
 
 
-def _lines(result: Result) -> Iterator[Line]:
+def _metrics(result: Result) -> Iterator[dict[str, Any]]:
+    """The metrics of a result, with the numbers of those that are pooled or of the modes."""
     if result.stored is None:
-        yield {"metric": "not run"}
+        yield {"metric": NOT_RUN}
         return
-    model = result.scenario.make_system()
+    model = result.model
     groups = tuple(group.name for group in model.groups)
     pools = {POOLED: pooled_quantities(model, result.identifiable), PARAMETERS: model.names, "groups_pooled": groups}
-    for name, names in pools.items():
+    for metric, names in pools.items():
         excess = pooled_excess(result, tuple(name + ERROR for name in names))
-        yield {"metric": name, "excess": excess, "coverage_95": pooled_coverage(result, names)}
-    yield from (line(result, metric, COLUMNS) for metric in errors_of(result))
-    for metric, values in modal_scores(result).items():
-        yield {"metric": metric, "median": lower_median(values)}
+        yield {"metric": metric, "excess": excess, "coverage_95": pooled_coverage(result, names)}
+    yield from ({"metric": metric} for metric in errors_of(result))
+    yield from ({"metric": metric, "median": lower_median(own)} for metric, own in modal_scores(result).items())
 
 
-# ---- what is shown
+def level(line: Line, heading: str = "") -> str:
+    """The noise level, and what is shown of it."""
+    return f"{line['snr_db']:g} dB {heading}".strip()
 
 
-def entry(one: Line) -> Texts:
+def is_bound(line: Line) -> bool:
+    """Whether a line is of the bound."""
+    return line["method"] == "bound"
+
+
+def pooled(line: Line) -> Texts:
     """The pooled excess, the displacement's error and the coverage of all parameters; of the bound its size."""
-    level, metric, result = f"{one['snr_db']:g} dB", one["metric"], one["result"]
-    pooled = f"×{excess_text(one['excess'])}" if math.isfinite(one["excess"]) else MISSING
-    texts = {POOLED: pooled, "rmse": _median(one)}
-    if one["method"] == "bound":
-        texts = {POOLED: f"{number(one['bound'])} %", "rmse": number(one["bound"])}
+    metric, result = line["metric"], line["result"]
+    if metric == PARAMETERS:
+        text = percent(line["coverage_95"])
+    elif is_bound(line):
+        text = number(line["bound"]) + (" %" if metric == POOLED else "")
     elif not result.n_ok:
-        texts, metric = {POOLED: result.status.value if result.stored else "not run"}, metric.replace("not run", POOLED)
-    texts = {name: bold(text, one["tied"]) for name, text in texts.items()} | {PARAMETERS: percent(one["coverage_95"])}
-    return {f"{level} {SHOWN[metric]}": texts[metric]} if metric in SHOWN and metric in texts else {}
+        text = MISSING if metric == "rmse" else result.status.value if result.stored else NOT_RUN
+    else:
+        excess = f"×{excess_text(line['excess'])}" if math.isfinite(line["excess"]) else MISSING
+        text = bold(excess if metric == POOLED else median(line), line["tied"])
+    return {level(line, HEADINGS[metric]): text}
 
 
-def _median(one: Line) -> str:
-    return with_excess(one["median"], one["excess"])
+def median(line: Line) -> str:
+    """A median error with its excess."""
+    return with_excess(line["median"], line["excess"])
 
 
-def beside(lines: Sequence[Line]) -> Iterator[str | Rows]:
-    """Single parameters, bounds, modes, terms and failures; what there is of them."""
-    result = next((one["result"] for one in lines if one["result"].stored), None)
-    if result:
-        names, levels = result.model.names, list(group(lines, lambda one: one["snr_db"]))
-        level = SHOWN_AT if SHOWN_AT in levels else levels[len(levels) // 2]
-        single = {*told_metrics(result), *(name + ERROR for name in names)}
-        own = [one for one in lines if one["metric"] in single]
-        if len(names) <= MANY:
-            yield f"Errors at {level:g} dB, in percent (median ×excess):"
-            here = [one for one in own if one["snr_db"] == level and one["method"] != "bound" and one["n_ok"]]
-            yield panel(sorted(here, key=order), named, lambda one: {readable(quantity(one["metric"])): _median(one)})
-        yield "The bound, in percent, and the share of its variance that is the prior's:"
-        bounds = [one for one in own if one["method"] == "bound"]
-        yield panel(
-            bounds, lambda one: {"": readable(one["quantity"])}, lambda one: {f"{one['snr_db']:g} dB": bounded(one)}
-        )
-    modal = [one for one in lines if one["metric"] in MODAL and one["n_ok"]]
-    if modal:
-        yield MODES
-        yield panel(
-            sorted(modal, key=order),
-            named,
-            lambda one: {f"{one['snr_db']:g} dB {MODAL_NAMES[one['metric']]}": number(one["median"])},
-        )
-    yield from terms(results_of(lines))
-    yield from failures(lines)
-
-
-def terms(results: Sequence[Result]) -> Iterator[str]:
-    """What sparse models are made of: how often a method found exactly the terms of the equation of motion."""
-    good = [result for result in results if result.n_ok and states_terms(result.label)]
-    for own in group(good, lambda result: result.title).values():
-        found = [f"{one.snr_db:g} dB: {terms_found(one.stored, one.scenario)}" for one in own if one.stored]
-        yield f"{own[0].title} by the terms it finds. {'; '.join(found)}."
-
-
-def order(one: Line) -> tuple[bool, float, str]:
+def order(line: Line) -> tuple[bool, float, str]:
     """The bound first, then methods in the order of their cards."""
-    return one["method"] != "bound", *place_of(one["method"])
+    return not is_bound(line), *place_of(line["method"])
+
+
+def notes(lines: Sequence[Line]) -> Iterator[str]:
+    """What sparse models are made of, and what failed."""
+    good = [result for result in results_of(lines) if result.n_ok and states_terms(result.label)]
+    for name, results in group(good, lambda result: result.title).items():
+        found = [f"{level(line_of(one, ''))}: {terms_found(one.stored, one.scenario)}" for one in results if one.stored]
+        yield f"{name} by the terms it finds. {'; '.join(found)}."
+    yield from failures(lines)
 
 
 def describe(scenario: Scenario) -> str:
@@ -173,10 +165,6 @@ def describe(scenario: Scenario) -> str:
     return f"{'; '.join(words)}; {scenario.prior.name if scenario.prior else 'no'} prior."
 
 
-COLUMNS = (
-    "table", "system", "initial_state", "snr_db", "method", "metric", "mean", "median", "ci_low", "ci_high", "bound",
-    "prior_share", "excess", "coverage_95", "n_ok", "n",
-)  # fmt: skip
 SYSTEMS = TableForm(
     legend=f"""Each panel is one system. Of each noise level: **error**, the pooled excess of the quantities that the
 data tell (root mean square over replicates and quantities of error over Cramér-Rao bound); **RMSE**, the median
@@ -185,6 +173,26 @@ known force, or a known added mass, the data tell every parameter, there is no p
 true errors; in free vibration the data tell ratios, and the prior (a weighed mass) tells the scale. The row *bound*
 gives the bound: pooled in percent, and of the RMSE. {ORACLE} {FIRST_TIER} {DASH} Time: processor time of the median
 fit. What a method cannot take is said below its panel. Every quantity and all 95 % intervals are in the CSV.""",
-    columns=COLUMNS, lines=system_lines, section=lambda one: one["section"], entry=entry, last=fits, order=order,
-    beside=beside, in_csv=lambda one: one["method"] != "bound", latex=True,
+    columns=COLUMNS, lines=system_lines, section=lambda line: line["section"],
+    panels=(
+        Panel(pooled, of=lambda line: line["metric"] in HEADINGS, last=fits, order=order),
+        Panel(
+            lambda line: {measured(line): bounded(line) if is_bound(line) else median(line)}, order=order,
+            of=lambda line: line["metric"] in line["parameters"] and line["snr_db"] == line["shown_at"]
+            and len(line["parameters"]) <= 2 * MANY and line["n_ok"] > 0,
+            title="Errors at {shown_at:g} dB, in percent (median ×excess):",
+        ),
+        Panel(
+            lambda line: {level(line): bounded(line)}, row=lambda line: {"": measured(line)},
+            of=lambda line: is_bound(line) and line["metric"] in line["parameters"],
+            title="The bound, in percent, and the share of its variance that is the prior's:",
+        ),
+        Panel(
+            lambda line: {level(line, MODAL_HEADINGS[line["metric"]]): number(line["median"])}, order=order,
+            of=lambda line: line["metric"] in MODAL and line["n_ok"] > 0,
+            title="As modes (median over the replicates of the root mean square error over the modes, and of the "
+            "lowest modal assurance criterion):",
+        ),
+    ),
+    notes=notes, in_csv=lambda line: not is_bound(line), latex=True,
 )  # fmt: skip

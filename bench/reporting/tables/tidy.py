@@ -63,7 +63,7 @@ VALUES: Mapping[str, Callable[[Result, str], Any]] = {
 COLUMNS = ("experiment", "table", "row", *VALUES, "tied", "paper", "verdict")
 
 
-def line(result: Result, metric: str, columns: Iterable[str] = VALUES) -> dict[str, Any]:
+def line_of(result: Result, metric: str, columns: Iterable[str] = VALUES) -> dict[str, Any]:
     """Return a line: those of the columns that have a value for every result, and the ``result`` itself."""
     return {"result": result, **{name: VALUES[name](result, metric) for name in columns if name in VALUES}}
 
@@ -78,14 +78,14 @@ def tidy_lines(
 ) -> list[Line]:
     """Return a line a cell and metric; a cell without any metric is one line."""
     tied, oracles = {}, {}
-    for question, own in group(frame, lambda result: result.question).items():
-        oracles[question] = next((one for one in own if one.method == "oracle" and one.stored), None)
+    for question, results in group(frame, lambda result: result.question).items():
+        oracles[question] = next((one for one in results if one.method == "oracle" and one.stored), None)
         for metric in PRIMARY if frame.form != "open" else ():  # which has one data set of each question
-            tied[question, metric] = first_tier(own, [metric])
+            tied[question, metric] = first_tier(results, [metric])
     return [
         {
             "experiment": frame.experiment, "table": frame.number, "row": row_of(frame.number, result),
-            **line(result, metric, columns), "tied": result in tied.get((result.question, metric), ()),
+            **line_of(result, metric, columns), "tied": result in tied.get((result.question, metric), ()),
             **_printed(frame.number, result, oracles[result.question], metric),
         }
         for result in frame
@@ -110,18 +110,18 @@ def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
     """Return the frame of everything, with the columns :data:`COLUMNS`."""
     import pandas as pd
 
-    lines = [one for frame in frames for one in tidy_lines(frame)]
+    lines = [line for frame in frames for line in tidy_lines(frame)]
     return pd.DataFrame(lines, columns=list(COLUMNS)).astype({"table": "Int64", "tied": "boolean"})
 
 
 SHOWN: Columns[Line] = {
-    "median": lambda one: number(one["median"]),
-    "95 % low": lambda one: number(one["ci_low"]),
-    "95 % high": lambda one: number(one["ci_high"]),
-    "": lambda one: "+" if one["tied"] else "",
-    "excess": lambda one: excess_text(one["excess"]),
-    "cover %": lambda one: percent(one["coverage_95"]),
-    "state": lambda one: one["state"],
+    "median": lambda line: number(line["median"]),
+    "95 % low": lambda line: number(line["ci_low"]),
+    "95 % high": lambda line: number(line["ci_high"]),
+    "": lambda line: "+" if line["tied"] else "",
+    "excess": lambda line: excess_text(line["excess"]),
+    "cover %": lambda line: percent(line["coverage_95"]),
+    "state": lambda line: line["state"],
 }
 """What the terminal shows of a cell, behind what tells it from others."""
 
@@ -139,5 +139,5 @@ def frame_page(data: pd.DataFrame, metric: str) -> str:
     return f"{table(rows, headers, words)}\n\n{wrapped(legend)}"
 
 
-def _text(name: str, one: Line) -> str:
-    return f"{one[name]:g}" if isinstance(one[name], float) else str(one[name])
+def _text(name: str, line: Line) -> str:
+    return f"{line[name]:g}" if isinstance(line[name], float) else str(line[name])

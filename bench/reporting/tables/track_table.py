@@ -18,7 +18,7 @@ from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total
 from bench.records.verdict import Trust
 from bench.reporting.frame import Line
 from bench.reporting.rounding import number, readable
-from bench.reporting.tables.render import MISSING, Columns, Rows, Texts, each, files, measured, panel
+from bench.reporting.tables.render import MISSING, Columns, Panel, Rows, Texts, each, files, measured
 
 MAIN = ("k_over_m", "c_over_m")
 NOT_MADE = "not made yet"
@@ -133,14 +133,14 @@ def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator
         for kind in KINDS
     ]
     yield "Over all sets: median and worst score, covered, R, and x/÷, by the kind of interval."
-    yield panel(
-        [one for one in totals if one["counted"]],
-        lambda one: {name: one[name] for name in ("methods", "quantity")},
-        lambda one: {
-            one["kind"]: f"{number(one['score'])}, {number(one['worst'])}; {one['covered']}/{one['counted']}; "
-            f"{number(one['ratio'])}; {one['width']:.3f}"
+    kinds = Panel(
+        lambda line: {
+            line["kind"]: f"{number(line['score'])}, {number(line['worst'])}; {line['covered']}/{line['counted']}; "
+            f"{number(line['ratio'])}; {line['width']:.3f}"
         },
+        lambda line: {name: line[name] for name in ("methods", "quantity")},
     )
+    yield kinds.rows(line for line in totals if line["counted"])
     fits = pd.concat([one.fits for one in panels])
     silent, missing = (fits["status"] != "ok").sum(), sum((one.rows["status"] == NOT_MADE).sum() for one in panels)
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in _verdicts(fits).items())
@@ -164,64 +164,65 @@ def _overview(panels: Sequence[TrackPanel]) -> Rows:
     for one in panels:
         own = one.agreements[(one.agreements["method"] == primary_method()) & one.agreements["quantity"].isin(MAIN)]
         lines += own.to_dict("records") or [{"panel": one, "made": one.fits[:0]}]
-    return panel(
-        lines,
-        lambda one: {
-            "set": one["panel"].name, "system": one["panel"].system,
-            "siblings": one["panel"].absent or str(one["panel"].fits["sibling"].nunique()),
+    sets = Panel(
+        lambda line: each(measured, {**AGREED, "score, all methods": _pooled})(line) if "n" in line else {},
+        lambda line: {
+            "set": line["panel"].name, "system": line["panel"].system,
+            "siblings": line["panel"].absent or str(line["panel"].fits["sibling"].nunique()),
         },
-        lambda one: each(measured, {**AGREED, "score, all methods": _pooled})(one) if "n" in one else {},
-        lambda own: {"held-out %": number(own[0]["made"]["held_out"].median())},
+        lambda lines: {"held-out %": number(lines[0]["made"]["held_out"].median())},
     )  # fmt: skip
+    return sets.rows(lines)
 
 
 def method_rows(of_panel: TrackPanel) -> Rows:
     """A row for each method: how the siblings agree on each quantity, then time and verdicts."""
-    return panel(of_panel.agreements.to_dict("records"), lambda one: {"method": one["method"]}, _answer, _made)
+    methods = Panel(_answer, lambda line: {"method": line["method"]}, _made)
+    return methods.rows(of_panel.agreements.to_dict("records"))
 
 
-def _answer(one: Line) -> Texts:
+def _answer(line: Line) -> Texts:
     """The median, its distance to what is known, and how siblings agree."""
-    name, known = readable(one["quantity"]), one["panel"].of.known.get(one["quantity"])
-    if not one["n"]:
+    name, known = readable(line["quantity"]), line["panel"].of.known.get(line["quantity"])
+    if not line["n"]:
         return {name: MISSING}
-    texts = {name: f"{one['value']:.5g}"}
+    texts = {name: f"{line['value']:.5g}"}
     if known:
-        texts[f"{name} error"] = f"{one['error_pct']:.3g} %"
+        texts[f"{name} error"] = f"{line['error_pct']:.3g} %"
     if known and known.sd:
-        widths = one["answers"]["white_high"] - one["answers"]["white_low"]
+        widths = line["answers"]["white_high"] - line["answers"]["white_low"]
         certified = 2.0 * float(standard_quantile(0.975, known.dof)) * known.sd
         texts[f"{name} white/certified"] = f"{(widths / certified).median():.4f}"
-    return {**texts, **each(measured, AGREED)(one)}
+    return {**texts, **each(measured, AGREED)(line)}
 
 
-def _covered(one: Line) -> str:
-    counted, limits = one["counted"], one["limits"]
-    covered = [f"{one['covered_repeat']}/{counted} ({one['covered_white']}/{counted})"] if counted else []
+def _covered(line: Line) -> str:
+    counted, limits = line["counted"], line["limits"]
+    covered = [f"{line['covered_repeat']}/{counted} ({line['covered_white']}/{counted})"] if counted else []
     return ", ".join([*covered, f"{limits} limits"] if limits else covered) or MISSING
 
 
-def _beside_white(one: Line, name: str, text: Callable[[float], str] = number) -> str:
-    repeat, white = one[f"{name}_repeat"], one[f"{name}_white"]
+def _beside_white(line: Line, name: str, text: Callable[[float], str] = number) -> str:
+    repeat, white = line[f"{name}_repeat"], line[f"{name}_white"]
     return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else MISSING
 
 
-def _pooled(one: Line) -> str:
-    every = one["panel"].agreements
-    same = every[every["quantity"] == one["quantity"]]
+def _pooled(line: Line) -> str:
+    every = line["panel"].agreements
+    same = every[every["quantity"] == line["quantity"]]
     return _beside_white({f"score_{kind}": total(same, kind)["score"] for kind in KINDS}, "score")
 
 
 AGREED: Columns[Line] = {
-    "score": lambda one: _beside_white(one, "score"), "R": lambda one: _beside_white(one, "ratio"), "cov.": _covered,
-    "x/÷": lambda one: _beside_white(one, "width", "{:.3f}".format),
+    "score": lambda line: _beside_white(line, "score"), "R": lambda line: _beside_white(line, "ratio"),
+    "cov.": _covered, "x/÷": lambda line: _beside_white(line, "width", "{:.3f}".format),
 }  # fmt: skip
 """How siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
 
 
-def _made(own: Sequence[Line]) -> Texts:
+def _made(lines: Sequence[Line]) -> Texts:
     """What a method's fits predict and cost, and what became of them."""
-    made = own[0]["made"]
+    made = lines[0]["made"]
     silent = made["status"][made["status"] != "ok"].value_counts(sort=False)
     return {
         "held-out %": number(made["held_out"].median()), "s": number(made["wall_s"].median()),
