@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.information.fisher import Bound, Information, compute_bound
-from bench.information.structural import Structure, structure_of
+from bench.information.fisher import Information
+from bench.information.structural import Structure
 from bench.reporting.rounding import number, readable, rounded
 from bench.reporting.terminal import table, wrapped
 from bench.scenario.scenario import Scenario
@@ -42,15 +42,6 @@ def verdict(structural: bool, relative_sd: float, prior_share: float) -> str:
     return FROM_DATA if structural else WITH_PRIOR
 
 
-def verdicts(scenario: Scenario, bound: Bound | None = None) -> dict[str, str]:
-    """Return the verdict on every scored quantity, by name; the bound is computed where it is not given."""
-    structure, bound = structure_of(scenario), bound or compute_bound(scenario)
-    return {
-        q.name: verdict(structure.identifiable(q), bound.relative_sd[q.name], bound.prior_share[q.name])
-        for q in scenario.make_system().quantities
-    }
-
-
 def correlations(information: Information, quantities: Sequence[Quantity]) -> np.ndarray:
     """Return the correlations of the logarithms of n quantities at the bound, shape (n, n), on informed directions."""
     w = np.zeros((len(quantities), len(information.precision)))
@@ -66,45 +57,38 @@ def identifiability_page(
     """Return the verdicts on a scenario's quantities as text, no wider than a terminal."""
     known = scenario.make_system().quantities
     quantities = [*known, *(group for group in structure.groups if group not in known)]
-    prior = scenario.prior.name if scenario.prior else "none"
     initial = "the initial state of this scenario" if structure.at_start else "any initial state"
     force = "" if scenario.force is None else f" and a known force on DOF {scenario.force.dof}"
-    dofs = ", ".join(map(str, measured))
-    lines = [
-        f"{scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.initial_state}, prior {prior}",
-        "",
-        wrapped(f"Perfect displacement of DOF {dofs}, from {initial}{force}, without a prior:"),
-        *(wrapped(f"- {line}") for line in structure.sentences()),
-        "",
-        f"These {scenario.samples} samples over {scenario.duration:g} s:",
-        "",
-        _table(structure, information, quantities),
-        "",
-        wrapped(_condition(information, scenario.prior is not None)),
-        wrapped(_strongest(structure, information, quantities)),
-    ]
-    return "\n".join(lines)
-
-
-def _table(structure: Structure, information: Information, quantities: Sequence[Quantity]) -> str:
-    rows, used = [], set()
+    rows = []
     for q in quantities:
         sd, share = math.sqrt(information.variance(q)), information.prior_share(q)
         word = verdict(structure.identifiable(q), sd, share)
         rows.append([readable(q.name), number(100 * sd) if math.isfinite(sd) else "-", f"{100 * share:.0f}", word])
-        used.add(word)
-    notes = [wrapped(f"{word}: {meaning}") for word, meaning in MEANING.items() if word in used]
-    return "\n".join([table(rows, ["", "bound %", "prior's share %", "verdict"], (0, 3)), "", *notes])
+    prior, used = scenario.prior.name if scenario.prior else "none", {row[-1] for row in rows}
+    condition = f"condition number of the scaled information: {_condition(information, False)} from the data"
+    if scenario.prior:
+        condition += f", {_condition(information, True)} with the prior"
+    return "\n".join(
+        [
+            f"{scenario.label}, {scenario.snr_db:g} dB, initial state {scenario.initial_state}, prior {prior}\n",
+            wrapped(
+                f"Perfect displacement of DOF {', '.join(map(str, measured))}, from {initial}{force}, without a prior:"
+            ),
+            *(wrapped(f"- {line}") for line in structure.sentences()),
+            f"\nThese {scenario.samples} samples over {scenario.duration:g} s:\n",
+            table(rows, ["", "bound %", "prior's share %", "verdict"], (0, 3)) + "\n",
+            *(wrapped(f"{word}: {meaning}") for word, meaning in MEANING.items() if word in used),
+            "",
+            wrapped(condition),
+            wrapped(f"strongest correlations of the logarithms: {_strongest(structure, information, quantities)}"),
+        ]
+    )
 
 
-def _condition(information: Information, with_prior: bool) -> str:
-    def words(prior: bool) -> str:
-        value, missing = information.condition(prior)
-        directions = f" (and {missing} direction{'s' * (missing > 1)} without information)" if missing else ""
-        return number(value) + directions
-
-    text = f"condition number of the scaled information: {words(False)} from the data"
-    return text + (f", {words(True)} with the prior" if with_prior else "")
+def _condition(information: Information, prior: bool) -> str:
+    value, missing = information.condition(prior)
+    directions = f" (and {missing} direction{'s' * (missing > 1)} without information)" if missing else ""
+    return number(value) + directions
 
 
 def _strongest(structure: Structure, information: Information, quantities: Sequence[Quantity]) -> str:
@@ -112,11 +96,9 @@ def _strongest(structure: Structure, information: Information, quantities: Seque
     compared = [q for q in quantities if len(q.exponents) == 1]
     if any(math.isinf(information.variance(q)) for q in compared):
         compared = list(structure.groups)
-    matrix = correlations(information, compared)
+    matrix, names = correlations(information, compared), [readable(q.name) for q in compared]
     pairs = sorted(itertools.combinations(range(len(compared)), 2), key=lambda pair: -abs(matrix[pair]))[:LISTED]
-    names = [readable(q.name) for q in compared]
-    listed = [f"{names[i]} and {names[j]} {matrix[i, j]:+.2f}" for i, j in pairs]
-    return "strongest correlations of the logarithms: " + ("; ".join(listed) or "none")
+    return "; ".join(f"{names[i]} and {names[j]} {matrix[i, j]:+.2f}" for i, j in pairs) or "none"
 
 
 def profile_intervals(

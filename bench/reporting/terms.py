@@ -23,23 +23,21 @@ def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], 
     """
     import sympy
 
-    n, single = system.n_dof, system.n_dof == 1
-    number = [""] if single else [str(i + 1) for i in range(n)]
-    x, v, f = ([sympy.Symbol(f"{s}{i}", real=True) for i in number] for s in "xvf")
-    # parameters as different primes: exact, fast, and no term of theirs is nil by accident
-    p = {name: sympy.Integer(sympy.prime(10 + i)) for i, name in enumerate(system.names)}
-
     if system.n_hidden:
         return None
-    pushed = [f[i] if i in forced else sympy.Integer(0) for i in range(n)]
-    states, found = [*x, *v, *f], []
-    for one in acceleration(system, p, x, v, pushed, [], sympy_ops()):
-        try:
-            polynomial = sympy.Poly(sympy.expand(one), *states)
-        except sympy.PolynomialError:
-            return None
-        found.append(frozenset(_name(powers, [str(s) for s in states]) for powers in polynomial.monoms()))
-    return tuple(found)
+    numbers = [""] if system.n_dof == 1 else [str(i + 1) for i in range(system.n_dof)]
+    x, v, f = ([sympy.Symbol(f"{name}{i}", real=True) for i in numbers] for name in "xvf")
+    # parameters as different primes: exact, fast, and no term of theirs is nil by accident
+    p = {name: sympy.Integer(sympy.prime(10 + i)) for i, name in enumerate(system.names)}
+    pushed = [symbol if i in forced else sympy.Integer(0) for i, symbol in enumerate(f)]
+    try:
+        accelerations = [
+            sympy.Poly(sympy.expand(a), *x, *v, *f) for a in acceleration(system, p, x, v, pushed, [], sympy_ops())
+        ]
+    except sympy.PolynomialError:
+        return None
+    states = [str(symbol) for symbol in (*x, *v, *f)]
+    return tuple(frozenset(_name(powers, states) for powers in polynomial.monoms()) for polynomial in accelerations)
 
 
 def _name(powers: tuple[int, ...], states: list[str]) -> str:
