@@ -330,7 +330,7 @@ def test_the_picture_is_written_the_same_each_time(
     said = capsys.readouterr().out.replace(str(tmp_path), "")
     assert "open" not in said.split("profile of replicate 0")[1]
     first = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
-    assert set(first) == {"profile_sdof_forced.png", "profile_sdof_forced.svg"}
+    assert {"profile_sdof_forced.png", "profile_sdof_forced.svg"} <= set(first)
     assert main(["identifiability", *arguments]) == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == first
 
