@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.signal import periodogram
 
+from bench import __version__
 from bench.likelihood.autoregression import autoregression, even_times
 from bench.records.certificate import Certificate, agreements, compared_quantities
 from bench.records.colour import autocorrelation
@@ -27,7 +28,7 @@ from bench.records.verdict import Trust
 from bench.reporting.answer import answer
 from bench.reporting.rounding import number
 
-PACKAGES = ("vibration-bench", "numpy", "scipy", "jax", "casadi", "emcee", "torch")
+PACKAGES = ("numpy", "scipy", "jax", "casadi", "emcee", "torch")
 LAGS = 60
 WHITE_BAND = (-math.log(0.975), -math.log(0.025))
 """A periodogram's ordinate of white noise over its level is exponential: 95 % of them lie between these."""
@@ -42,16 +43,27 @@ OPENING = {
 def contents(certificate: Certificate, command: str) -> dict[str, Any]:
     """Return all of a certificate; ``command`` reproduces it."""
     primary, names = certificate.primary, compared_quantities(certificate.findings)
-    values, modes, record = _intervals(primary.intervals), [vars(mode) for mode in primary.modes], _record(certificate)
-    residuals = residuals_of(primary)
+    values, modes, residuals = (
+        _intervals(primary.intervals),
+        [vars(mode) for mode in primary.modes],
+        residuals_of(primary),
+    )
+    measured = certificate.measured
+    record = measured.problem.records[0]
     return {
         "answer": answer(values, modes),
         "verdict": primary.trust.value,
         "method": primary.method,
         "system": " + ".join(getattr(primary.problem.system, "terms", ())) or primary.problem.system.name,
-        "sentences": sentences(certificate, record),
+        "sentences": sentences(certificate),
         "reasons": [reason.text for reason in primary.reasons],
-        "record": record,
+        "record": {
+            "hashes": [(Path(recording.source).name, recording.sha256) for recording in measured.recordings],
+            "samples": measured.problem.n,
+            "seconds": record.duration,
+            "rate": (record.channels[0].n - 1) / (float(np.ptp(record.channels[0].times)) or 1.0),
+            "forced": measured.problem.forced,
+        },
         "values": values,
         "withdrawn": _intervals(primary.withdrawn),
         "modes": modes,
@@ -68,17 +80,19 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "missing": certificate.missing,
         "notes": primary.measured.notes,
         "command": command,
-        "packages": packages(),
+        "packages": {"Python": platform.python_version(), "vibration-bench": __version__}
+        | {name: version(name) for name in PACKAGES if find_spec(name)},
         "series": series(certificate),
     }
 
 
-def sentences(certificate: Certificate, record: Mapping[str, Any]) -> list[str]:
+def sentences(certificate: Certificate) -> list[str]:
     """Return the verdict with its first reason, and what supports the answer."""
     primary, others = certificate.primary, [other for other in certificate.findings[1:] if other.intervals]
     reason = f": {primary.reasons[0].text}" if primary.reasons else ""
     runs = [run for run in primary.runs if not run.left_out]
-    length = f"{record['samples']} samples over {number(record['seconds'])} s"
+    problem = certificate.measured.problem
+    length = f"{problem.n} samples over {number(problem.records[0].duration)} s"
     support = [f"{primary.method} on " + (f"{len(runs)} runs, each alone" if runs else length)]
     if primary.fit is not None:
         support.append(f"residual RMS: {100 * part_of_signal(primary.fit):.2g} % of signal RMS")
@@ -87,19 +101,6 @@ def sentences(certificate: Certificate, record: Mapping[str, Any]) -> list[str]:
         agree = sum("off" not in agreements(other, primary, names).values() for other in others)
         support.append(f"{agree} of {len(others)} other methods agree" if others else "no other method")
     return [f"{OPENING[primary.trust]}{reason}.", f"{'; '.join(support)}."]
-
-
-def _record(certificate: Certificate) -> dict[str, Any]:
-    measured = certificate.measured
-    record = measured.problem.records[0]
-    return {
-        "hashes": [(Path(recording.source).name, recording.sha256) for recording in measured.recordings],
-        "samples": measured.problem.n,
-        "seconds": record.duration,
-        "rate": (record.channels[0].n - 1) / (float(np.ptp(record.channels[0].times)) or 1.0),
-        "unit": file_unit(measured)[0],
-        "forced": measured.problem.forced,
-    }
 
 
 def _intervals(intervals: Mapping[str, StatedInterval]) -> dict[str, dict[str, Any]]:
@@ -117,16 +118,8 @@ def _prediction(certificate: Certificate) -> dict[str, float] | None:
 
 
 def _class(model: ModelClass, measured: Measured) -> dict[str, Any]:
-    return {
-        "name": model.name,
-        "criterion_difference": model.criterion,
-        "criterion_difference_error": model.criterion_error,
-        "told_apart": model.told_apart,
-        "residual_pct": 100.0 * model.left,
-        "zero": {
-            name: {"most": most, "unit": measured.unit_of(unit_over_mass(name))} for name, most in model.zero.items()
-        },
-    }
+    zero = {name: {"most": most, "unit": measured.unit_of(unit_over_mass(name))} for name, most in model.zero.items()}
+    return {name: value for name, value in vars(model).items() if name != "system"} | {"zero": zero}
 
 
 def _method(finding: Finding, primary: Finding, names: Sequence[str]) -> dict[str, Any]:
@@ -141,15 +134,6 @@ def _method(finding: Finding, primary: Finding, names: Sequence[str]) -> dict[st
         "withdrawn": _intervals(finding.withdrawn),
         "agreement": agreements(finding, primary, names),
     }
-
-
-def packages() -> dict[str, str]:
-    """Return the versions of what computes, of those that are installed."""
-    versions = {"Python": platform.python_version()}
-    for name in PACKAGES:
-        with suppress(PackageNotFoundError):
-            versions[name] = version(name)
-    return versions
 
 
 def series(certificate: Certificate) -> dict[str, Any]:

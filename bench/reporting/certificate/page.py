@@ -56,10 +56,10 @@ def _classes(classes: Sequence[Mapping[str, Any]]) -> Grid:
     for model in classes:
         zero = model["zero"].items()
         limits = [f"{readable(name)}/m ≤ {number(limit['most'])} {limit['unit']}" for name, limit in zero]
-        difference, error = model["criterion_difference"], HALF * model["criterion_difference_error"]
+        difference, error = model["criterion"], HALF * model["criterion_error"]
         digits = 1 if difference < 100 else 0
         text = f"{difference:.{digits}f}" + (f" ± {error:.{digits}f}" if round(error, digits) > 0 else "")
-        rows.append((model["name"], text, f"{model['residual_pct']:.2g}", "; ".join(limits)))
+        rows.append((model["name"], text, f"{100 * model['left']:.2g}", "; ".join(limits)))
     headers = ("Model", "ΔBIC", "Residual RMS (% of amplitude)", "Not needed, upper limit")
     return Grid(headers, rows, ["" if model["told_apart"] else "level" for model in classes])
 
