@@ -26,6 +26,7 @@ MOST_MARKED = 250
 """Samples beyond this number are a line, not circles."""
 WIDTHS = 3.0
 """Widths of the primary's interval to either side of its value beyond which another's is cut at the edge."""
+ENDS = ("value", "low", "high", "record_low", "record_high")
 REGION = {"type": "rect", "style": "region", "strokeWidth": 0}
 RULE = {"type": "rule", "style": "quiet"}
 Specification = dict[str, Any]
@@ -178,58 +179,45 @@ def _lags(shown: Mapping[str, Any]) -> Drawn | None:
 
 
 def _forest(shown: Mapping[str, Any]) -> Drawn | None:
-    rows = [row for name in shown["compared"] for row in _intervals(name, shown["methods"], shown["values"].get(name))]
+    rows = []
+    for name in shown["compared"]:
+        reference = shown["values"].get(name)
+        if reference is None or not math.isfinite(reference["high"]):
+            continue
+        room = WIDTHS * (reference["high"] - reference["low"])
+        for method in (method for method in shown["methods"] if name in method["values"]):
+            interval = method["values"][name]
+            ends = np.clip([interval[end] for end in ENDS], reference["value"] - room, reference["value"] + room)
+            quantity = readable(name) + (f" ({interval['unit']})" if interval["unit"] != "-" else "")
+            colour = AGREEMENT[method["agreement"][name]]
+            row = {"quantity": quantity, "method": method["method"], "colour": colour}
+            rows.append(row | dict(zip(ENDS, ends.tolist(), strict=True)))
     if not rows:
         return None
     quantities, methods = (list(dict.fromkeys(row[key] for row in rows)) for key in ("quantity", "method"))
-    color = {"field": "colour", "scale": None}
-
-    def ends(low: str, high: str) -> Specification:
-        scale = {"zero": False, "nice": False, "padding": 4}
-        axis = {"format": ".6~g", "tickCount": 3, "labelOverlap": True}
-        return {"x": {"field": low, "type": "quantitative", "title": None, "scale": scale, "axis": axis},
-                "x2": {"field": high}}  # fmt: skip
-
-    order = {"field": "method", "type": "nominal", "sort": methods, "title": None,
-             "axis": {"domain": False, "ticks": False}}  # fmt: skip
-    point = {"type": "point", "size": 14, "filled": True, "opacity": 1}
+    across = {"type": "quantitative", "title": None, "scale": {"zero": False, "nice": False, "padding": 4},
+              "axis": {"format": ".6~g", "tickCount": 3, "labelOverlap": True}}  # fmt: skip
+    up = {"field": "method", "type": "nominal", "sort": methods, "title": None,
+          "axis": {"domain": False, "ticks": False}}  # fmt: skip
+    of_method = {"y": up, "color": {"field": "colour", "scale": None}}
+    wide, narrow = (
+        {"x": {"field": f"{of}low", **across}, "x2": {"field": f"{of}high"}, **of_method} for of in ("", "record_")
+    )
     layers = [
-        {"mark": REGION, "transform": [{"filter": "datum.of == 'primary'"}], "encoding": ends("low", "high")},
-        {"mark": {"type": "rule", "strokeWidth": 0.9}, "encoding": ends("low", "high") | {"y": order, "color": color}},
-        {"mark": {"type": "rule", "strokeWidth": 2.4},
-         "encoding": ends("record_low", "record_high") | {"y": order, "color": color}},
-        {"mark": point, "encoding": {"x": ends("value", "")["x"], "y": order, "color": color,
-                                     "shape": {"field": "shape", "scale": None}}},
+        {"mark": REGION, "encoding": {name: wide[name] for name in ("x", "x2")},
+         "transform": [{"filter": {"field": "colour", "equal": INK}}]},
+        {"mark": {"type": "rule", "strokeWidth": 0.9}, "encoding": wide},
+        {"mark": {"type": "rule", "strokeWidth": 2.4}, "encoding": narrow},
+        {"mark": {"type": "point", "size": 14, "filled": True, "opacity": 1},
+         "encoding": {"x": {"field": "value", **across}, **of_method}},
     ]  # fmt: skip
+    heading = {"field": "quantity", "sort": quantities, "title": None, "header": {"labelAnchor": "start"}}
     return {
         "data": {"values": rows},
-        "facet": {
-            "column": {"field": "quantity", "sort": quantities, "title": None, "header": {"labelAnchor": "start"}}
-        },
+        "facet": {"column": heading},
         "spec": {"width": (HALF - 2 * ROOM) / len(quantities), "height": 11 * len(methods), "layer": layers},
         "resolve": {"scale": {"x": "independent"}},
     }, (
         "95 % intervals: thin of a repeat, thick of this record; grey: the primary method's. Blue agrees with it, grey "
-        "bars are tied with it, orange is off: neither interval covers the other's value. Triangles: beyond the plot."
+        "bars are tied with it, orange is off: neither interval covers the other's value. At an edge: beyond the plot."
     )
-
-
-def _intervals(
-    name: str, methods: Sequence[Mapping[str, Any]], reference: Mapping[str, Any] | None
-) -> list[dict[str, Any]]:
-    """Return the intervals of a quantity, cut where the primary's would no longer be seen beside them."""
-    stated = [(method, method["values"][name]) for method in methods if name in method["values"]]
-    ends = [interval[end] for _, interval in stated for end in ("low", "high") if math.isfinite(interval[end])]
-    low, high = min(ends, default=0.0), max(ends, default=1.0)
-    if reference is not None and math.isfinite(width := reference["high"] - reference["low"]):
-        low, high = max(low, reference["value"] - WIDTHS * width), min(high, reference["value"] + WIDTHS * width)
-    rows = []
-    for method, interval in stated:
-        value, of, unit = interval["value"], method["agreement"].get(name, "-"), interval["unit"]
-        row = {end: min(max(interval[end], low), high) for end in ("value", "low", "high", "record_low", "record_high")}
-        rows.append(row | {
-            "quantity": readable(name) + ("" if unit == "-" else f" ({unit})"), "method": method["method"], "of": of,
-            "colour": AGREEMENT[of],
-            "shape": "triangle-left" if value < low else "triangle-right" if value > high else "circle",
-        })  # fmt: skip
-    return rows
