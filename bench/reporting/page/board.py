@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.reporting.frame import ERROR, Result
+from bench.reporting.frame import Result
 from bench.reporting.page.charts import forest, scenario_data
 from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.words import USUAL_DB, decibels, heading, number, seconds, system_words
@@ -19,36 +19,27 @@ from bench.reporting.ranking import first_tier, median_time
 from bench.scoring.summary import gross
 from bench.store.stored import unmarked
 
-STANDINGS = ("first tier", "behind", "not ranked", "reference", "failed", "unsupported")
+STANDINGS = ("first tier", "behind", "reference", "failed")
 """In the order in which a board is sorted at first."""
 BY_SCENARIO = ("System", "SNR", "Initial state", "Data")
 """Columns that all lines of a scenario share."""
-HIDDEN = ("Bound", "Prior", *BY_SCENARIO)
+HIDDEN = ("Bound", *BY_SCENARIO)
 """Columns that are not shown at first."""
-FirstTiers = Mapping[tuple[int, str], frozenset[Result]]
-"""By the scenario's place and by metric, the methods that nothing tells from the best."""
 
 
 class Line(NamedTuple):
-    """What a line is about; ``tier``, the first, is None of a quantity that the data do not decide."""
+    """A method's errors in one quantity of a scenario; ``tier`` is the first."""
 
     place: int
     panel: ScenarioPanel
     metric: str
     result: Result
-    tier: frozenset[Result] | None
-
-
-def first_tiers(panels: Sequence[ScenarioPanel]) -> FirstTiers:
-    """Of every scenario and metric that its data decide."""
-    return {
-        (i, metric): first_tier(panel.results, [metric]) for i, panel in enumerate(panels) for metric in panel.ranked
-    }
+    tier: frozenset[Result]
 
 
 def data_files(site: Any) -> Iterator[tuple[str, bytes]]:
     """What the pages' scripts load: the path in the site, and a call of one of their functions."""
-    yield "data/board.js", called("board", board(site.panels, first_tiers(site.panels), site.methods))
+    yield "data/board.js", called("board", board(site.panels, site.methods))
     for panel in site.panels:
         yield f"scenarios/{panel.slug}.js", called("scenario", {"slug": panel.slug, **scenario_data(panel)})
     if site.advice:
@@ -61,12 +52,13 @@ def called(function: str, value: Any) -> bytes:
     return f"bench.{function}({text});\n".encode()
 
 
-def board(panels: Sequence[ScenarioPanel], tiers: FirstTiers, methods: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Its columns, with the addresses of methods."""
+def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Its columns, with the addresses of methods; quantities that a scenario's data do not tell are left out."""
+    asked = [(i, panel, metric) for i, panel in enumerate(panels) for metric in panel.ranked]
+    tiers = [(*own, first_tier(own[1].results, [own[2]])) for own in asked]
     lines = [
-        Line(i, panel, metric, result, tiers.get((i, metric)))
-        for i, panel in enumerate(panels)
-        for metric in panel.ranked
+        Line(i, panel, metric, result, tier)
+        for i, panel, metric, tier in tiers
         for result in panel.results
         if metric in result.summary and result.status is not Status.UNSUPPORTED
     ]
@@ -76,13 +68,11 @@ def board(panels: Sequence[ScenarioPanel], tiers: FirstTiers, methods: Mapping[s
                lambda own: f"methods/{methods[unmarked(own[1])]}.html"),
         column("Error of", lines, lambda line: heading(line.metric)),
         column("× bound", lines, statistic("excess"), number),
-        column("Standing", lines, lambda line: STANDINGS.index(standing_of(line.result, line.tier)),
-               STANDINGS.__getitem__),
+        column("Standing", lines, lambda line: STANDINGS.index(standing(line)), STANDINGS.__getitem__),
         column("Bound", lines, lambda line: short(line.result.bound(line.metric), 3), number),
         column("Median", lines, statistic("median"), number),
         column("95 %", lines, interval, lambda own: f"{number(own[0])} to {number(own[1])}"),
         column("Gross", lines, gross_share, lambda own: f"{own:g} %"),
-        column("Prior", lines, prior_share, lambda own: f"{own:g} %"),
         column("Fits ok", lines, fits, lambda own: f"{own[1]}/{own[2]}"),
         column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), seconds),
         column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
@@ -138,11 +128,6 @@ def gross_share(line: Line) -> float | None:
     return short(100 * float(np.mean(gross(errors, bound))), 2) if errors.size else None
 
 
-def prior_share(line: Line) -> float | None:
-    """The prior's share of the precision at the bound (%)."""
-    return short(100 * line.panel.prior_share.get(line.metric.removesuffix(ERROR), math.nan), 2)
-
-
 def fits(line: Line) -> tuple[float, int, int]:
     """Fits that returned an answer, most first."""
     return -line.result.n_ok / max(line.result.n, 1), line.result.n_ok, line.result.n
@@ -153,14 +138,10 @@ def short(value: float, digits: int = 4) -> float | None:
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
-def standing_of(result: Result, tier: frozenset[Result] | None) -> str:
+def standing(line: Line) -> str:
     """One of :data:`STANDINGS`."""
-    if result.is_reference:
+    if line.result.is_reference:
         return "reference"
-    if result.status is Status.UNSUPPORTED:
-        return "unsupported"
-    if result.n_ok == 0:
+    if line.result.n_ok == 0:
         return "failed"
-    if tier is None:
-        return "not ranked"
-    return "first tier" if result in tier else "behind"
+    return "first tier" if line.result in line.tier else "behind"

@@ -180,7 +180,7 @@ def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
     """Root mean square and share of gross errors, counted from the rows; ls differs by a factor of 1.5 at least."""
     cell = stored("mcmc", 1.5, failed=4)
     panels = panels_of([cell, stored("ls")])
-    columns = board.board(panels, board.first_tiers(panels), {"mcmc": "mcmc", "ls": "ls"})
+    columns = board.board(panels, {"mcmc": "mcmc", "ls": "ls"})
     lines = [{own["title"]: own["values"][own["codes"][i]] for own in columns if not own["by"]} for i in range(6)]
     line, other = (line for line in lines if line["Error of"] == "k/m (%)")
     assert (other["Standing"], line["Standing"]) == ("first tier", "behind")

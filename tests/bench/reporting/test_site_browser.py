@@ -1,55 +1,33 @@
-"""The site in a browser: what it shows, whom it asks, and who can read it."""
+"""The site in a browser, from a folder: leaderboard, comparison, files, charts, keyboard, phone, print, and axe."""
 
 from __future__ import annotations
 
 import json
 import math
-import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import REPOSITORY
-from scipy.stats import binom, binomtest
+from chromium import PROGRAM, Browser
+from scipy.stats import binom
 from sites import filled, made, stored
 
 from bench.reporting.frame import Result
+from bench.reporting.page import origin, reading
+from bench.reporting.ranking import fits_of
 
+pytestmark = pytest.mark.skipif(not PROGRAM, reason="no Chromium here")
 AXE = Path(__file__).parent / "axe" / "axe.min.js"
-
-# ---- in a browser
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Headless Chromium that can resolve no name; skipped where there is none."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    from selenium.webdriver.chrome.service import Service
-
-    program, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
-    if not program or not driver:
-        pytest.skip("no Chromium here")
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    for argument in (
-        "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-        "--host-resolver-rules=MAP * ~NOTFOUND",
-    ):  # fmt: skip
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    found = webdriver.Chrome(options=options, service=Service(driver))
-    yield found
-    found.quit()
+SCENARIO = "scenarios/sdof-20db-start-unknown.html"
+PAGES = ("index.html", "leaderboard.html", SCENARIO, "methods/ls.html", "provenance.html")
+OF_THE_PAGE = ("Log.entryAdded", "Runtime.exceptionThrown", "Runtime.consoleAPICalled")
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site of two systems, two starts and three methods."""
-    from bench.reporting.page import origin, reading
-
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site of two systems, two starts and three methods; ls is on the bound, sindy loses three fits."""
     found = [
         stored(label, worse, system=system, told=told, failed=3 if label == "sindy" else 0)
         for system in ("sdof", "系统")
@@ -57,7 +35,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for label, worse in (("ls", 1.0), ("mcmc", 1.5), ("sindy", 12.0))
     ]
     store = filled(tmp_path_factory.mktemp("results"), *found)
-    keys = frozenset(Result.of_stored(one).question for one in found)
+    keys = frozenset(result.question for result in map(Result.of_stored, found))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reading, "table_experiments", lambda: ["table3"])
         patch.setattr(reading, "questions", lambda name: keys)
@@ -65,270 +43,192 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return made(store)
 
 
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    browser = Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
 @pytest.fixture
-def shown(browser: Any, built: Path) -> tuple[Any, Path]:
-    """The browser, 1440 pixels wide, and that site."""
-    still = {"name": "prefers-reduced-motion", "value": "reduce"}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [still]})
-    resize(browser, 1440)
-    for log in ("browser", "performance"):
-        browser.get_log(log)
-    return browser, built
+def browser(window: Browser) -> Browser:
+    """A window of 1440 pixels, light, that has reported nothing."""
+    show(window)
+    window.events.clear()
+    return window
 
 
-def resize(browser: Any, width: int) -> None:
-    """Give the page so many pixels."""
+def show(browser: Browser, width: int = 1440, scheme: str = "light", media: str = "") -> None:
+    """Set the width of the page, its colours and its medium."""
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    features = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce"}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    wanted = [{"name": name, "value": value} for name, value in features.items()]
+    browser.call("Emulation.setEmulatedMedia", media=media, features=wanted)
 
 
-def visit(browser: Any, site: Path, address: str) -> None:
-    """Open a page, and wait until its charts and tables are there."""
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    browser.get("about:blank")  # so that another part of the same page is loaded anew
-    browser.get(f"{(site / address.partition('#')[0]).as_uri()}{address[len(address.partition('#')[0]) :]}")
-    ready = """
-    const there = (id) => document.querySelector(`#${id}`);
-    return (!there("board") || bench.ready === true) && (!there("forest") || !!there("forest svg"));
-    """
-    WebDriverWait(browser, 20).until(lambda b: b.execute_script(ready))
+def visit(browser: Browser, site: Path, address: str) -> None:
+    """Open a page, and wait for its charts and tables."""
+    path, mark, rest = address.partition("#")
+    browser.visit(f"{(site / path).as_uri()}{mark}{rest}")
+    drawn = "!document.querySelector('#forest') || document.querySelector('#forest svg.marks')"
+    browser.wait(f"(!document.querySelector('#board') || document.querySelector('#board td')) && ({drawn})")
 
 
-def column(browser: Any, name: str) -> list[str]:
+def column(browser: Browser, name: str) -> list[str]:
     """The texts of a column of the leaderboard."""
-    script = """
-    const cells = Array.from(document.querySelectorAll("#board tbody td"));
-    return cells.filter((cell) => cell.dataset.label === arguments[0]).map((cell) => cell.textContent.trim());
-    """
-    return list(browser.execute_script(script, name))
+    cells = f"document.querySelectorAll('#board td[data-label={json.dumps(name)}]')"
+    return list(browser.run(f"Array.from({cells}, (cell) => cell.textContent.trim())"))
 
 
-def choose(browser: Any, name: str, value: str) -> None:
-    """Take a choice, and wait for what follows."""
-    from selenium.webdriver.support.ui import Select, WebDriverWait
+def choose(browser: Browser, **values: str) -> None:
+    """Take choices of the leaderboard."""
+    for name, value in values.items():
+        field = f"document.forms.choices.elements[{json.dumps(name.replace('_', ' '))}]"
+        browser.run(f"{field}.value = {json.dumps(value)}")
+        browser.run(f"{field}.dispatchEvent(new Event('change', {{bubbles: true}}))")
 
-    before = browser.execute_script("return location.hash")
-    Select(browser.find_element("css selector", f"select[name='{name}']")).select_by_value(value)
-    WebDriverWait(browser, 10).until(lambda b: b.execute_script("return location.hash") != before)
 
-
-def test_the_browser_asks_for_nothing_else_and_complains_of_nothing(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    for page in ("index.html", "leaderboard.html", "scenarios/sdof-20db-start-unknown.html", "methods/ls.html"):
+def test_the_browser_asks_for_nothing_else_and_complains_of_nothing(browser: Browser, site: Path) -> None:
+    for page in PAGES:
         visit(browser, site, page)
-        assert [entry["message"] for entry in browser.get_log("browser")] == [], page
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
-    assert asked
-    assert all(url.startswith(("file:", "data:", "about:", "blob:")) for url in asked), asked
+    reported = [event["params"] for event in browser.events if event["method"] in OF_THE_PAGE]
+    sent = [event["params"] for event in browser.events if event["method"] == "Network.requestWillBeSent"]
+    assert reported == []
+    assert sent
+    assert all(one["request"]["url"].startswith(("file:", "data:", "about:", "blob:")) for one in sent)
 
 
-def test_the_first_screen_advises_and_draws(shown: tuple[Any, Path]) -> None:
-    """By construction ls is on the bound, mcmc behind, and sindy has gross errors."""
-    browser, site = shown
-    visit(browser, site, "index.html")
-    rows = browser.find_elements("css selector", "#advice tbody tr")
-    first = next(row.text for row in rows if "initial state unknown" in row.text)
-    assert "LS, finite differences" in first
-    assert "SINDy" not in first
-    assert "tells k/m and c/m, not m, c or k" in first
-    lead = [line.text for line in browser.find_elements("css selector", ".three li")]
-    assert any("no method can find" in text and "mass" in text.lower() for text in lead)
-    drawn = browser.find_element("css selector", "#forest svg").get_attribute("textContent")
-    assert all(name in drawn for name in ("LS, finite differences", "Bayesian MCMC", "SINDy"))
-    assert any("data=record.csv" in text for text in lead)
-
-
-def test_the_command_for_a_record_of_ones_own_is_that_of_the_tutorial_that_is_run() -> None:
-    page = (REPOSITORY / "bench" / "reporting" / "page" / "templates" / "home.md.j2").read_text("utf-8")
-    tutorial = (REPOSITORY / "docs" / "tutorials" / "own_record.md").read_text("utf-8")
-    (command,) = re.findall(r"python -m bench[^`]* data=[^`]*", page)
-    assert any(set(command.split()) <= set(line.split()) for line in tutorial.splitlines()), command
-
-
-def test_the_leaderboard_opens_best_first_and_sorts_by_value(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    visit(browser, site, "leaderboard.html#system=sdof&quantity=k/m (%25)")
+def test_the_leaderboard_opens_best_first_and_sorts_by_value(browser: Browser, site: Path) -> None:
+    visit(browser, site, "leaderboard.html")
     assert column(browser, "Standing")[0] == "first tier"
-    visit(browser, site, "leaderboard.html#system=sdof&sort=6.desc")
-    values = [math.inf if v == "–" else float(v) for v in column(browser, "Median")]
-    assert len(values) == 24  # two starts, three methods, four quantities
+    visit(browser, site, "leaderboard.html#sort=Median:desc")
+    values = [math.inf if text == "–" else float(text) for text in column(browser, "Median")]
+    assert len(values) == 36  # two systems, two starts, three methods, three quantities that the data tell
     assert values == sorted(values, reverse=True)
 
 
-def test_choices_are_kept_in_the_address_and_read_from_it(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    visit(browser, site, "leaderboard.html")
-    choose(browser, "start", "known")
-    choose(browser, "method", "sindy")
-    address = browser.current_url
-    assert set(column(browser, "Method")) == {"SINDy"}
-    before = [column(browser, name) for name in ("Method", "Error of", "Median", "Scenario")]
-    browser.get("about:blank")
-    visit(browser, site, f"leaderboard.html{address[address.index('#') :]}")
-    assert [column(browser, name) for name in ("Method", "Error of", "Median", "Scenario")] == before
-    assert browser.find_element("id", "count").text.startswith("1 of ")
+def test_choices_order_and_columns_are_in_the_address(browser: Browser, site: Path) -> None:
+    visit(browser, site, "leaderboard.html#sort=Median:asc&hide=Gross")
+    choose(browser, Initial_state="known", Method="SINDy")
+    shown = [column(browser, name) for name in ("Method", "Error of", "Bound", "Scenario")]
+    address = str(browser.run("location.hash"))
+    visit(browser, site, f"leaderboard.html{address}")
+    assert [column(browser, name) for name in ("Method", "Error of", "Bound", "Scenario")] == shown
+    assert len(shown[0]) == 6
+    assert set(shown[0]) == {"SINDy"}
+    assert column(browser, "Gross") == []
 
 
-def test_impossible_choices_are_grey_and_a_limit_of_time_holds(shown: tuple[Any, Path]) -> None:
-    """Fits take 10, 15 and 120 ms by construction; none takes 1 ms; one noise level is stored."""
-    browser, site = shown
-    visit(browser, site, "leaderboard.html#system=sdof&method=mcmc")
-    grey = """
-    const options = Array.from(document.querySelector(`select[name=${arguments[0]}]`).options);
-    return options.filter((option) => option.disabled).map((option) => option.value);
-    """
-    assert browser.execute_script(grey, "budget") == ["0.001", "0.01"]
-    choose(browser, "method", "")
-    choose(browser, "budget", "0.1")
+def test_a_limit_of_time_holds_and_a_choice_that_leaves_nothing_gives_up_others(browser: Browser, site: Path) -> None:
+    """Fits take 10, 15 and 120 ms by construction."""
+    visit(browser, site, "leaderboard.html#hide=")
+    choose(browser, Time_per_fit="0.1")
     assert set(column(browser, "Method")) == {"LS, finite differences", "Bayesian MCMC"}
-    assert "sindy" in browser.execute_script(grey, "method")
+    choose(browser, Time_per_fit="0.01")
+    assert set(column(browser, "Method")) == {"LS, finite differences"}
+    choose(browser, Method="SINDy")
+    assert set(column(browser, "Method")) == {"SINDy"}
 
 
-def test_two_methods_are_compared_on_the_same_data_sets(shown: tuple[Any, Path]) -> None:
-    """The numbers of scipy and of order statistics, from the stored errors."""
-    browser, site = shown
-    visit(browser, site, "leaderboard.html#system=sdof&start=unknown&a=mcmc&b=sindy&of=k_over_m_error_pct")
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    found = WebDriverWait(browser, 10).until(lambda b: b.execute_script("return bench.compared"))
-    own = [stored("mcmc", 1.5), stored("sindy", 12.0, failed=3)]
-    a, b = (one.errors("k_over_m_error_pct") for one in map(Result.of_stored, own))
-    ratios = np.sort(b / a)
-    test = binomtest(int(np.sum(b < a)), 40)
-    k = int(binom.ppf(0.025, 40, 0.5))
-    assert (found["n"], found["nearer"], found["further"]) == (40, int(np.sum(a < b)), int(np.sum(b < a)))
-    assert found["p"] == pytest.approx(test.pvalue, rel=1e-9)
-    assert found["ratio"] == pytest.approx(float(np.median(ratios)), rel=0.01)
-    assert found["low"] == pytest.approx(ratios[k - 1], rel=0.01)
-    assert found["lost"] == [0, 3]
-    said = browser.find_element("id", "verdict").text
-    assert "On 40 data sets the error of SINDy is" in said
-    points = browser.find_elements(
-        "css selector", "#scatter svg path[aria-roledescription='point'], #scatter svg .mark-symbol path"
-    )
-    assert len(points) == 37
+def test_two_methods_are_compared_on_the_same_data_sets(browser: Browser, site: Path) -> None:
+    """Fits by the numbers of the ranking, counted by numpy."""
+    chosen = "System=sdof: One mass, free decay&Initial state=unknown&A=Bayesian MCMC&B=SINDy"
+    visit(browser, site, f"leaderboard.html#{chosen}")
+    browser.wait("document.querySelectorAll('#scatter [aria-roledescription=point]').length === 40")
+    fits = fits_of(map(Result.of_stored, (stored("mcmc", 1.5), stored("sindy", 12.0, failed=3))))
+    a, b = (np.exp(fits[label][0]) for label in ("mcmc", "sindy"))
+    said = browser.run("verdict.textContent")
+    assert f"On 40 data sets the error of SINDy is {np.median(b / a):.3g} times that of Bayesian MCMC" in said
+    assert f"Bayesian MCMC is nearer the truth on {np.sum(a < b)}, SINDy on {np.sum(b < a)}." in said
+    assert f"Lost fits: {np.sum(a > 9.99)} of Bayesian MCMC, {np.sum(b > 9.99)} of SINDy." in said
 
 
-@pytest.mark.parametrize(("fewer", "n"), [(0, 5), (3, 11), (40, 100)])
-def test_the_sign_test_is_scipys(fewer: int, n: int, shown: tuple[Any, Path]) -> None:
-    browser, site = shown
+@pytest.mark.parametrize("n", [6, 20, 100, 4000])
+def test_the_interval_of_a_median_covers_what_it_says(n: int, browser: Browser, site: Path) -> None:
+    """The k-th least and the k-th largest hold the median with the probability of the binomial distribution."""
     visit(browser, site, "leaderboard.html")
-    script = """
-    const pairs = Array.from({length: arguments[1]}, (_, i) => ({a: 1, b: i < arguments[0] ? 0.5 : 2}));
-    return bench.statistics(pairs).p;
-    """
-    assert browser.execute_script(script, fewer, n) == pytest.approx(binomtest(fewer, n).pvalue, rel=1e-9)
+    pairs = f"Array.from({{length: {n}}}, (_, i) => ({{a: 1, b: i + 1}}))"
+    found = browser.run(f"bench.statistics({pairs})")
+    k = int(found["low"])
+    assert found["high"] == n + 1 - k
+    assert 0.95 <= 1 - 2 * binom.cdf(k - 1, n, 0.5) <= 0.99
 
 
-def test_what_is_shown_can_be_taken(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    visit(browser, site, "leaderboard.html#system=sdof&start=unknown&method=ls&quantity=k/m (%25)")
-    browser.execute_script(
-        "bench.save = (name, type, text) => { window.saved = [name, text]; };"
-        "bench.copy = (text) => { window.copied = text; };"
-    )
-    for button in browser.find_elements("css selector", ".dt-buttons button"):
-        if button.text in ("JSON", "Copy as Markdown"):
-            button.click()
-    name, text = browser.execute_script("return window.saved")
-    (line,) = json.loads(text)
-    assert name == "leaderboard.json"
-    assert (line["Method"], line["Error of"], line["Fits ok"]) == ("LS, finite differences", "k/m (%)", "40/40")
-    shown_now = column(browser, "Median")[0]
-    assert line["Median"] == shown_now
-    copied = browser.execute_script("return window.copied")
-    assert copied.splitlines()[1].count("---") == copied.splitlines()[0].count("|") - 1
-    latex = browser.execute_script("return bench.latex({header: ['a_b', '50 %'], body: [['x&y', '×2']]})")
-    assert "a\\_b & 50 \\% \\\\" in latex
-    assert "x\\&y & $\\times$2" in latex
+def test_what_is_shown_can_be_taken(browser: Browser, site: Path) -> None:
+    visit(browser, site, "leaderboard.html#Initial state=unknown&Method=SINDy&Error of=k/m (%25)")
+    browser.run("window.saved = {}; bench.save = (name, text) => { saved[name.split('.').pop()] = text; }")
+    browser.run("document.querySelector('.dt-buttons .buttons-collection').click()")
+    browser.wait("document.querySelectorAll('.dt-button-collection button').length === 4")
+    browser.run("document.querySelectorAll('.dt-button-collection button').forEach((one) => one.click())")
+    files = browser.run("saved")
+    lines = json.loads(files["json"])
+    assert [(line["Error of"], line["Fits ok"]) for line in lines] == [("k/m (%)", "37/40")] * 2
+    assert [line["Median"] for line in lines] == column(browser, "Median")
+    head, rule, *rows = files["md"].splitlines()
+    assert head.count("|") == rule.count("|") == rows[0].count("|")
+    assert "k/m (\\%)" in files["tex"]
+    assert "$\\times$ bound" in files["tex"]
 
 
-def test_a_figure_can_be_taken_as_svg_and_png(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
+def test_a_chart_can_be_taken_as_svg_and_png(browser: Browser, site: Path) -> None:
     visit(browser, site, "index.html")
-    links = [
-        link.get_attribute("textContent") for link in browser.find_elements("css selector", "#forest .vega-actions a")
-    ]
-    assert links == ["Export as SVG", "Export as PNG"]
+    links = "Array.from(document.querySelectorAll('#forest .vega-actions a'), (link) => link.textContent)"
+    assert browser.run(links) == ["Save as SVG", "Save as PNG"]
 
 
-def test_the_keyboard_reaches_content_and_sorts(shown: tuple[Any, Path]) -> None:
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
-    browser, site = shown
-    visit(browser, site, "scenarios/sdof-20db-start-unknown.html")
-    ActionChains(browser).send_keys(Keys.TAB).perform()
-    assert "md-skip" in browser.switch_to.active_element.get_attribute("class")
-    head = browser.find_element("css selector", "article table.cards thead th:nth-child(2) [role='button']")
-    head.send_keys(Keys.ENTER)
-    cells = browser.find_elements("css selector", "article table.cards tbody td:nth-child(2)")
-    values = [float(cell.text) for cell in cells]
+def test_the_keyboard_reaches_content_and_sorts(browser: Browser, site: Path) -> None:
+    visit(browser, site, SCENARIO)
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key="Tab", windowsVirtualKeyCode=9)
+    assert "md-skip" in browser.run("document.activeElement.className")
+    browser.run("document.querySelector('article table.cards th:nth-child(3) [role=button]').focus()")
+    for kind, text in (("keyDown", "\r"), ("keyUp", "")):
+        browser.call("Input.dispatchKeyEvent", type=kind, key="Enter", windowsVirtualKeyCode=13, text=text)
+    cells = "document.querySelector('article table.cards').querySelectorAll('tbody td:nth-child(3)')"
+    values = browser.run(f"Array.from({cells}, (cell) => Number.parseFloat(cell.textContent))")
+    assert len(values) == 3
     assert values == sorted(values)
 
 
-@pytest.mark.parametrize("width", [360, 800, 1440])
-@pytest.mark.parametrize("page", ["index.html", "leaderboard.html", "scenarios/sdof-20db-start-unknown.html"])
-def test_no_page_is_wider_than_the_screen(width: int, page: str, shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    resize(browser, width)
-    visit(browser, site, page)
-    inside, wide = browser.execute_script("const e = document.documentElement; return [e.clientWidth, e.scrollWidth]")
-    assert wide <= inside
-    assert inside > 0.9 * width
+@pytest.mark.parametrize("width", [390, 800, 1440])
+def test_no_page_is_wider_than_the_screen(width: int, browser: Browser, site: Path) -> None:
+    show(browser, width)
+    for page in PAGES:
+        visit(browser, site, page)
+        assert browser.run("document.documentElement.scrollWidth") <= width, page
 
 
-def test_a_phone_shows_rows_as_cards(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    resize(browser, 360)
+def test_a_phone_shows_rows_as_cards(browser: Browser, site: Path) -> None:
+    show(browser, 390)
     visit(browser, site, "leaderboard.html")
-    cell = browser.find_element("css selector", "#board tbody td")
-    assert cell.value_of_css_property("display") == "grid"
-    label = "return getComputedStyle(document.querySelector('#board tbody td'), '::before').content"
-    assert browser.execute_script(label) == '"Method"'
+    cell = "document.querySelector('#board tbody td')"
+    assert browser.run(f"getComputedStyle({cell}).position") == "relative"
+    assert browser.run(f"getComputedStyle({cell}, '::before').content") == '"Method"'
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(
-    "page", ["index.html", "leaderboard.html", "scenarios/sdof-20db-start-unknown.html", "provenance.html"]
-)
-def test_axe_finds_nothing_serious(scheme: str, page: str, shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    browser.execute_cdp_cmd(
-        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    )
+@pytest.mark.parametrize("page", PAGES)
+def test_axe_finds_nothing_serious(scheme: str, page: str, browser: Browser, site: Path) -> None:
+    show(browser, scheme=scheme)
     visit(browser, site, page)
-    browser.execute_script(AXE.read_text(encoding="utf-8"))
-    browser.set_script_timeout(60)
-    run = """
-    const end = arguments[0];
-    const told = (one) => [one.impact, one.id, one.nodes[0].html];
-    axe.run(document, {preload: false}).then((found) => end(found.violations.map(told)));
-    """
-    found = browser.execute_async_script(run)
+    browser.run(AXE.read_text(encoding="utf-8") + "; 0")
+    said = "(found) => found.violations.map((one) => [one.impact, one.id, one.nodes[0].html])"
+    found: list[Any] = browser.run(f"axe.run(document, {{preload: false}}).then({said})")
     assert [one for one in found if one[0] in ("serious", "critical")] == []
-    ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
-    light = sum(map(int, re.findall(r"\d+", ground)[:3])) / 765
-    assert (light < 0.5) == (scheme == "dark")
+    shade = "getComputedStyle(document.body).backgroundColor.match(/\\d+/g).slice(0, 3).every((part) => part < 128)"
+    assert browser.run(shade) == (scheme == "dark")
 
 
-def test_print_leaves_the_controls_out(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    visit(browser, site, "scenarios/sdof-20db-start-unknown.html")
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    try:
-        assert not browser.find_element("css selector", "header").is_displayed()
-        assert browser.find_element("css selector", "article table.cards").is_displayed()
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+def test_print_leaves_the_controls_out(browser: Browser, site: Path) -> None:
+    visit(browser, site, SCENARIO)
+    show(browser, media="print")
+    assert not browser.run("document.querySelector('header').checkVisibility()")
+    assert browser.run("document.querySelector('article table.cards').checkVisibility()")
 
 
-def test_without_scripts_a_scenario_has_its_table(shown: tuple[Any, Path]) -> None:
-    browser, site = shown
-    text = (site / "scenarios" / "sdof-20db-start-unknown.html").read_text(encoding="utf-8")
-    path = site / "scenarios" / "still.html"
-    path.write_text(re.sub(r"<script.*?</script>", "", text), encoding="utf-8")
-    browser.get(path.as_uri())
-    assert len(browser.find_elements("css selector", "article table tbody tr")) == 3
+def test_without_scripts_a_scenario_has_its_table(browser: Browser, site: Path) -> None:
+    browser.call("Emulation.setScriptExecutionDisabled", value=True)
+    browser.call("Page.navigate", url=(site / SCENARIO).as_uri())
+    browser.call("Emulation.setScriptExecutionDisabled", value=False)
+    browser.wait("document.querySelector('article table').tBodies[0].rows.length === 3")
