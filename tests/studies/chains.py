@@ -125,8 +125,8 @@ def line(n: int, method: str, stored: StoredCell | None) -> dict[str, Any]:
         "n_ok": stored.n_ok, "n_fits": len(stored.rows), "status": stored.status.value,
         "cpu_s": median(seconds) if seconds else math.nan,
         "rmse_m": stored.summary["rmse"]["median"], "rmse_excess": stored.summary["rmse"]["excess"],
-        "parameters_excess": pooled_excess(scored, tuple(f"{name}{frame.ERROR}" for name in system.names)),
-        "ratios_excess": pooled_excess(scored, tuple(f"{group.name}{frame.ERROR}" for group in system.groups)),
+        "parameters_excess": pooled_excess(scored, system.names),
+        "ratios_excess": pooled_excess(scored, tuple(group.name for group in system.groups)),
         "message": failed[0].message if failed else "",
     }  # fmt: skip
 

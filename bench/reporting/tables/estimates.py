@@ -292,7 +292,7 @@ alarms). {ORACLE} It has the same wrong model. {DASH}""",
             },
         ),
     ),
-    notes=failures, own=lambda result: wrong(result) != RIGHT,
+    notes=failures, needs=lambda result: wrong(result) != RIGHT,
 )  # fmt: skip
 
 
@@ -377,7 +377,7 @@ one. Ratios with their intervals are in the CSV.""",
             title="Coverage of the 95 % intervals, in percent:",
         ),
     ),
-    own=lambda result: bool(result.disturbance),
+    needs=lambda result: bool(result.disturbance),
 )  # fmt: skip
 
 

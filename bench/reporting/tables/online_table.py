@@ -40,11 +40,11 @@ def tracked(what: Line, scores: Mapping[str, Score]) -> list[Line]:
     """A line a quantity of a method on a scenario; ``what`` says which, with its title, counts and costs."""
     return [
         {
-            **NOTHING, **what, "quantity": name, "excess": one.excess, "rms_pct": one.rms, "share_told": one.share,
-            "coverage_pct": 100.0 * one.coverage, "delay": one.delay, "curve": one.curve,
-            **dict(zip(BEHIND, one.after, strict=True)),
+            **NOTHING, **what, "quantity": name, "excess": score.excess, "rms_pct": score.rms,
+            "share_told": score.share, "coverage_pct": 100.0 * score.coverage, "delay": score.delay,
+            "curve": score.curve, **dict(zip(BEHIND, score.after, strict=True)),
         }
-        for name, one in scores.items()
+        for name, score in scores.items()
     ]  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> 
         parts += [SHOWN.rows(in_order(shown))] if {line["method"] for line in shown} - {BOUND} else []
         others = [line for line in lines if line["scenario"] == scenario and "quantity" not in line]
         refused = group(others, lambda line: line["message"])
-        parts += [f"Not there: {', '.join(one['title'] for one in its)}: {said}." for said, its in refused.items()]
+        parts += [f"Not there: {', '.join(line['title'] for line in its)}: {said}." for said, its in refused.items()]
     curve = false_alarms(scored)
     parts += ["## Delay against false alarms", CURVE, curve] if any(curve) else []
     return files("table10", [*parts, f"Regenerate: `{command}`"], ({**NOTHING, **one} for one in lines), COLUMNS)
@@ -104,7 +104,7 @@ SHOWN = Panel(
 def false_alarms(lines: Iterable[Line]) -> Rows:
     """A method a row, of those that have both scenarios, by the first quantity of each; half-widths side by side."""
     members = group(lines, lambda line: (line["title"], line["scenario"]))
-    curves = {key: own[0]["curve"] for key, own in members.items()}
+    curves = {key: its[0]["curve"] for key, its in members.items()}
     titles = [title for title, scenario in curves if scenario == CONSTANT and (title, STEP) in curves]
     points = [
         (title, f"{width:g} sd", f"{constant[0]:.2g} / {_samples(step[1])}")

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from bench.dynamics.modal import Modes, agreement, modes, modes_of_all
-from bench.reporting.frame import Result
+from bench.reporting.frame import ERROR, Result
 from bench.systems import System
 
 MODAL = {
@@ -29,23 +29,16 @@ def pooled_quantities(system: System, identifiable: Mapping[str, bool]) -> tuple
     return tuple(name for name in groups if identifiable.get(name)) or system.names
 
 
-@cache
-def pooled_errors(result: Result, metrics: tuple[str, ...]) -> np.ndarray:
-    """By replicate, the root mean square over the metrics of error over bound; infinite where it failed."""
-    bounds = np.array([result.bound(metric) for metric in metrics])
-    errors = np.stack([result.errors(metric) for metric in metrics], axis=1)
+def pooled_excess(result: Result, names: Sequence[str]) -> float:
+    """Root mean square, over quantities and successful replicates, of error over bound; NaN without any."""
+    bounds = np.array([result.bound(name + ERROR) for name in names])
+    errors = np.stack([result.errors(name + ERROR) for name in names], axis=1)[result.ok]
     usable = np.isfinite(bounds) & (bounds > 0)
     if not usable.any():
-        return np.full(result.n, np.inf)
+        return math.nan
     with np.errstate(over="ignore"):
-        ratios = errors[:, usable] / bounds[usable]
-        return np.asarray(np.sqrt(np.mean(ratios**2, axis=1)))
-
-
-def pooled_excess(result: Result, metrics: tuple[str, ...]) -> float:
-    """Root mean square of the pooled errors over the successful replicates; NaN without any."""
-    errors = pooled_errors(result, metrics)
-    return root_mean_square(errors[np.isfinite(errors) & result.ok])
+        pooled = np.sqrt(np.mean((errors[:, usable] / bounds[usable]) ** 2, axis=1))
+    return root_mean_square(pooled[np.isfinite(pooled)])
 
 
 def pooled_coverage(result: Result, names: Sequence[str]) -> float:
@@ -66,8 +59,8 @@ def identified(result: Result) -> dict[str, np.ndarray]:
         over_gauge[name] = result.scores(f"{group.name}_ratio") * float(group.value(scenario.parameters))
     whole = np.all(np.isfinite(list(direct.values())), axis=0)
     missing = np.full(result.n, np.nan)
-    found = {name: np.where(whole, own, over_gauge.get(name, missing)) for name, own in direct.items()}
-    return {name: np.where(result.ok, own, np.nan) for name, own in found.items()}
+    found = {name: np.where(whole, values, over_gauge.get(name, missing)) for name, values in direct.items()}
+    return {name: np.where(result.ok, values, np.nan) for name, values in found.items()}
 
 
 @cache
@@ -79,11 +72,11 @@ def modal_scores(result: Result) -> dict[str, np.ndarray]:
         return {}
     true, parameters = _true_modes(system, tuple(scenario.parameters.items())), identified(result)
     known = np.all(np.isfinite(list(parameters.values())), axis=0)
-    own = agreement(modes_of_all(system, {name: p[known] for name, p in parameters.items()}), true)
+    agreed = agreement(modes_of_all(system, {name: p[known] for name, p in parameters.items()}), true)
     found = {}
     for metric, (name, failed) in MODAL.items():
         found[metric] = np.full(result.n, failed)
-        found[metric][known] = getattr(own, name)
+        found[metric][known] = getattr(agreed, name)
     return found
 
 

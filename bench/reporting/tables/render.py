@@ -90,7 +90,7 @@ class TableForm:
         section: The heading under which a line stands.
         panels: What is shown of the lines of a section.
         notes: What is said below a section.
-        own: Whether a result is of this table alone; without one that is stored, the table is not written.
+        needs: Which results it is about; without one of them in the store, it is not written.
         in_csv: Whether a line stands in the CSV.
         digits: Significant digits of its numbers.
         latex: Whether the first panels are written in LaTeX, too.
@@ -102,14 +102,14 @@ class TableForm:
     section: Callable[[Line], str]
     panels: Sequence[Panel]
     notes: Callable[[Sequence[Line]], Iterable[str]] = lambda lines: ()
-    own: Callable[[Result], bool] = lambda result: True
+    needs: Callable[[Result], bool] = lambda result: True
     in_csv: Callable[[Line], bool] = lambda line: True
     digits: int = 6
     latex: bool = False
 
     def files(self, frame: Frame) -> dict[str, str]:
-        """The files by name; none where the store holds no cell of the table's own."""
-        if not any(result.stored and self.own(result) for result in frame):
+        """The files by name; none where the store holds no cell that it is about."""
+        if not any(result.stored and self.needs(result) for result in frame):
             return {}
         lines, captioned = self.lines(frame), list[tuple[str, Rows]]()
         legend = self.legend.format(name=frame.experiment, **frame.table)

@@ -49,7 +49,8 @@ COLUMNS = (
 def system_lines(frame: Frame) -> list[Line]:
     """One line a cell and metric: every score, the pooled ones, those of the modes; and the bounds of each panel."""
     lines: list[Line] = []
-    for (name, start, _), results in group(frame, lambda one: (called(one), one.initial_state, one.kind)).items():
+    panels = group(frame, lambda result: (called(result), result.initial_state, result.kind))
+    for (name, start, _), results in panels.items():
         levels = list(dict.fromkeys(result.snr_db for result in results))
         parameters = {name + ERROR for name in results[0].model.names}
         head = {
@@ -95,10 +96,10 @@ def _metrics(result: Result) -> Iterator[dict[str, Any]]:
     groups = tuple(group.name for group in model.groups)
     pools = {POOLED: pooled_quantities(model, result.identifiable), PARAMETERS: model.names, "groups_pooled": groups}
     for metric, names in pools.items():
-        excess = pooled_excess(result, tuple(name + ERROR for name in names))
-        yield {"metric": metric, "excess": excess, "coverage_95": pooled_coverage(result, names)}
+        pooled = {"excess": pooled_excess(result, names), "coverage_95": pooled_coverage(result, names)}
+        yield {"metric": metric, **pooled}
     yield from ({"metric": metric} for metric in errors_of(result))
-    yield from ({"metric": metric, "median": lower_median(own)} for metric, own in modal_scores(result).items())
+    yield from ({"metric": metric, "median": lower_median(values)} for metric, values in modal_scores(result).items())
 
 
 def level(line: Line, heading: str = "") -> str:
@@ -140,7 +141,11 @@ def notes(lines: Sequence[Line]) -> Iterator[str]:
     """What sparse models are made of, and what failed."""
     good = [result for result in results_of(lines) if result.n_ok and states_terms(result.label)]
     for name, results in group(good, lambda result: result.title).items():
-        found = [f"{level(line_of(one, ''))}: {terms_found(one.stored, one.scenario)}" for one in results if one.stored]
+        found = [
+            f"{result.snr_db:g} dB: {terms_found(result.stored, result.scenario)}"
+            for result in results
+            if result.stored
+        ]
         yield f"{name} by the terms it finds. {'; '.join(found)}."
     yield from failures(lines)
 

@@ -79,7 +79,7 @@ def tidy_lines(
     """Return a line a cell and metric; a cell without any metric is one line."""
     tied, oracles = {}, {}
     for question, results in group(frame, lambda result: result.question).items():
-        oracles[question] = next((one for one in results if one.method == "oracle" and one.stored), None)
+        oracles[question] = next((result for result in results if result.method == "oracle" and result.stored), None)
         for metric in PRIMARY if frame.form != "open" else ():  # which has one data set of each question
             tied[question, metric] = first_tier(results, [metric])
     return [

@@ -98,10 +98,10 @@ def track_table(panels: Sequence[TrackPanel], command: str) -> Mapping[str, str]
     """Return the files of the table by name."""
     agreements = pd.concat([panel.agreements for panel in panels])
     parts = [HEAD, *_summary(panels, agreements), "## All sets", _overview(panels)]
-    for one in panels:
-        parts += _section(one)
+    for panel in panels:
+        parts += _section(panel)
     parts.append(f"Every sibling's values and intervals are in the CSV. Regenerate: `{command}`")
-    frames = pd.concat([frame for one in panels for frame in (one.rows, one.agreements)])
+    frames = pd.concat([frame for panel in panels for frame in (panel.rows, panel.agreements)])
     by_method = frames.groupby(["set", "system", "method"], sort=False, dropna=False)
     return files("table11", parts, [line for _, rows in by_method for line in rows.to_dict("records")], COLUMNS)
 
@@ -141,12 +141,13 @@ def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator
         lambda line: {name: line[name] for name in ("methods", "quantity")},
     )
     yield kinds.rows(line for line in totals if line["counted"])
-    fits = pd.concat([one.fits for one in panels])
-    silent, missing = (fits["status"] != "ok").sum(), sum((one.rows["status"] == NOT_MADE).sum() for one in panels)
+    fits = pd.concat([panel.fits for panel in panels])
+    silent, missing = (fits["status"] != "ok").sum(), sum((panel.rows["status"] == NOT_MADE).sum() for panel in panels)
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in _verdicts(fits).items())
     lines = [f"{len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn)."]
     lines += [f"{missing} fits are not made yet: the same command makes them."] if missing else []
-    yield "\n".join(f"- {line}" for line in [*lines, *(f"{one.name}: {one.absent}" for one in panels if one.absent)])
+    lines += [f"{panel.name}: {panel.absent}" for panel in panels if panel.absent]
+    yield "\n".join(f"- {line}" for line in lines)
 
 
 def _verdicts(fits: pd.DataFrame) -> dict[str, int]:
@@ -161,9 +162,10 @@ def _verdicts(fits: pd.DataFrame) -> dict[str, int]:
 def _overview(panels: Sequence[TrackPanel]) -> Rows:
     """A row for each set: the primary method's scores, and all methods' together."""
     lines: list[Line] = []
-    for one in panels:
-        own = one.agreements[(one.agreements["method"] == primary_method()) & one.agreements["quantity"].isin(MAIN)]
-        lines += own.to_dict("records") or [{"panel": one, "made": one.fits[:0]}]
+    for panel in panels:
+        agreed = panel.agreements[panel.agreements["method"] == primary_method()]
+        shown = agreed[agreed["quantity"].isin(MAIN)].to_dict("records")
+        lines += shown or [{"panel": panel, "made": panel.fits[:0]}]
     sets = Panel(
         lambda line: each(measured, {**AGREED, "score, all methods": _pooled})(line) if "n" in line else {},
         lambda line: {
