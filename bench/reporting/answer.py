@@ -98,6 +98,17 @@ def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:
     return frequency, in_shown_unit("damping_ratio", ratio)
 
 
+def residual_facts(residuals: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the fit leaves of the record, by name."""
+    part = f"{100 * residuals['part_of_signal']:.2g} % of signal RMS"
+    lag = f"lag-1 autocorrelation {residuals['lag1_autocorrelation']:.2f}"
+    return {
+        "Residual RMS": f"{number(residuals['rms'])} {residuals['unit']} ({part})",
+        "Residual whiteness": f"p = {residuals['whiteness']:.2g}, {lag}",
+        "Sensor offset": f"{number(residuals['offset'])} {residuals['unit']}",
+    }
+
+
 # ------------------------------------------------------------------------------------------------ tables
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.reporting.answer import MEANING, answer, ends_text, modes_table, runs_table, values_table
+from bench.reporting.answer import MEANING, answer, ends_text, modes_table, residual_facts, runs_table, values_table
 from bench.reporting.rounding import number, readable
 from bench.reporting.terminal import table, wrapped
 
@@ -34,11 +34,7 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
             blocks.append(table(grid.rows, grid.headers, (0, len(grid.headers) - 1)))
     foot = [wrapped(f"Intervals {MEANING}.")] if stated else []
     foot += [wrapped(FREE)] if scale_is_free and (stated or withdrawn) else []
-    if residuals:
-        part, unit = f"{100 * residuals['part_of_signal']:.2g} % of signal RMS", residuals["unit"]
-        colour = f"lag-1 autocorrelation {residuals['lag1_autocorrelation']:.2f}"
-        white, offset = f"whiteness p = {residuals['whiteness']:.2g}", f"offset {number(residuals['offset'])} {unit}"
-        foot.append(wrapped(f"residual RMS: {number(residuals['rms'])} {unit} ({part}), {colour}, {white}, {offset}"))
+    foot += [wrapped(f"{name}: {text}") for name, text in residual_facts(residuals).items()] if residuals else []
     return "\n\n".join([*blocks, *(["\n".join(foot)] if foot else [])])
 
 

@@ -12,6 +12,7 @@ from bench.reporting.answer import (
     ends_text,
     in_shown_unit,
     modes_table,
+    residual_facts,
     runs_table,
     value_and_ends,
     values_table,
@@ -126,12 +127,7 @@ def _facts(shown: Mapping[str, Any]) -> dict[str, str]:
         "Force": "known" if record["forced"] else "none: free vibration",
         "System": shown["system"],
     }
-    if residuals:
-        lag = f"lag-1 autocorrelation {residuals['lag1_autocorrelation']:.2f}"
-        part = f"{100 * residuals['part_of_signal']:.2g} % of signal RMS"
-        facts["Residual RMS"] = f"{number(residuals['rms'])} {residuals['unit']} ({part})"
-        facts["Residual whiteness"] = f"p = {residuals['whiteness']:.2g}, {lag}"
-        facts["Sensor offset"] = f"{number(residuals['offset'])} {residuals['unit']}"
+    facts |= residual_facts(residuals) if residuals else {}
     if prediction:
         fit = prediction["fit_pct"]
         facts["Prediction FIT of the last 40 %"] = f"{fit:.1f} %" if fit > -100 else "below −100 %"
