@@ -1,14 +1,17 @@
 """The one ranking of methods: tiers that the data can tell apart, without a winner inside a tier.
 
 The loss of a fit is the logarithm of its error over the bound (root mean square over the quantities that the data
-determine), from -log :data:`CAP` to log :data:`CAP`; an outlier fit, a failure, and a refusal of what the method says
-it serves lose log :data:`CAP`. The loss of a method is the mean over scenarios of the mean over a scenario's fits.
+determine), from 0, for no unbiased method is within the bound but by luck, to log :data:`CAP`; an outlier fit, a
+failure, and a refusal of what the method says it serves lose log :data:`CAP`. The loss of a method is the mean over
+scenarios of the mean over a scenario's fits.
 
-Methods are compared on the same scenarios (of one scenario on the same fits) by the paired bootstrap (P. Koehn, Proc.
-EMNLP 2004, 388; the percentile interval of A. C. Davison, D. V. Hinkley, Bootstrap Methods and their Application, 1997,
-section 5.3): the first tier is the method of the least loss with all whose mean difference to it has a 95 % interval
-that reaches 0 (or 2 %: less is a tie for any purpose), the second is found likewise among the rest, and so on. A method
-that does not serve every scenario stands beside the tiers, compared with the first tier on those that it serves.
+Methods are compared on the same scenarios (of one scenario on the same fits), which are resampled in pairs (P. Koehn,
+Proc. EMNLP 2004, 388). The first tier is the model confidence set of P. R. Hansen, A. Lunde and J. M. Nason
+(Econometrica 79:453, 2011) by the range of means: the worst method is left out as long as its mean is farther from the
+least than the means of all that are left would be apart in 95 % of the resamples, were they equal; less than 2 % is a
+tie for any purpose. So methods that are equally good share it with 95 % probability, however many they are. The second
+tier is found likewise among the rest, and so on. A method that does not serve every scenario stands beside the tiers,
+compared with the first tier on those that it serves.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 
 import numpy as np
+from scipy.special import exp1
 
 from bench.contract.estimate import Status
 from bench.contract.problem import Problem
@@ -32,21 +36,22 @@ from bench.scoring.summary import GROSS, below_chance
 from bench.store.cell import stored_as_cell
 
 CAP = 10.0
-"""Error over bound of a lost fit. Its inverse is the least that counts: an error below that is luck."""
+"""Error over bound of a lost fit."""
 LOST = math.log(CAP)
-ON_BOUND = math.exp(-np.euler_gamma / 2)
-"""Typical error over bound, 0.75, of two uncorrelated normal errors on it: E log(χ²/2)/2 = -γ/2 of 2 degrees."""
+ON_BOUND = math.exp(exp1(1.0) / 2)
+"""Typical error over bound, 1.12, of two uncorrelated normal errors on it: their mean square is exponential."""
 SAME = math.log(1.02)
 """A difference of losses that decides nothing, however sure it is."""
 UNINFORMATIVE = 100.0
 """A bound (%) from which on data and prior do not determine a quantity: an error over it says nothing."""
 FIRST_TIER = f"""**Bold**: the first tier of this scenario, whose methods these replicates do not tell apart; a tier has
-no winner. Ranked is the mean logarithm of error over bound ({CAP:g} at most, as for no answer and for an error beyond
-{GROSS:g} bounds); in the first tier is the method of the least mean with all whose mean difference to it has a 95 %
-bootstrap interval, over the same replicates, that reaches 0, or 2 %."""
+no winner. Ranked is the mean logarithm of error over bound, of 1 at least and {CAP:g} at most, as for no answer and for
+an error beyond {GROSS:g} bounds; the worst method is left out as long as it is farther from the best, and by more than
+2 %, than equal methods would be in 95 % of resamples of the same replicates."""
 """What bold means in a table of scenarios with several replicates."""
 Fits = Mapping[str, Sequence[np.ndarray]]
-"""By method, the losses of its fits in each scenario (n,); none where it was not asked or does not serve it."""
+"""By method, log error over bound of its fits in each scenario (n,), from -log CAP; none where it was not asked or does
+not serve it."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +81,14 @@ class Ranked:
 
 
 def ranked(fits: Fits) -> list[Ranked]:
-    """Rank methods by the losses of their fits; those that stand beside the tiers come last."""
-    means = {label: np.array([np.mean(own) if own.size else np.nan for own in each]) for label, each in fits.items()}
+    """Rank methods by the errors of their fits; those that stand beside the tiers come last."""
+    means = {
+        label: np.array([np.mean(within_bound(own)) if own.size else np.nan for own in each])
+        for label, each in fits.items()
+    }
     served = {label: np.isfinite(mean) for label, mean in means.items() if np.isfinite(mean).any()}
     only = all(those.size == 1 for those in served.values())  # of one scenario the fits are resampled
-    units = {label: fits[label][0] if only else means[label][those] for label, those in served.items()}
+    units = {label: within_bound(fits[label][0]) if only else means[label][those] for label, those in served.items()}
     in_tiers = tiers({label: units[label] for label, those in served.items() if those.all()})
     place = {label: i for i, tier in enumerate(in_tiers, 1) for label in tier}
     first = np.mean([means[label] for label in in_tiers[0]], axis=0) if in_tiers else None
@@ -100,10 +108,15 @@ def ranked(fits: Fits) -> list[Ranked]:
     return rows
 
 
-def leaders(losses: Mapping[Key, np.ndarray]) -> frozenset[Key]:
-    """Return the first tier; none where all are lost, or a method has no rival."""
-    compared = len(losses) > 1 and any((own < LOST).any() for own in losses.values())
-    return frozenset(first_of(losses)) if compared else frozenset()
+def within_bound(logs: np.ndarray) -> np.ndarray:
+    """Return losses from logarithms of errors over bounds: an error within the bound is as one on it."""
+    return np.maximum(logs, 0.0)
+
+
+def leaders(logs: Mapping[Key, np.ndarray]) -> frozenset[Key]:
+    """Return the first tier by log error over bound (n,); none where all are lost, or a method has no rival."""
+    compared = len(logs) > 1 and any((own < LOST).any() for own in logs.values())
+    return frozenset(first_of({key: within_bound(own) for key, own in logs.items()})) if compared else frozenset()
 
 
 def tiers(losses: Mapping[Key, np.ndarray]) -> list[list[Key]]:
@@ -116,15 +129,30 @@ def tiers(losses: Mapping[Key, np.ndarray]) -> list[list[Key]]:
 
 
 def first_of(losses: Mapping[Key, np.ndarray]) -> list[Key]:
-    """Return the first tier; who has fewer data sets is compared on the first ones, and nobody with him."""
+    """Return the first tier; a method of fewer data sets is compared with the best alone, on the first of these."""
     most = max(own.size for own in losses.values())
-    best = min((own for own in losses.values() if own.size == most), key=lambda own: float(np.mean(own)))
-    return [label for label, own in losses.items() if own is best or not surely_worse(own, best)]
+    order = sorted((label for label, own in losses.items() if own.size == most), key=lambda label: losses[label].mean())
+    best = losses[order[0]]
+    tier = set(order[: tied(np.stack([losses[label] for label in order]))])
+    for label, own in losses.items():
+        pair = np.stack([best[: own.size], own])
+        if own.size < most and (own.mean() <= pair[0].mean() or tied(pair) == 2):
+            tier.add(label)
+    return [label for label in losses if label in tier]
 
 
-def surely_worse(losses: np.ndarray, best: np.ndarray) -> bool:
-    """Return whether paired losses are beyond those of the best by chance or :data:`SAME`."""
-    return interval(losses - best[: losses.size])[0] > SAME
+def tied(losses: np.ndarray) -> int:
+    """Return how many of some methods, the best first, are not told apart by what they lose (methods, n).
+
+    The i-th range is that of the first i methods, whose means are all made 0, in each resample.
+    """
+    if losses.shape[1] < 2:
+        return len(losses)
+    means = losses.mean(axis=1)
+    errors = (losses - means[:, None]) @ weights(losses.shape[1]).T
+    ranges = np.maximum.accumulate(errors) - np.minimum.accumulate(errors)
+    equal = means - means[0] <= np.maximum(np.quantile(ranges, 0.95, axis=1), SAME)
+    return int(np.flatnonzero(equal)[-1]) + 1
 
 
 def interval(values: np.ndarray) -> tuple[float, float]:
@@ -158,11 +186,11 @@ def first_tier(results: Iterable[Result], metrics: Iterable[str]) -> frozenset[R
     """Return the first tier in one scenario by some metrics; reference rows compete with nobody."""
     rivals = [result for result in results if result.stored and not result.is_reference]
     bounds = informative_bounds(rivals, metrics)
-    return leaders({result: losses(result, bounds) for result in rivals if bounds})
+    return leaders({result: log_errors(result, bounds) for result in rivals if bounds})
 
 
 def fits_of(results: Iterable[Result]) -> Fits:
-    """Return the losses of all methods' fits in the scenarios whose data determine something."""
+    """Return the errors of all methods' fits in the scenarios whose data determine something."""
     stored = [result for result in results if result.stored]
     by_scenario = list(group(stored, lambda result: result.question).values())
     informative = [(asked, bounds) for asked in by_scenario if (bounds := determined_bounds(asked))]
@@ -172,7 +200,7 @@ def fits_of(results: Iterable[Result]) -> Fits:
         example = cache(partial(example_problem, asked[0]))
         for result in asked:
             if not result.is_reference and competes(result, example):
-                fits[result.label][place] = losses(result, bounds)
+                fits[result.label][place] = log_errors(result, bounds)
     return fits
 
 
@@ -195,16 +223,16 @@ def informative_bounds(asked: Iterable[Result], metrics: Iterable[str]) -> dict[
     return {metric: bound for metric, bound in bounds.items() if 0 < bound < UNINFORMATIVE}
 
 
-def losses(result: Result, bounds: Mapping[str, float]) -> np.ndarray:
-    """Return the loss of each fit (n,) from the bounds by metric."""
+def log_errors(result: Result, bounds: Mapping[str, float]) -> np.ndarray:
+    """Return log error over bound of each fit (n,) from the bounds by metric."""
     errors = np.stack([result.errors(metric) / bound for metric, bound in bounds.items()])
     with np.errstate(over="ignore"):
         size = np.sqrt(np.mean(errors**2, axis=0))
-    return np.where(np.max(errors, axis=0) <= GROSS, loss(size), LOST)
+    return np.where(np.max(errors, axis=0) <= GROSS, capped(size), LOST)
 
 
-def loss(size: np.ndarray) -> np.ndarray:
-    """Return the loss of errors over bounds."""
+def capped(size: np.ndarray) -> np.ndarray:
+    """Return the logarithm of errors over bounds, from -log CAP to log CAP."""
     return np.asarray(np.log(np.clip(size, 1.0 / CAP, CAP)))
 
 

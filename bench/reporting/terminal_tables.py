@@ -25,7 +25,7 @@ LEGEND = (
     "median over replicates, with its 95 % interval; bound: Cramér-Rao bound on the root mean square; excess: "
     "root mean square / bound; cover: share of 95 % intervals that hold the true value"
 )
-FIRST_TIER = "first tier: not told from the least error over the bound by these replicates (95 %, or 2 % apart)"
+FIRST_TIER = "first tier: these replicates do not tell it from the least error over the bound (95 %)"
 GREEN, YELLOW = 32, 33
 SHARED = ("system", "dB", "start", "disturbance")
 """Fields of a cell that a sweep's table says also where all cells share them; the others only where they differ."""
@@ -104,7 +104,7 @@ class Closing:
 
     def add(self, cell: Cell, stored: StoredCell | None) -> None:
         """Take in one cell's result; None where there is none."""
-        from bench.reporting.ranking import losses
+        from bench.reporting.ranking import log_errors
 
         self.seen.add(cell.identity)
         if stored is None:
@@ -122,7 +122,7 @@ class Closing:
                 "group": readable(quantity), "identity": cell.identity, "n_ok": stored.n_ok, "n": len(stored.rows),
                 "question": result.question if not result.is_reference else None,
                 "statistics": [stored.summary.get(metric, {}) for metric in metrics],
-                "losses": [losses(result, {metric: result.bound(metric)}) for metric in metrics],
+                "losses": [log_errors(result, {metric: result.bound(metric)}) for metric in metrics],
             }
         )  # fmt: skip
         for (status, message), n in _failures(stored).items():

@@ -22,7 +22,7 @@ from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.situations import Advice
 from bench.reporting.page.words import decibels, quantity, seconds
 from bench.reporting.pictures.responses import samples_of, simulated
-from bench.reporting.ranking import ON_BOUND, fits_of
+from bench.reporting.ranking import ON_BOUND, fits_of, within_bound
 
 POINTS = 60
 MOST_SAMPLES = 200
@@ -57,11 +57,11 @@ def forest(one: Advice) -> Spec:
         time = seconds(one.seconds[row.label])
         said = {"method": title(row.label), "tier": row.tier, "text": f"tier {row.tier}, {time}"}
         for snr, fits in levels.items():
-            if means := [float(np.mean(fit)) for fit in fits[row.label]]:
+            if means := [float(np.mean(within_bound(fit))) for fit in fits[row.label]]:
                 points.append({**said, "SNR (dB)": decibels(snr), "error": math.exp(float(np.mean(means)))})
     colours = [decibels(snr) for snr in sorted(levels, reverse=True)]
     scale = {"type": "log", "domain": [LOWEST, HIGHEST], "nice": False}
-    axis = {"values": [0.75, 1, 1.5, 2, 3, 5], "grid": True}
+    axis = {"values": [1, 1.5, 2, 3, 5], "grid": True}
     across = {"type": "quantitative", "scale": scale, "axis": axis, "title": "error over the bound (log scale)"}
     x = {**across, "field": "error"}
     y = {"field": "method", "type": "nominal", "sort": [title(row.label) for row in ranked], "title": None}

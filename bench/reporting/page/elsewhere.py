@@ -11,7 +11,7 @@ import pandas as pd
 from bench.entrants.online import online_card
 from bench.errors import InputError
 from bench.reporting.page.situations import Advice
-from bench.reporting.ranking import LOST, Fits, loss, ranked
+from bench.reporting.ranking import LOST, Fits, capped, ranked
 
 
 def elsewhere(folder: Path) -> list[Advice]:
@@ -34,7 +34,7 @@ def measured(table: pd.DataFrame) -> Advice:
     unexplained = (100 - fits.held_out).where(stands)
     by_record = unexplained.groupby([fits.set, fits.system, fits.sibling])
     excess = (unexplained / by_record.transform("min")).fillna(1.0)  # of the best that leaves nothing
-    fits = fits.assign(loss=np.where(stands, loss(excess), LOST), record=fits.set + fits.system)
+    fits = fits.assign(loss=np.where(stands, capped(excess), LOST), record=fits.set + fits.system)
     return Advice(
         "A real record of a rig",
         "results/table11.md",
@@ -48,7 +48,9 @@ def measured(table: pd.DataFrame) -> Advice:
 def online(table: pd.DataFrame) -> Advice:
     """Rank trackers by their error over the bound along the path."""
     lines = table[table.quantity.notna() & (table.method != "bound")]
-    lines = lines.assign(loss=loss(lines.excess.fillna(np.inf)), record=lines.scenario, method=lines.method.map(_title))
+    lines = lines.assign(
+        loss=capped(lines.excess.fillna(np.inf)), record=lines.scenario, method=lines.method.map(_title)
+    )
     return Advice(
         "Parameters that change while the data arrive",
         "results/table10.md",

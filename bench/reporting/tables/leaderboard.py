@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 from bench.reporting.frame import Frame, Line, Result, group
 from bench.reporting.labels import title
-from bench.reporting.ranking import CAP, median_time, ranking
+from bench.reporting.ranking import CAP, ON_BOUND, median_time, ranking
 from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
 from bench.reporting.verdict import below
 from bench.scoring.summary import GROSS
@@ -20,15 +20,16 @@ COLUMNS = (
 PARTS = ("below Nyquist", "beyond Nyquist")
 LEGEND = """On the [open split](open.md): scenarios drawn at random, on which nothing was tuned, one data set each, the
 same for all. **Error over bound**: of each fit the root mean square, over the quantities that its data determine, of
-error over Cramér-Rao bound, at most {cap:g} and at least {least:g}; {cap:g} for an outlier fit (a quantity beyond
-{gross:g} times its bound), for no answer, and for a refusal of what the method says it serves. Shown is the geometric
-mean over the scenarios with its 95 % bootstrap interval; of normal errors on the bound it is about 0.75 (exp(-γ/2), of
-two quantities). **Tier**: the first is the method of the least mean with all that these scenarios cannot tell from it
-(the 95 % interval of the mean difference of logarithms, scenarios resampled, reaches 0, or 2 %); the second is found
-likewise among the rest, and so on. A tier has no winner: its methods stand in a fixed order. **Lost**: fits that count
-as {cap:g}. A method that does not serve every scenario stands beside the tiers, with the error of the first tier on the
-scenarios that it serves. Nyquist: two samples a natural period, on average. Time: processor time of the median fit that
-gave an answer."""
+error over Cramér-Rao bound; at least 1, for within the bound is luck, and at most {cap:g}; {cap:g} for an outlier fit
+(a quantity beyond {gross:g} times its bound), for no answer, and for a refusal of what the method says it serves. Shown
+is the geometric mean over the scenarios with its 95 % bootstrap interval; of normal errors on the bound it is about
+{on_bound:.2f} (of two quantities). **Tier**: the methods that these scenarios cannot tell apart. The worst is left out
+of the first as long as it is farther from the best, and by more than 2 %, than equal methods would be in 95 % of
+resamples of the scenarios (a model confidence set); the second is found likewise among the rest, and so on. So equally
+good methods share a tier with 95 % probability. A tier has no winner: its methods stand in a fixed order. **Lost**:
+fits that count as {cap:g}. A method that does not serve every scenario stands beside the tiers, with the error of the
+first tier on the scenarios that it serves. Nyquist: two samples a natural period, on average. Time: processor time of
+the median fit that gave an answer."""
 
 
 def parts(results: Sequence[Result]) -> dict[str, list[Result]]:
@@ -58,7 +59,7 @@ def leaderboard(frame: Frame) -> Mapping[str, str]:
     if not any(result.stored for result in frame):
         return {}
     data = lines(frame.results)
-    shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, least=1 / CAP, gross=GROSS)]
+    shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, gross=GROSS, on_bound=ON_BOUND)]
     for part, own in group(data, lambda line: line["part"]).items():
         shown += [f"## {part[0].upper()}{part[1:]}: {own[0]['scenarios']} scenarios"]
         shown += [listing((line for line in own if line["tier"]), {**TIER, **NAMED, **NUMBERS})]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -82,3 +83,11 @@ def test_it_is_called_and_ordered_as_its_method() -> None:
     assert title("unheard_of (submitted)") == "unheard_of (submitted)"
     known = in_order(["ls", "rls", "prior"])
     assert in_order([f"{label} (submitted)" for label in known]) == [f"{label} (submitted)" for label in known]
+
+
+def test_a_store_may_state_anything_of_a_verification(store: Store) -> None:
+    keep(store, cells()[:1])
+    (found,) = stored_results(store)
+    assert found.stored
+    stated = replace(found, stored=found.stored.marked({"rows_compared": "<script>", "of_rows": 24}))
+    assert stated.verification == "submitted; what was verified of it is not stated"
