@@ -102,7 +102,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(shell: Shell, tmp_path: P
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nbench: interrupted\n")
 
 
-@pytest.mark.parametrize("line", ["tables what=figures store=rows", pytest.param(REPORT, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("line", ["tables store=rows", pytest.param(REPORT, marks=pytest.mark.slow)])
 def test_a_full_disk_leaves_no_file(line: str, one_cell: Path, forked: Forked, tmp_path: Path) -> None:
     """Files may hold 40 bytes here: an empty one can be made, and nothing be written into it."""
     (tmp_path / "here").mkdir()
