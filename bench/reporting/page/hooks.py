@@ -14,6 +14,8 @@ from mkdocs.plugins import event_priority
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """Where the theme would load from what lets the search work from a folder (iframe-worker, MIT)."""
 DIALOG = 'data-md-component="search" role="dialog"'
+END_TAGS = re.compile(r"\s*</(?:li|tbody|td|th|thead|tr)>\s*")
+"""Those that HTML lets one leave out: https://html.spec.whatwg.org/#optional-tags."""
 SUPERFLUOUS = ("sitemap.xml*", "search/search_index.json", "assets/**/*.map", "assets/javascripts/lunr/*")
 """Files with a date, what only debugging or another language needs, and what the search reads as a script."""
 
@@ -54,7 +56,11 @@ def on_post_build(config: Any, **_: Any) -> None:
 
 
 def _finished(html: str, root: str) -> str:
-    """A page that asks for nothing elsewhere, without the indentation of the theme's templates."""
+    """A page that asks for nothing elsewhere, without the theme's indentation and without end tags of cells."""
     html = html.replace(SHIM, f"{root}static/iframe-worker.js").replace(DIALOG, f'{DIALOG} aria-label="Search"')
     parts = re.split(r"(<pre\b.*?</pre>)", html, flags=re.DOTALL)
-    return "".join(part if part.startswith("<pre") else re.sub(r"\s*\n\s*", "\n", part) for part in parts)
+    return "".join(part if part.startswith("<pre") else _packed(part) for part in parts)
+
+
+def _packed(html: str) -> str:
+    return END_TAGS.sub("\n", re.sub(r"\s*\n\s*", "\n", html))

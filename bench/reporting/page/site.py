@@ -136,8 +136,7 @@ def pages(site: Site) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for panel in site.panels:
         yield f"scenarios/{panel.slug}.md", "scenario", scenario_values(site, panel)
     for one in site.advice:
-        tiers = group(one.ranking, lambda row: row.tier)
-        yield one.href, "situation", {"advice": one, "tiers": tiers}
+        yield one.href, "situation", {"advice": one}
 
 
 def home_values(site: Site) -> dict[str, Any]:
@@ -202,13 +201,12 @@ def coverage(result: Result, panel: ScenarioPanel) -> float:
 
 
 def system_values(name: str, panels: list[ScenarioPanel]) -> dict[str, Any]:
-    """A system: what it is, its scenarios, and the prior's share in what is told."""
+    """A system: what it is, and its scenarios."""
     facts = panels[0].facts
     about = (type(facts.known_model).__doc__ or "").strip().split("\n")[0] if facts.known_model else ""
-    shares = {key: share for panel in reversed(panels) for key, share in panel.prior_share.items()}
     return {
-        "name": name, "facts": facts, "words": system_words(facts), "about": about.replace("``", ""), "shares": shares,
-        "panels": panels, "address": urlencode({"System": board.choices(panels[0])["System"]}),
+        "name": name, "facts": facts, "words": system_words(facts), "about": about.replace("``", ""), "panels": panels,
+         "address": urlencode({"System": board.choices(panels[0])["System"]}),
     }  # fmt: skip
 
 
