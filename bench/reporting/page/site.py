@@ -29,7 +29,7 @@ from bench.reporting.page.elsewhere import elsewhere
 from bench.reporting.page.markdown import escaped, link, rendered
 from bench.reporting.page.reading import ScenarioPanel, StoreReading, read
 from bench.reporting.page.situations import Advice, advice, advise
-from bench.reporting.page.words import slugs, system_words
+from bench.reporting.page.words import slugs
 from bench.reporting.pictures.png import caption_of
 from bench.reporting.tables.leaderboard import parts
 from bench.store.store import Store
@@ -130,7 +130,8 @@ def pages(site: Site) -> Iterator[tuple[str, str, dict[str, Any]]]:
     yield "figures.md", "figures", {"pictures": pictures(site.results / "figures")}
     yield "provenance.md", "provenance", provenance_values(site)
     for name, panels in site.systems.items():
-        yield f"systems/{site.system_slugs[name]}.md", "system", system_values(name, panels)
+        address = urlencode({"System": board.choices(panels[0])["System"]})
+        yield f"systems/{site.system_slugs[name]}.md", "system", {"name": name, "panels": panels, "address": address}
     for label, slug in site.methods.items():
         yield f"methods/{slug}.md", "method", method_values(site, label)
     for panel in site.panels:
@@ -198,16 +199,6 @@ def coverage(result: Result, panel: ScenarioPanel) -> float:
     """The share of the 95 % intervals, of all quantities that the data tell, that held the truth; NaN without any."""
     hits = [hit for metric in panel.ranked for hit in result.successful(f"{quantity(metric)}_coverage_95")]
     return float(np.mean(hits)) if hits else math.nan
-
-
-def system_values(name: str, panels: list[ScenarioPanel]) -> dict[str, Any]:
-    """A system: what it is, and its scenarios."""
-    facts = panels[0].facts
-    about = (type(facts.known_model).__doc__ or "").strip().split("\n")[0] if facts.known_model else ""
-    return {
-        "name": name, "facts": facts, "words": system_words(facts), "about": about.replace("``", ""), "panels": panels,
-         "address": urlencode({"System": board.choices(panels[0])["System"]}),
-    }  # fmt: skip
 
 
 def pictures(folder: Path) -> list[dict[str, Any]]:
