@@ -38,14 +38,13 @@ class Card:
 
     ``scale`` says whether it works on all parameters with the prior (``native``) or returns identifiable groups only.
 
-    What follows ``tuning`` may be left out. ``title``: its name for people (else its registered name). ``order``: its
-    place in tables and legends, lowest first (else behind those that have one, by name). ``colour`` (``#rrggbb``) and
-    ``marker`` (matplotlib's) of its points (else of a palette, by its name). ``paper``: the method of the paper that it
-    stands beside, as ``bench/data/paper_tables.csv`` calls it. ``states_terms``: the messages of its estimates name the
-    terms of the equation of motion that it found, after ``terms kept of N:``. ``remarks``: its messages say how a fit
-    ended, where those of others are warnings. ``variants``: by the name of a file of ``conf/method`` that starts from
-    this method, the fields of the card that differ for it. ``choices``: by setting and value, what the values of a
-    setting are called that a table compares.
+    What follows ``tuning`` may be left out. ``title``: its name for people (else its registered name). ``order``:
+    its place in tables and legends, lowest first (else behind those that have one, by name). ``paper``: the method
+    of the paper that it stands beside, as ``bench/data/paper_tables.csv`` calls it. ``states_terms``: the messages
+    of its estimates name the terms of the equation of motion that it found, after ``terms kept of N:``.
+    ``remarks``: its messages say how a fit ended, where those of others are warnings. ``variants``: by the name of
+    a file of ``conf/method`` that starts from this method, the fields of the card that differ for it. ``choices``:
+    by setting and value, what the values of a setting are called that a table compares.
     """
 
     summary: str
@@ -57,8 +56,6 @@ class Card:
     tuning: str = "none"
     title: str = ""
     order: int = 1000
-    colour: str = ""
-    marker: str | tuple[int, int, float] = ""
     paper: str = ""
     states_terms: bool = False
     remarks: bool = False

@@ -151,7 +151,6 @@ class OnlineCard:
     settings_source: str
     title: str
     order: int = 1000
-    colour: str = ""
 
 
 class Tracker(ABC):

@@ -106,7 +106,7 @@ def online_card(name: str) -> OnlineCard:
     card = load_method(batch).card
     title = f"{card.title or batch}, window"
     order = AFTER_TRACKERS + card.order
-    return OnlineCard(f"in windows: {card.summary}", "batch method", card.settings_source, title, order, card.colour)
+    return OnlineCard(f"in windows: {card.summary}", "batch method", card.settings_source, title, order)
 
 
 def make_online(name: str, settings: Mapping[str, Any] | None = None) -> OnlineIdentifier:

@@ -1,4 +1,4 @@
-"""What methods, their variants and the reference rows are called and look like, from their cards alone.
+"""What methods, their variants and the reference rows are called, from their cards alone.
 
 A label is what a cell calls its method: a registered name, a file of ``conf/method``, a reference row, or any of these
 with settings behind it. What no card speaks of is called by its label, and stands behind the others. The label of a
@@ -17,17 +17,11 @@ from bench.errors import InputError
 from bench.store.stored import unmarked
 
 
-def _reference(title: str, order: int, colour: str, marker: str | tuple[int, int, float]) -> Card:
-    return Card(
-        "", "not used", "native", "simulated", "", "",
-        title=title, order=order, colour=colour, marker=marker, remarks=True,
-    )  # fmt: skip
+def _reference(title: str, order: int) -> Card:
+    return Card("", "not used", "native", "simulated", "", "", title=title, order=order, remarks=True)
 
 
-REFERENCE_CARDS = {
-    "prior": _reference("prior (no data)", 0, "#b0b0b0", (5, 2, 0.0)),
-    "oracle": _reference("oracle", 1, "#7f7f7f", "D"),
-}
+REFERENCE_CARDS = {"prior": _reference("prior (no data)", 0), "oracle": _reference("oracle", 1)}
 TOLD = {"oracle": "truth as start", "prior": "prior only"}
 """What the reference rows are told beyond the data."""
 

@@ -96,16 +96,12 @@ class NPE(BandIdentifier):
         tuning="none: the first size and learning rate that were tried; calibration looked at on development systems",
         title="Neural posterior",
         order=35,
-        colour="#B8860B",
-        marker=(9, 1, 0.0),
         variants={
             "npe_corrected": {
                 "title": "Neural posterior, corrected",
                 "summary": "the same, its draws weighed by the exact likelihood (importance sampling)",
                 "uncertainty": "quantiles of the draws (without a prior: their covariance)",
                 "order": 36,
-                "colour": "#997700",
-                "marker": (9, 2, 0.0),
             }
         },
     )

@@ -48,8 +48,6 @@ class AR(PoleIdentifier):
         tuning="none",
         title="AR, least squares",
         order=200,
-        colour="#8C6D31",
-        marker="<",
     )
 
     def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:

@@ -48,8 +48,6 @@ class ARRecursive(PoleIdentifier):
         tuning="none",
         title="AR, recursive",
         order=210,
-        colour="#BD9E39",
-        marker=">",
     )
 
     def __post_init__(self) -> None:

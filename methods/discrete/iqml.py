@@ -62,8 +62,6 @@ class IQML(PoleIdentifier):
         tuning="none; rounds seen on 9 development systems (damping 0.3-80 %, 0.7-40 cycles, 8-300 samples, 40-10 dB)",
         title="IQML",
         order=95,
-        colour="#1F6F5C",
-        marker=(5, 0, 180.0),
     )
 
     def __post_init__(self) -> None:

@@ -37,8 +37,6 @@ class EKF(IteratedSmoother):
         "at 200 to 0 dB, damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
         title="Extended Kalman filter",
         order=170,
-        colour="#117733",
-        marker=(4, 1, 0.0),
     )
 
     @property

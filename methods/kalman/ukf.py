@@ -47,8 +47,6 @@ class UKF(IteratedSmoother):
         "at 200 to 0 dB, damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
         title="Unscented Kalman filter",
         order=180,
-        colour="#661100",
-        marker=(6, 1, 0.0),
     )
 
     def __post_init__(self) -> None:

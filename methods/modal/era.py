@@ -59,8 +59,6 @@ class ERA(RegressionIdentifier):
         tuning="none",
         title="Eigensystem realisation",
         order=190,
-        colour="#AA4499",
-        marker=(3, 1, 0.0),
     )
     serves: ClassVar[Serves] = Serves(several_channels=True, forced=False, nonlinear=False, max_dof=None)
     uses_start = False

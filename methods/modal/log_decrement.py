@@ -57,8 +57,6 @@ class LogDecrement(FreeDecayIdentifier):
         tuning="none",
         title="Logarithmic decrement",
         order=110,
-        colour="#44AA99",
-        marker="3",
     )
 
     def __post_init__(self) -> None:

@@ -62,8 +62,6 @@ class MatrixPencil(PoleIdentifier):
         tuning="an offset's pole known or found: compared on 18 development systems (damping 2-120 %) at 40-10 dB",
         title="Matrix pencil",
         order=100,
-        colour="#882255",
-        marker="d",
     )
 
     def __post_init__(self) -> None:

@@ -82,8 +82,6 @@ class DDNN(BandIdentifier):
         " development records at 5-40 dB, judged by displacement and k/m against the truth",
         title="DDNN",
         order=160,
-        colour="#CC79A7",
-        marker="*",
         remarks=True,
         paper="ddnn",
     )

@@ -56,7 +56,6 @@ class OnlineAR(OnlineIdentifier):
         "factor: Ljung, System Identification Toolbox user's guide (0.98 to 0.995)",
         "AR, recursive",
         110,
-        "#999933",
     )
 
     def __post_init__(self) -> None:

@@ -130,7 +130,6 @@ class ChangePoint(FilterIdentifier):
         "a change in 10 000 samples, of a factor of 1.35 in one parameter",
         "change points",
         40,
-        "#AA4499",
     )
 
     def __post_init__(self) -> None:

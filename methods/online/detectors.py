@@ -64,7 +64,6 @@ class OnlineCUSUM(FilterIdentifier):
         "half of a mean of half a standard deviation; about one false alarm in 10 000 samples (Siegmund's formula)",
         "CUSUM",
         60,
-        "#DDCC77",
     )
 
     def __post_init__(self) -> None:
@@ -132,7 +131,6 @@ class OnlineGLR(FilterIdentifier):
         "threshold: a ratio of 8 000; at most one false alarm in 20 000 samples (Ville's inequality)",
         "likelihood ratio",
         70,
-        "#CC6677",
     )
 
     def __post_init__(self) -> None:

@@ -59,7 +59,6 @@ class OnlineEKF(FilterIdentifier):
         "rates: a factor of five apart; a change in a thousand samples",
         "EKF",
         10,
-        "#117733",
     )
 
     def __post_init__(self) -> None:
@@ -88,7 +87,6 @@ class OnlineUKF(OnlineEKF):
         "as the EKF",
         "UKF",
         20,
-        "#661100",
     )
 
 
@@ -103,5 +101,4 @@ class OnlineSquareRoot(OnlineEKF):
         "as the EKF",
         "square-root EKF",
         30,
-        "#44AA99",
     )

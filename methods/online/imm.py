@@ -30,7 +30,6 @@ class OnlineIMM(OnlineEKF):
         "a change in 10 000 samples that lasts 20; rates a factor of ten apart",
         "IMM",
         50,
-        "#332288",
     )
 
     def walks(self, parameters: int) -> np.ndarray:

@@ -63,7 +63,6 @@ class OnlineRLS(OnlineIdentifier):
         "factor: Ljung, System Identification Toolbox user's guide (0.97 to 0.995)",
         "RLS",
         100,
-        "#999999",
     )
 
     def __post_init__(self) -> None:

@@ -39,7 +39,6 @@ class OnlineSSI(OnlineIdentifier):
         "rows: two cycles; window: 100 cycles or fewer at 15 samples a cycle",
         "SSI, window",
         120,
-        "#882255",
     )
 
     def __post_init__(self) -> None:

@@ -57,7 +57,6 @@ class OnlinePINN(OnlineIdentifier):
         "as the PINN's",
         "PINN, window, warm start",
         130,
-        "#0072B2",
     )
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"

@@ -43,15 +43,11 @@ class Collocation(PhysicsInformed):
         tuning="none of its own; rival starts and reach beyond half the sampling rate: together with the PINN",
         title="Spline collocation",
         order=70,
-        colour="#8C564B",
-        marker="h",
         remarks=True,
         variants={
             "collocation_bootstrap": {
                 "title": "Spline collocation, bootstrap",
                 "order": 80,
-                "colour": "#C49C94",
-                "marker": "H",
             },
         },
     )

@@ -42,8 +42,6 @@ class PINNFamily(FamilySettings):
         "that of Adam before L-BFGS is the paper's 1e-3; the others have none to choose",
         title="PINN family",
         order=68,
-        colour="#7B4173",
-        marker=(11, 0, 0.0),
         remarks=True,
         choices={
             "optimizer": OPTIMIZERS,

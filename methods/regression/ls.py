@@ -59,15 +59,11 @@ class LS(RegressionIdentifier):
         "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",
         title="LS, finite differences",
         order=120,
-        colour="#000000",
-        marker="x",
         paper="ls",
         variants={
             "ls_spline": {
                 "title": "LS, smoothing spline",
                 "order": 130,
-                "colour": "#555555",
-                "marker": "+",
                 "paper": "",
             },
             "ls_weak": {
@@ -77,8 +73,6 @@ class LS(RegressionIdentifier):
                 "of the record alone and together, powers 4-8, weights by the noise of the whole residual or a part",
                 "title": "LS, weak form",
                 "order": 135,
-                "colour": "#777777",
-                "marker": "2",
                 "paper": "",
             },
         },

@@ -86,8 +86,6 @@ class RLS(RegressionIdentifier):
         tuning="none",
         title="RLS",
         order=140,
-        colour="#999999",
-        marker="1",
         paper="rls",
     )
     serves: ClassVar[Serves] = Serves(

@@ -76,8 +76,6 @@ class SINDy(RegressionIdentifier):
         "the simulated response (start fixed or fitted), BIC of the regression, AICc of the simulated response",
         title="SINDy",
         order=150,
-        colour="#009E73",
-        marker="^",
         states_terms=True,
         variants={
             "sindy_weak": {
@@ -87,8 +85,6 @@ class SINDy(RegressionIdentifier):
                 "the record and of 1, 1.5 and 2 periods, x and v from samples or spline, rows weighed by their noise",
                 "title": "SINDy, weak form",
                 "order": 155,
-                "colour": "#66C2A5",
-                "marker": (3, 1, 180.0),
             }
         },
     )

@@ -84,8 +84,6 @@ class SRIVC(SearchingIdentifier):
         tuning="none; rounds seen on 9 development systems (damping 0.3-80 %, 0.7-40 cycles, 12-300 samples, 40-10 dB)",
         title="SRIVC",
         order=155,
-        colour="#3B6FB6",
-        marker=(7, 0, 0.0),
     )
     serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
     works_in = "natural units"

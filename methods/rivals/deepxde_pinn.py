@@ -41,7 +41,7 @@ class DeepXDE(TorchRival):
     """DeepXDE: Adam, then L-BFGS; see :class:`methods.rivals.rival.Rival`."""
 
     card: ClassVar[Card] = rival_card(
-        "DeepXDE", "Adam, then its L-BFGS, in double precision", "DeepXDE 1.15.0 on torch", 1001, "#7A1FA2", (5, 1, 0.0)
+        "DeepXDE", "Adam, then its L-BFGS, in double precision", "DeepXDE 1.15.0 on torch", 1001
     )
     requires: ClassVar[tuple[str, ...]] = ("deepxde", "torch")
 

@@ -34,9 +34,7 @@ class Jinns(Rival):
 
     second_steps: int = 300
 
-    card: ClassVar[Card] = rival_card(
-        "jinns", "Adam, then its self-scaled Broyden method", "jinns 1.10.2", 1002, "#00796B", (6, 0, 0.0)
-    )
+    card: ClassVar[Card] = rival_card("jinns", "Adam, then its self-scaled Broyden method", "jinns 1.10.2", 1002)
     requires: ClassVar[tuple[str, ...]] = ("jinns", "jax")
 
     def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:

@@ -43,9 +43,8 @@ class PINA(TorchRival):
     """PINA: Adam, then L-BFGS; see :class:`methods.rivals.rival.Rival`."""
 
     card: ClassVar[Card] = rival_card(
-        "PINA", "Adam, then torch's L-BFGS, in double precision", "PINA 0.3.2 (pina-mathlab)", 1003, "#B71C5C",
-        (10, 1, 18.0),
-    )  # fmt: skip
+        "PINA", "Adam, then torch's L-BFGS, in double precision", "PINA 0.3.2 (pina-mathlab)", 1003
+    )
     requires: ClassVar[tuple[str, ...]] = ("pina", "torch")
 
     def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:

@@ -194,9 +194,7 @@ class TorchRival(Rival):
             raise InputError("method.threads", self.threads, "at least 1")
 
 
-def rival_card(
-    title: str, training: str, version: str, order: int, colour: str, marker: tuple[int, int, float]
-) -> Card:
+def rival_card(title: str, training: str, version: str, order: int) -> Card:
     """Return the card of a package, trained as it ships."""
     return Card(
         summary=f"inverse PINN of the package {title}: tanh network, {training}",
@@ -207,8 +205,6 @@ def rival_card(
         settings_source=f"{version} as it ships; network and collocation of the paper; our start scan",
         title=title,
         order=order,
-        colour=colour,
-        marker=marker,
         remarks=True,
     )
 

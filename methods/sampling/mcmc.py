@@ -102,24 +102,18 @@ class MCMC(SearchingIdentifier):
         tuning="two shares of moves, three lengths; on development systems (40 to 5 dB, damping 2-20 %, 2-10 cycles)",
         title="Bayesian MCMC",
         order=20,
-        colour="#56B4E9",
-        marker="v",
         variants={
             "mcmc_student": {
                 "summary": "posterior sampling by emcee with Student t errors, their scale unknown",
                 "tuning": "none beyond mcmc's; 4 degrees of freedom of the errors are the literature's",
                 "title": "Bayesian MCMC, t errors",
                 "order": 25,
-                "colour": "#A6CEE3",
-                "marker": (10, 1, 0.0),
             },
             "mcmc_autoregressive": {
                 "summary": "posterior sampling by emcee with autoregressive errors, their scale unknown",
                 "tuning": "none beyond mcmc's; the order of the errors is that of least BIC",
                 "title": "Bayesian MCMC, coloured errors",
                 "order": 27,
-                "colour": "#0F6B99",
-                "marker": (11, 1, 0.0),
             },
         },
     )

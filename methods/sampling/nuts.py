@@ -63,8 +63,6 @@ class NUTS(SearchingIdentifier):
         tuning="none",
         title="Bayesian NUTS",
         order=30,
-        colour="#332288",
-        marker="4",
     )
     serves: ClassVar[Serves] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("blackjax",)

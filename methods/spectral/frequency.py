@@ -83,8 +83,6 @@ class Frequency(SearchingIdentifier):
         tuning="none",
         title="Frequency domain",
         order=80,
-        colour="#DDCC77",
-        marker=(8, 1, 0.0),
     )
     serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
     works_in = "natural units"

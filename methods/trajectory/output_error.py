@@ -77,15 +77,11 @@ class SingleShooting(SearchingIdentifier):
         tuning="none",
         title="Output error",
         order=90,
-        colour="#4D3559",
-        marker="p",
         variants={
             "output_error_cold": {
                 "summary": "output error (single shooting) from one cold start",
                 "title": "Output error, one cold start",
                 "order": 95,
-                "colour": "#9A86A4",
-                "marker": (6, 2, 0.0),
             },
         },
     )

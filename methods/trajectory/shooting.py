@@ -81,8 +81,6 @@ class Shooting(SearchingIdentifier):
         tuning="two values of noise_share; development systems at 40 to 5 dB, damping ratio 2-20 %, 2-10 cycles",
         title="Multiple shooting",
         order=10,
-        colour="#0072B2",
-        marker="o",
         variants={
             "shooting_student": {
                 "summary": "multiple shooting, then Student t errors in place of normal ones",
@@ -91,8 +89,6 @@ class Shooting(SearchingIdentifier):
                 "tuning": "none beyond shooting's; 4 degrees of freedom of the errors are the literature's",
                 "title": "Multiple shooting, t errors",
                 "order": 15,
-                "colour": "#6BAED6",
-                "marker": "8",
             },
         },
     )

@@ -226,10 +226,10 @@ def draw_online(shown: Sequence[ShownTrack]) -> Picture:
     several = len(leaders) > 1
     return Picture(
         "online",
-        panels(pd.concat(map(track_lines, shown)), readable(shown[0].quantity) + " (1/s²)", 4, 60),
+        panels(pd.concat(map(track_lines, shown)), None, 4, 60),
         f"{' and '.join(leaders)} {'are' if several else 'is'} most often nearest to the bound, in "
         f"{first.count(leaders[0])} of {len(shown)} scenarios{' each' if several else ''}. One record of each "
-        "scenario: in broad grey what is to be followed, about it 95 % of an unbiased estimate's errors at the bound, "
+        "scenario: in broad grey the ratio that is to be followed (SI units), about it 95 % of an unbiased estimate's errors at the bound, "
         "and in blue the tracker nearest to the bound over all records, with its own 95 % interval and its error over "
         "the bound. A curve begins where a tracker gives its first estimate; what is beyond a panel runs along its "
         "edge.",
@@ -249,6 +249,7 @@ def track_lines(track: ShownTrack) -> pd.DataFrame:
     ends = np.concatenate([true, lines["least"][late], lines["most"][late], lines["estimate"][late]])
     low, high = np.nanquantile(ends, [0.005, 0.995])
     room = 0.1 * (high - low)
-    name = f"{in_lines(readable(track.scenario), 26)}\n{track.nearest}, {excess:.2f}"
+    quantity = track.quantity.replace("_over_", "/")
+    name = f"{in_lines(readable(track.scenario), 26)}\n{quantity}, {track.nearest} {excess:.2f}"
     kept = {column: np.clip(values, low - room, high + room) for column, values in lines.items()}
     return curves(name, times, true=true, **kept)

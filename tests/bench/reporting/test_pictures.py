@@ -146,7 +146,7 @@ def test_the_nearest_tracker_is_drawn_with_the_bound_and_an_end_far_off_is_on_th
     assert draw_online([one, one, other]).caption.startswith("b is most often nearest to the bound, in 2 of 3")
     assert draw_online([one, other]).caption.startswith("b and a are most often nearest to the bound, in 1 of 2")
     shown = drawn(draw_online([one]), "least")
-    assert set(shown.panel) == {"ramp\nb, 1.00"}
+    assert set(shown.panel) == {"ramp\nk/m, b 1.00"}
     assert np.allclose(shown.estimate, shown.true * np.exp(-0.9), rtol=1e-4)
     assert np.allclose(shown.most / shown.true, np.exp(1.96 * 0.01), atol=1e-3)
 
