@@ -229,10 +229,10 @@ def draw_online(shown: Sequence[ShownTrack]) -> Picture:
         panels(pd.concat(map(track_lines, shown)), None, 4, 60),
         f"{' and '.join(leaders)} {'are' if several else 'is'} most often nearest to the bound, in "
         f"{first.count(leaders[0])} of {len(shown)} scenarios{' each' if several else ''}. One record of each "
-        "scenario: in broad grey the ratio that is to be followed (SI units), about it 95 % of an unbiased estimate's errors at the bound, "
-        "and in blue the tracker nearest to the bound over all records, with its own 95 % interval and its error over "
-        "the bound. A curve begins where a tracker gives its first estimate; what is beyond a panel runs along its "
-        "edge.",
+        "scenario: in broad grey the ratio that is to be followed (SI units), about it 95 % of an unbiased estimate's "
+        "errors at the bound, and in blue the tracker nearest to the bound over all records, with its own 95 % "
+        "interval and its error over the bound. A curve begins where a tracker gives its first estimate; what is "
+        "beyond a panel runs along its edge.",
     )
 
 
