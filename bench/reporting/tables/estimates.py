@@ -287,8 +287,7 @@ alarms). {ORACLE} It has the same wrong model. {DASH}""",
         Panel(
             each(measured, UNDER_ERROR), place,
             lambda lines: {
-                "said %": percent(lines[0]["said"]), "residuals %": percent(lines[0]["coloured"]),
-                "ok": answered(lines[0]["n_ok"], lines[0]["n"]),
+                "said %": percent(lines[0]["said"]), "residuals %": percent(lines[0]["coloured"]), **fits(lines),
             },
         ),
     ),
