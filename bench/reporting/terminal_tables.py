@@ -39,13 +39,16 @@ def disturbance_of(scenario: Scenario) -> str:
 
 def described(scenario: Scenario) -> str:
     """Describe a scenario in a few words."""
-    disturbed = f"{disturbance_of(scenario)}, " if scenario.disturbance else ""
-    return f"{disturbed}{scenario.label} {scenario.snr_db:g} dB {scenario.initial_state}"
+    text = f"{scenario.label} {scenario.snr_db:g} dB {scenario.initial_state}"
+    return f"{text}, {disturbance_of(scenario)}" if scenario.disturbance else text
 
 
 def cell_table(cell: Cell, stored: StoredCell) -> str:
     """Return the scores of one cell: a line for every quantity, and what each column is."""
-    quantities = {f"{q.name}_error_pct": q.name for q in cell.scenario.make_system().quantities}
+    scenario = cell.scenario
+    head = f"{cell.label} on {scenario.label}, {scenario.snr_db:g} dB"
+    head += f", disturbance {disturbance_of(scenario)}" if scenario.disturbance else ""
+    quantities = {f"{q.name}_error_pct": q.name for q in scenario.make_system().quantities}
     labels = {metric: f"{readable(name)} error %" for metric, name in quantities.items()} | RMSES
     rows, open_scale = [], False
     for metric, label in labels.items():
@@ -60,7 +63,7 @@ def cell_table(cell: Cell, stored: StoredCell) -> str:
         rows.append([label + " *" * free, *ends, number(summary["bound"]), _excess(summary["excess"]), cover])
     said = verdict(stored)
     lines = [
-        wrapped(f"{cell.label} on {described(cell.scenario)} initial state: {stored.n_ok}/{len(stored.rows)} ok"), "",
+        wrapped(f"{head}, initial state {scenario.initial_state}, {stored.n_ok}/{len(stored.rows)} ok"), "",
         table(rows, ["", "median", "95 % low", "95 % high", "bound", "excess", "cover %"]), "",
         coloured(wrapped(said), GREEN if good(said) else YELLOW),
     ]  # fmt: skip
