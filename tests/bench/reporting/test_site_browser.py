@@ -203,7 +203,7 @@ def test_a_phone_shows_rows_as_cards(browser: Browser, site: Path) -> None:
     show(browser, 390)
     visit(browser, site, "leaderboard.html")
     cell = "document.querySelector('#board tbody td')"
-    assert browser.run(f"getComputedStyle({cell}).position") == "relative"
+    assert browser.run(f"getComputedStyle({cell}).display") == "flow-root"
     assert browser.run(f"getComputedStyle({cell}, '::before').content") == '"Method"'
 
 
