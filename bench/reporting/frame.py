@@ -229,10 +229,13 @@ class Result:
         facts = self.stored.provenance.get(SUBMITTED) if self.stored else None
         if facts is None:
             return ""
-        compared, rows = facts.get("rows_compared"), facts.get("of_rows")
+        compared, rows, missed = (facts.get(name) for name in ("rows_compared", "of_rows", "missed_5_percent"))
         if not (isinstance(compared, int) and isinstance(rows, int)):  # a store is data, and may state anything
             return "submitted; what was verified of it is not stated"
-        return f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
+        said = f"submitted; {compared} of its {rows} rows were computed again when it was merged, and came out the same"
+        if not isinstance(missed, float):
+            return said
+        return f"{said} (a change of 5 % of the rows is missed with probability {missed:.2g})"
 
     @property
     def summary(self) -> Mapping[str, Mapping[str, float]]:

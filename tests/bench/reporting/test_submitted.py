@@ -89,5 +89,12 @@ def test_a_store_may_state_anything_of_a_verification(store: Store) -> None:
     keep(store, cells()[:1])
     (found,) = stored_results(store)
     assert found.stored
-    stated = replace(found, stored=found.stored.marked({"rows_compared": "<script>", "of_rows": 24}))
-    assert stated.verification == "submitted; what was verified of it is not stated"
+    facts = {"rows_compared": 5, "of_rows": 24, "missed_5_percent": 0.791}
+    said = "submitted; 5 of its 24 rows were computed again when it was merged, and came out the same"
+    missed = f"{said} (a change of 5 % of the rows is missed with probability 0.79)"
+    for stated, line in (
+        (facts, missed),
+        ({**facts, "missed_5_percent": "<script>"}, said),
+        ({**facts, "rows_compared": "<script>"}, "submitted; what was verified of it is not stated"),
+    ):
+        assert replace(found, stored=found.stored.marked(stated)).verification == line
