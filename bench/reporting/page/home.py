@@ -6,13 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bench.entrants.registry import load_method
+from bench.entrants.registry import load_method, registered
 from bench.errors import InputError
 from bench.reporting.frame import ERROR
+from bench.reporting.labels import card_of
 from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.words import USUAL_DB, decibels, number, percent, quantity
 from bench.reporting.ranking import Ranked
 from bench.reporting.tables.pooling import pooled_quantities
+from bench.store.stored import unmarked
 
 FEW = 3
 """Quantities that are named; of more, their number is said."""
@@ -48,10 +50,16 @@ def bound(panels: Sequence[ScenarioPanel]) -> str:
     return f"{few if len(medians) <= FEW else many} at {decibels(level)} dB" if medians else ""
 
 
+def method_name(label: str) -> str:
+    """The registered name of a method, variant or submitted method."""
+    plain = unmarked(label)
+    return next((name for name in registered() if (card := card_of(name)) and plain in card.variants), plain)
+
+
 def needs(label: str) -> str:
     """What a method has to be given, from its card."""
     try:
-        method = load_method(label)
+        method = load_method(method_name(label))
     except InputError:
         return ""
     free = method.card.scale == "groups" or method.serves.free_without_prior

@@ -26,6 +26,7 @@ from bench.reporting.frame import Result, group, quantity
 from bench.reporting.labels import card_of, in_order, title
 from bench.reporting.page import board, origin
 from bench.reporting.page.elsewhere import elsewhere
+from bench.reporting.page.home import method_name
 from bench.reporting.page.markdown import escaped, link, rendered
 from bench.reporting.page.reading import ScenarioPanel, StoreReading, read
 from bench.reporting.page.situations import Advice, advice, advise
@@ -158,8 +159,7 @@ def leaderboard_values(site: Site) -> dict[str, Any]:
 
 def described(label: str) -> dict[str, Any]:
     """A method or variant: its card, what it serves, its settings, and what keeps it from running here."""
-    plain = unmarked(label)
-    name = next((name for name in registered() if (card := card_of(name)) and plain in card.variants), plain)
+    plain, name = unmarked(label), method_name(label)
     sets = {} if name == plain else {key: text for key, text in read_yaml("method", plain).items() if key != "defaults"}
     found = {"label": label, "name": name, "card": card_of(label), "sets": sets, "serves": {}, "settings": {}}
     try:
