@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity, share
-from bench.reporting.labels import in_order, told, warns
+from bench.reporting.labels import place_of, told, warns
 from bench.reporting.ranking import FIRST_TIER, median_time
 from bench.reporting.residuals import coloured
 from bench.reporting.rounding import answered, excess_text, number, percent, percent_between, with_excess
@@ -28,10 +28,11 @@ from bench.reporting.tables.render import (
     measured,
     named,
 )  # fmt: skip
-from bench.reporting.tables.tidy import line_of, tidy_lines
+from bench.reporting.tables.tidy import VALUES, line_of, tidy_lines
 from bench.scoring.calibration import calibration, together
 from bench.scoring.statistics import counts
 from bench.scoring.summary import gross
+from bench.store.cell import Cell
 
 ORACLE = """*oracle* is maximum a posteriori (without a prior: maximum likelihood) started at the truth."""
 EXCESS = """The number after × is the excess: root mean square error over the Cramér-Rao bound, over the fits that gave
@@ -323,19 +324,27 @@ def robustness_lines(frame: Frame) -> list[Line]:
     Both have the same base noise and nominal values replicate by replicate, so their ratio is far better known than
     either.
     """
-    known, lines = {result.identity: result for result in frame}, list[Line]()
-    for result in frame:
-        assert result.cell is not None
-        plain = known.get(replace(result.cell, scenario=result.scenario.undisturbed).identity)
-        for metric in PANELS:
-            beside, ratios = {}, (math.nan,) * 3
-            if plain:
-                beside = {f"{name}_undisturbed": value for name, value in line_of(plain, metric, BESIDE).items()}
-            if plain and plain.stored and result.stored:
-                ratios = ratio(result.errors(metric), plain.errors(metric))
-            named_ratios = dict(zip(("ratio", "ratio_low", "ratio_high"), ratios, strict=True))
-            lines.append({**line_of(result, metric), **beside, **named_ratios})
-    return lines
+    known = {result.identity: result for result in frame}
+    pairs = [(result, known.get(undisturbed(result).identity)) for result in frame]
+    return [
+        {**line_of(result, metric), **compared(result, plain, metric)} for result, plain in pairs for metric in PANELS
+    ]
+
+
+def undisturbed(result: Result) -> Cell:
+    """The cell on the same data without what disturbs them."""
+    assert result.cell is not None
+    return replace(result.cell, scenario=result.scenario.undisturbed)
+
+
+def compared(result: Result, plain: Result | None, metric: str) -> Line:
+    """The columns of the undisturbed counterpart, and the ratio of the errors."""
+    if plain is None:
+        return dict.fromkeys(("ratio_low", "ratio_high"), math.nan)
+    beside = {f"{name}_undisturbed": VALUES[name](plain, metric) for name in ("excess", "coverage_95", "n_ok")}
+    both = result.stored and plain.stored
+    ratios = ratio(result.errors(metric), plain.errors(metric)) if both else (math.nan,) * 3
+    return {**beside, **dict(zip(("ratio", "ratio_low", "ratio_high"), ratios, strict=True))}
 
 
 def disturbed(line: Line) -> str:
@@ -354,7 +363,6 @@ def robustness_entry(line: Line) -> Texts:
     return {disturbed(line): excess_text(line["excess"]) + star + answers}
 
 
-BESIDE = ("excess", "coverage_95", "n_ok")
 ROBUSTNESS = TableForm(
     legend="""Each entry: root mean square error over the replicates, divided by the Cramér-Rao bound of the
 *undisturbed* scenario: what would be possible without the disturbance (noise that is not white and normal has a bound
@@ -395,19 +403,17 @@ PARTS: Mapping[str, Callable[[Result], bool]] = {
 
 def open_lines(frame: Frame) -> list[Line]:
     """One line a part, method and metric."""
-    lines: list[Line] = []
     bounds = {metric: bounds_of(frame, metric) for metric in METRICS}
-    for part, has in PARTS.items():
-        methods = group(filter(has, frame), lambda result: result.label)
-        scenarios = len({result.question for results in methods.values() for result in results})
-        for label in in_order(methods):
-            head = {"part": part, "scenarios": scenarios, "method": label, "results": methods[label]}
-            time = {"median_cpu_s": median_time(methods[label])}
-            lines += [
-                {**head, "metric": metric, **time, **over_bounds(methods[label], metric, bounds[metric])}
-                for metric in METRICS
-            ]
-    return lines
+    ordered = sorted(frame, key=lambda result: place_of(result.label))
+    return [
+        {
+            "part": part, "method": label, "metric": metric, "results": results, "median_cpu_s": median_time(results),
+            **over_bounds(results, metric, bounds[metric]),
+        }
+        for part, has in PARTS.items()
+        for label, results in group(filter(has, ordered), lambda result: result.label).items()
+        for metric in METRICS
+    ]  # fmt: skip
 
 
 def bounds_of(results: Iterable[Result], metric: str) -> dict[str, float]:
@@ -466,6 +472,6 @@ the panel.""",
         "part", "method", "metric", "n", "n_answered", "median_over_bound", "rms_over_bound", "gross", "gross_low",
         "gross_high", "n_coverage", "coverage_95", "low_95", "high_95", "median_cpu_s",
     ),
-    lines=open_lines, section=lambda line: f"{line['part'].capitalize()}: {line['scenarios']} scenarios",
+    lines=open_lines, section=lambda line: f"{line['part'].capitalize()} scenarios",
     panels=(Panel(each(lambda line: METRICS[line["metric"]], OVER_BOUND), last=open_last),), digits=5,
 )  # fmt: skip
