@@ -17,7 +17,6 @@ from scipy.signal import periodogram
 from bench import __version__
 from bench.likelihood.autoregression import autoregression, even_times
 from bench.records.certificate import Certificate, agreements, compared_quantities
-from bench.records.colour import autocorrelation
 from bench.records.diagnostics import natural_frequency, part_of_signal
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
@@ -29,10 +28,8 @@ from bench.reporting.answer import answer
 from bench.reporting.rounding import number
 
 PACKAGES = ("numpy", "scipy", "jax", "casadi", "emcee", "torch")
-LAGS = 60
 WHITE_BAND = (-math.log(0.975), -math.log(0.025))
 """A periodogram's ordinate of white noise over its level is exponential: 95 % of them lie between these."""
-LAG_BAND = 1.96
 OPENING = {
     Trust.TRUST: "Trust: no problems were detected",
     Trust.CAUTION: "Use with caution",
@@ -144,7 +141,7 @@ def series(certificate: Certificate) -> dict[str, Any]:
     series: dict[str, Any] = {
         "source": Path(primary.measured.recordings[0].source).name,
         "unit": unit, "measures": channel.measures, "times": channel.times, "values": channel.values / size,
-        "fit": None, "residuals": None, "spectrum": None, "autocorrelation": None, "prediction": None,
+        "fit": None, "residuals": None, "spectrum": None, "prediction": None,
     }  # fmt: skip
     if fit is None or residuals is None:
         return series
@@ -166,6 +163,4 @@ def series(certificate: Certificate) -> dict[str, Any]:
         "white_band": [level * end for end in WHITE_BAND],
         "natural_frequency": None if natural is None else natural / primary.problem.natural_units().time,
     }
-    lags = autocorrelation(left, min(LAGS, left.size // 4))
-    series["autocorrelation"] = {"values": lags, "band": LAG_BAND / math.sqrt(left.size)}
     return series

@@ -66,7 +66,7 @@ def fit_picture(response: Response) -> str:
 
 def pictures(shown: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Draw what can be drawn of a certificate's contents: addresses of images, with their captions."""
-    drawn = (draw(shown) for draw in (_record, _spectrum, _lags, _forest))
+    drawn = (draw(shown) for draw in (_record, _spectrum, _forest))
     code = "data:image/svg+xml;base64,"
     return [(code + b64encode(svg(picture[0]).encode()).decode(), picture[1]) for picture in drawn if picture]
 
@@ -165,17 +165,6 @@ def _spectrum(shown: Mapping[str, Any]) -> Drawn | None:
         "Spectrum of the residuals. White noise stays within the grey band at 95 of 100 frequencies; smooth line: "
         "the autoregression that the intervals assume for the noise. Dotted: the natural frequency."
     )
-
-
-def _lags(shown: Mapping[str, Any]) -> Drawn | None:
-    correlation = shown["series"]["autocorrelation"]
-    if correlation is None:
-        return None
-    values, band = correlation["values"][1:], correlation["band"]
-    bars = _curve((np.arange(1, values.size + 1), values), type="bar", width=1.2, color=BLUE)
-    layers = [_fixed(REGION, y=-band, y2=band), _fixed(RULE, y=0.0), bars]
-    picture = _panel(layers, ("lag (samples)", "autocorrelation"), 0.45 * HALF)
-    return picture, "Autocorrelation of the residuals. Of white noise, 95 of 100 bars stay within the grey band."
 
 
 def _forest(shown: Mapping[str, Any]) -> Drawn | None:

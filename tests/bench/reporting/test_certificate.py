@@ -107,7 +107,7 @@ def test_the_page_needs_nothing_else_and_states_the_contents(text: str, shown: M
 def test_each_picture_is_drawn_once_for_light_and_dark_ground(text: str) -> None:
     """Colours of both grounds are those of the one style; every colour of ink or grid has its dark counterpart."""
     drawings = [b64decode(code).decode() for code in re.findall(r'<img src="data:image/svg[^,]*,([^"]+)"', text)]
-    assert len(drawings) == 4
+    assert len(drawings) == 3
     ink, dark = (theme(dark)["text"]["color"] for dark in (False, True))
     for drawing in drawings:
         assert ElementTree.fromstring(drawing).tag == "{http://www.w3.org/2000/svg}svg"
