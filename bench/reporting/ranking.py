@@ -213,13 +213,10 @@ def determined_bounds(asked: Sequence[Result]) -> dict[str, float]:
     return informative_bounds(asked, [name + ERROR for name in pooled_quantities(model, identifiable)])
 
 
-def informative_bounds(asked: Iterable[Result], metrics: Iterable[str]) -> dict[str, float]:
+def informative_bounds(asked: Sequence[Result], metrics: Iterable[str]) -> dict[str, float]:
     """Return the bounds of metrics, each from the first method that stored it: one that failed may have none."""
-    asked = list(asked)
-    bounds = {
-        metric: next((result.bound(metric) for result in asked if math.isfinite(result.bound(metric))), math.nan)
-        for metric in metrics
-    }
+    stored = {metric: filter(math.isfinite, [result.bound(metric) for result in asked]) for metric in metrics}
+    bounds = {metric: next(known, math.nan) for metric, known in stored.items()}
     return {metric: bound for metric, bound in bounds.items() if 0 < bound < UNINFORMATIVE}
 
 
@@ -236,25 +233,18 @@ def capped(size: np.ndarray) -> np.ndarray:
     return np.asarray(np.log(np.clip(size, 1.0 / CAP, CAP)))
 
 
-def competes(result: Result, example: Callable[[], Problem | None]) -> bool:
+def competes(result: Result, example: Callable[[], Problem]) -> bool:
     """Return whether a method answered, or failed on a problem that it says it serves."""
-    if result.status is Status.MISSING_DEPENDENCY:
-        return False
     if result.status is not Status.UNSUPPORTED:
-        return True
+        return result.status is not Status.MISSING_DEPENDENCY
     try:
-        method = make_method(result.method, dict(result.settings))
-    except InputError:  # a method that is not installed says nothing
+        return make_method(result.method, dict(result.settings)).objection(example()) is None
+    except InputError:  # a method that is not installed says nothing, nor does a scenario that cannot be made here
         return False
-    problem = example()
-    return problem is not None and method.objection(problem) is None
 
 
-def example_problem(result: Result) -> Problem | None:
-    """Return a problem as methods see those of a scenario; None where this version cannot make it."""
+def example_problem(result: Result) -> Problem:
+    """Return a problem as methods see those of a scenario; raises InputError where this version cannot make it."""
     assert result.stored is not None
-    try:
-        cell = result.cell or stored_as_cell(result.stored)
-    except InputError:
-        return None
+    cell = result.cell or stored_as_cell(result.stored)
     return cell.scenario.example(cell.seed)
