@@ -111,7 +111,4 @@ def false_alarms(lines: Iterable[Line]) -> Rows:
         for title in titles
         for width, constant, step in zip(LEVELS, curves[title, CONSTANT], curves[title, STEP], strict=True)
     ]
-    shown = Panel(
-        lambda point: {point[1]: f"{point[2]:.2g} / {_samples(point[3])}"}, lambda point: {"method": point[0]}
-    )
-    return shown.rows(points)
+    return Panel(lambda point: {point[1]: point[2]}, lambda point: {"method": point[0]}).rows(points)

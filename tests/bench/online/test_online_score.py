@@ -9,8 +9,8 @@ from bench.online.course import Course
 from bench.online.follow import Followed
 from bench.online.forces import HeldForce
 from bench.online.scenario import OnlineScenario
-from bench.online.score import Z95, score, score_bound, scored
-from bench.reporting.tables.online_table import BOUND, in_order
+from bench.online.score import AFTER, LEVELS, Z95, Score, score, score_bound, scored
+from bench.reporting.tables.online_table import BOUND, CONSTANT, STEP, in_order, table, tracked
 
 
 def stepping(samples: int = 200) -> OnlineScenario:
@@ -63,3 +63,14 @@ def test_methods_stand_in_the_order_of_their_worse_quantity() -> None:
         for excess in own
     ]
     assert list(dict.fromkeys(line["method"] for line in in_order(lines))) == [BOUND, "even", "near in k"]
+
+
+def test_false_alarms_stand_beside_delays_of_the_same_half_width() -> None:
+    """Of a record that is constant the alarms, of one with a step the delay; one that is never seen says so."""
+    curve = tuple((0.25 * i, math.inf if i else 12.0) for i in range(len(LEVELS)))
+    scores = Score(1.5, 2.0, 1.0, 0.95, (math.nan,) * len(AFTER), 12.0, curve, 1)
+    what = {"method": "m", "title": "M", "micros_median": 1.0, "micros_99": 2.0}
+    lines = [line for name in (CONSTANT, STEP) for line in tracked({**what, "scenario": name}, {"k": scores})]
+    page = table(lines, {CONSTANT: "Nothing changes.", STEP: "A step."}, "again")["table10.md"]
+    row = page[page.index("## Delay against") :].splitlines()[-3]
+    assert [text.strip() for text in row.split("|")[1:4]] == ["M", "0 / 12", "0.25 / never"]
