@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import bootstrap, studentized_range
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
+from bench.reporting.page.elsewhere import elsewhere
 from bench.reporting.ranking import LOST, ON_BOUND, first_tier, fits_of, ranked, ranking, tied, tiers
 from bench.reporting.tables.leaderboard import leaderboard
 from bench.scenario.force import ForceSpec
@@ -184,3 +187,34 @@ def test_the_leaderboard_has_tiers_apart_below_and_beyond_nyquist(reference: Sce
     assert "RLS (submitted): submitted; 5 of its 24 rows were computed again" in text
     tiers_beyond = re.findall(r"^\| (\d) +\| (\w+)", beyond_text, re.MULTILINE)
     assert tiers_beyond == [("1", "Extended"), ("2", "Multiple"), ("2", "LS")]
+
+
+def test_the_measured_and_the_online_track_are_ranked_by_the_same_rule(tmp_path: Path) -> None:
+    """On eight rigs of two records ls leaves three times as much unexplained, ekf withdraws half, ar takes no record.
+
+    A tracker is on the bound in each of twelve scenarios, one four times off, one serves half of them.
+    """
+    records = [
+        {"set": f"rig{rig}", "system": "sdof", "method": method, "sibling": part, "status": status, "trust": trust,
+         "held_out": 100.0 - left * (1 + rig), "wall_s": 0.1}
+        for rig in range(8) for part in "ab"
+        for method, left, status, trust in (
+            ("shooting", 1.0, "ok", "trust"), ("ls", 3.0, "ok", "with care"), ("ar", math.nan, "unsupported", ""),
+            ("ekf", 1.0, "ok", "do not trust" if part == "b" else "trust"))
+    ]  # fmt: skip
+    path = [
+        {"scenario": i, "method": method, "quantity": "k", "excess": excess, "micros_median": 50.0}
+        for i in range(12) for method, excess in (("bound", 1.0), ("ukf", 1.0), ("imm", 4.0), ("glr", 2.0))
+        if method != "glr" or i % 2
+    ]  # fmt: skip
+    pd.DataFrame([*records, {**records[0], "sibling": "all", "status": None}]).to_csv(tmp_path / "table11.csv")
+    pd.DataFrame(path).to_csv(tmp_path / "table10.csv")
+    measured, online = elsewhere(tmp_path)
+    rows = {row.label: (row.tier, row.lost, row.fits, round(row.typical, 2)) for row in measured.ranking}
+    assert rows == {"shooting": (1, 0, 16, 1.0), "ls": (2, 0, 16, 3.0), "ekf": (3, 8, 16, round(math.sqrt(10.0), 2))}
+    assert [(row.label, row.tier, row.served, round(row.typical, 2)) for row in online.ranking] == [
+        ("UKF", 1, 12, 1.0), ("IMM", 2, 12, 4.0), ("likelihood ratio", 0, 6, 2.0)
+    ]  # fmt: skip
+    assert (measured.fastest.label, measured.seconds["ls"], online.seconds["UKF"]) == ("shooting", 0.1, 5e-5)
+    (tmp_path / "table11.csv").write_text("of,another\n1,2\n")
+    assert [one.words for one in elsewhere(tmp_path)] == [online.words]
