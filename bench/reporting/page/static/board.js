@@ -114,7 +114,7 @@ function said({ n, ratio, low, high, nearer, further, lost }, a, b) {
 }
 
 function scatter(values, a, b) {
-  const scale = { type: "log", domain: [0.1, LOST], nice: false };
+  const scale = { type: "log", domain: [0.1, LOST], nice: false, clamp: true };
   const axis = (field, who) => ({ field, type: "quantitative", title: `${who}: error over the bound`, scale });
   const color = { field: "scenario", type: "nominal", legend: { columns: 1 } };
   return {
