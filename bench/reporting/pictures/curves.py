@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import altair as alt
 import numpy as np
@@ -25,16 +24,6 @@ LOSS, EVALUATIONS, TERM = "trace_loss", "trace_evaluations", "trace_mean_square_
 TERMS = {LOSS: "whole loss", f"{TERM}data": "mean square of the data", f"{TERM}physics": "of the equation of motion"}
 POINTS = 100
 """Of a curve, drawn at most."""
-
-
-def lines(
-    frame: pd.DataFrame, x: alt.X, y: alt.Y, by: str, panel: str, columns: int, height: float, **mark: Any
-) -> Any:
-    """Return a panel for each value of a column, with a line for each of another; both in the order they come in."""
-    hue = alt.Color(f"{by}:N").sort(list(dict.fromkeys(frame[by]))).legend(columns=3)
-    chart = alt.Chart(table(frame)).mark_line(**mark).encode(x, y, hue, tooltip=list(frame.columns))
-    facet = alt.Facet(f"{panel}:N").sort(list(dict.fromkeys(frame[panel])))
-    return chart.properties(width=120, height=height).facet(facet, columns=columns, spacing=8)
 
 
 def log_log(x: alt.X, y: alt.Y, across: pd.Series, up: pd.Series) -> tuple[alt.X, alt.Y]:
@@ -99,10 +88,9 @@ def draw_noise(gallery: Gallery) -> Picture:
         layers.facet(column=alt.Column("quantity:N").sort(list(QUANTITIES.values())), spacing=10),
         f"{(excess <= 2.0).sum()} of {len(excess)} methods stay within twice the bound at every noise level. Root mean "
         f"square errors over the replicates ({cells[0].system}, initial state {cells[0].initial_state}; "
-        f"{replicates(cells)} a point), failures left out; the least noise is on the left. In colour the methods of "
-        "the paper, thin and grey all others; the broad line is the Cramér-Rao bound, the least error of an unbiased "
-        "method. A line that runs level has an error of its own, which no better sensor removes."
-        f"{diamonds}",
+        f"{replicates(cells)} a point), failures left out. In colour the methods of the paper, thin and grey all "
+        "others; the broad line is the Cramér-Rao bound, the least error of an unbiased method. A line that runs level "
+        f"has an error of its own, which no better sensor removes.{diamonds}",
     )
 
 
@@ -113,8 +101,11 @@ def draw_training(gallery: Gallery) -> Picture:
         training_curve(title(cell.label), panel, arrays[EVALUATIONS], arrays[name])
         for name, panel in TERMS.items() for cell, arrays in found if name in arrays
     ]  # fmt: skip
-    frame = pd.concat(parts)
+    frame = table(pd.concat(parts))
     x, y = alt.X("evaluations:Q").title("evaluations of all residuals"), alt.Y("value:Q").title("loss (−)")
+    hue = alt.Color("method:N").sort([title(cell.label) for cell, _ in found]).legend(columns=3)
+    chart = alt.Chart(frame).mark_line().encode(*log_log(x, y, frame.evaluations, frame.value), hue, tooltip=["value"])
+    facet = alt.Column("term:N").sort(list(TERMS.values()))
     last = {title(cell.label): (a[EVALUATIONS].max(), a[LOSS][-1]) for cell, a in found}
     ends = ", ".join(f"{name} {n:.0f} (loss {loss:.3g})" for name, (n, loss) in last.items())
     soonest, latest = (choose(last, key=lambda name: last[name][0]) for choose in (min, max))
@@ -123,11 +114,10 @@ def draw_training(gallery: Gallery) -> Picture:
     same = " and ".join(title(cell.label) for cell, _ in found if cell.label in beside_paper(own_method()))
     return Picture(
         "training_loss",
-        lines(frame, *log_log(x, y, frame.evaluations, frame.value), "method", "term", 3, 110),
+        chart.properties(width=120, height=110).facet(column=facet, spacing=8),
         f"{lead}. On the same record ({where(found[0][0])}; replicate 0): the whole loss, each term with the weight it "
         f"has at the end, and the mean square of two terms, in natural units. At the end: {ends}. {same} minimise the "
-        "same loss of the same network. A line ends where its training stopped, which need not be at the minimum, and "
-        "begins late where a term is nil at first. The paper's Figure 6 shows the whole loss alone.",
+        "same loss of the same network. The paper's Figure 6 shows the whole loss alone.",
     )
 
 
@@ -168,7 +158,7 @@ def draw_profiles(name: str, found: Sequence[Profile], truth: dict[str, float], 
         f"profile_{name}",
         layers.facet(facet, columns=min(4, len(found)), spacing=8).resolve_scale(x="independent"),
         "A curve that rises on both sides of its lowest point is a quantity that the data tell. Profile likelihoods on "
-        "one replicate: each quantity is held and the rest fitted again, the noise level too. No prior enters the "
-        "blue line; it is flat where the data do not tell the quantity. Orange: half the squared distance from the "
-        "prior's nominal value, in its standard deviations. Dashed: a 95 % interval ends. Dotted: the true value.",
+        "one replicate: each quantity is held and the rest fitted again, the noise level too, without a prior. Orange: "
+        "half the squared distance from the prior's nominal value, in its standard deviations. Dashed: where a 95 % "
+        "interval ends. Dotted: the true value.",
     )

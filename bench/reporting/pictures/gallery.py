@@ -20,7 +20,6 @@ from bench.store.store import Store
 
 USUAL_SNR = 20.0
 """The noise level (dB) that pictures of a single one show, or the nearest there is: that of the paper's figures."""
-MOST_NAMED = 4
 K, C, MOTION = "k_over_m", "c_over_m", "displacement"
 METRICS = {K: "k_over_m_error_pct", C: "c_over_m_error_pct", MOTION: "rmse"}
 Arrays = Mapping[str, np.ndarray]
@@ -106,11 +105,6 @@ def where(cell: Result) -> str:
     disturbed = f", disturbance {cell.disturbance.replace('_', ' ')}" if cell.disturbance else ""
     drawn = ", truth drawn" if cell.truth_drawn else ""
     return f"{cell.system}, {cell.snr_db:.4g} dB, initial state {cell.initial_state}{disturbed}{drawn}"
-
-
-def named(titles: Sequence[str]) -> str:
-    """Return methods in a sentence: by name, or how many they are where that would be long."""
-    return "; ".join(titles) if len(titles) <= MOST_NAMED else f"{len(titles)} of them"
 
 
 def replicates(cells: Iterable[Result]) -> str:

@@ -17,7 +17,7 @@ from bench.contract.estimate import Status
 from bench.dynamics.simulate import simulate
 from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, RARE, near
-from bench.reporting.frame import Result, group
+from bench.reporting.frame import Result
 from bench.reporting.labels import in_order, title
 from bench.reporting.pictures.gallery import METRICS, Arrays, C, Gallery, K, in_lines, replicates, where
 from bench.reporting.pictures.responses import samples_of
@@ -207,8 +207,6 @@ def _basin(
 
 ABSENT = frozenset({Status.UNSUPPORTED, Status.MISSING_DEPENDENCY})
 FAILURES = frozenset(Status) - ABSENT - {Status.OK}
-MOST = 60
-"""Rows shown at most: those with most failures."""
 
 
 def heat(frame: pd.DataFrame, rows: Sequence[str], columns: Sequence[str], value: str, **scale: Any) -> Any:
@@ -226,48 +224,34 @@ def heat(frame: pd.DataFrame, rows: Sequence[str], columns: Sequence[str], value
     return layered(chart.data, coloured.mark_rect().encode(hue), text, plain).properties(width=300, height=alt.Step(11))
 
 
-def failed_share(cell: Result) -> float:
-    """Return the share of the replicates that failed."""
-    return sum(status in FAILURES for status in cell.statuses) / cell.n if cell.n else 0.0
-
-
 def draw_failures(gallery: Gallery) -> Picture:
     """A row a system with what disturbs it and a column a method, of those in which something failed."""
-
-    def test(cell: Result) -> str:
-        return readable(cell.system) + (f", {readable(cell.disturbance)}" if cell.disturbance else "")
-
-    places = group(gallery.cells, lambda cell: (test(cell), cell.label))
-    worst = {place: max(map(failed_share, cells)) for place, cells in places.items()}
-    tried = {place for place, cells in places.items() if any({*cell.statuses} - ABSENT for cell in cells)}
-    sizes = Counter[str]()
-    for (name, _), size in worst.items():
-        sizes[name] += round(1e6 * size)
-    rows = sorted(name for name, size in sizes.most_common(MOST) if size)
-    if not rows:
-        raise Nothing("no replicate of any cell failed")
-    columns = in_order(label for (name, label), share in worst.items() if share and name in rows)
     lines = [
-        (name, title(label), 100.0 * share or math.nan, _percent(share) if (name, label) in tried else "–")
-        if (share := worst.get((name, label))) is not None else (name, title(label), math.nan, "·")
-        for name in rows for label in columns
+        (readable(cell.system) + (f", {readable(cell.disturbance)}" if cell.disturbance else ""), cell.label,
+         100.0 * float(np.mean([status in FAILURES for status in cell.statuses])), bool({*cell.statuses} - ABSENT))
+        for cell in gallery.cells if cell.n
     ]  # fmt: skip
-    frame = pd.DataFrame(lines, columns=["row", "column", "failed", "shown"])
+    worst = pd.DataFrame(lines, columns=["row", "label", "failed", "tried"]).groupby(["row", "label"]).max()
+    tests, bad = worst.index.unique("row"), worst[worst.failed > 0.0]
+    if bad.empty:
+        raise Nothing("no replicate of any cell failed")
+    rows, labels = sorted(bad.index.unique("row")), in_order(bad.index.unique("label"))
+    frame = worst.reindex(pd.MultiIndex.from_product([rows, labels], names=["row", "label"])).reset_index()
+    share = frame.failed.map(lambda own: f"{own:.0f}" if own >= 1.0 else "<1")
+    cases = [frame.failed.isna(), frame.tried == False, frame.failed == 0.0]  # noqa: E712 - or not there
+    frame["shown"] = np.select(cases, ["·", "–", ""], share)
+    frame["column"], frame["failed"] = frame.label.map(title), frame.failed.where(frame.failed > 0.0)
+    frame = frame[["row", "column", "failed", "shown"]]
     used = Counter(status for cell in gallery.cells for status in cell.statuses)
     kinds = ", ".join(f"{used[status]} {status}" for status in Status if status in FAILURES and used[status])
     return Picture(
         "failures",
-        heat(frame, rows, list(map(title, columns)), "failed", domain=[0, 100]),
-        f"Fits failed in {len(rows)} of {len({name for name, _ in worst})} kinds of test. In a row, a system with what "
+        heat(frame, rows, list(map(title, labels)), "failed", domain=[0, 100]),
+        f"Fits failed in {len(rows)} of {len(tests)} kinds of test. In a row, a system with what "
         "disturbs its record: the share (%) of the replicates that failed, at the noise level and start where it is "
         "largest. A stroke: the method says that it cannot do this; a point: not run. Tests and methods without "
         f"any failure are left out. Of all {sum(used.values())} replicates: {kinds}.",
     )
-
-
-def _percent(share: float) -> str:
-    """A share (%) in few letters; nothing where it is nil."""
-    return "" if not share else f"{100 * share:.0f}" if share >= 0.01 else "<1"
 
 
 # ------------------------------------------------------------------------------------------------ the atlas

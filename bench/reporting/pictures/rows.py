@@ -147,10 +147,10 @@ def draw_forest(gallery: Gallery) -> Picture:
         "forest",
         chart.properties(width=70, height=alt.Step(5)).facet(column=facet, spacing=8),
         f"{(middle <= NEAR).sum()} of {len(middle)} methods are within {NEAR:g} times the best that the data allow. "
-        f"Columns are noise levels ({cells[0].system}, initial state {start}; {replicates(cells)} replicates): root "
-        "mean square error of the fits that succeeded over the Cramér-Rao bound, with its 95 % bootstrap interval. At "
-        "the line at 1 no unbiased method can do better. A triangle is beyond the edge. The count is by a method's "
-        f"median over columns and quantities. {_spoken(gallery)}",
+        "Root mean square error of the fits that succeeded over the Cramér-Rao bound, with its 95 % bootstrap interval "
+        f"({cells[0].system}, initial state {start}; {replicates(cells)} replicates). At the line at 1 no unbiased "
+        "method can do better; a triangle is beyond the edge. The count is by the median over columns and quantities. "
+        f"{_spoken(gallery)}",
     )
 
 
@@ -191,9 +191,8 @@ def draw_coverage(gallery: Gallery) -> Picture:
         chart.properties(width=120, height=alt.Step(4)).facet(column=alt.Column("rule:Q").header(header), spacing=8),
         f"The 95 % intervals of k/m hold the truth as often as they say in {right} of {len(judged)} methods. Measured "
         f"share of the intervals that held it ({where(cells[0])}, seed {cells[0].seed}; {replicates(cells)} "
-        "replicates), with the 95 % interval of the share (Wilson); the line is the nominal level. Left of it a method "
-        "is too sure of itself, right of it too modest. Displacement: the mean share of the record inside the "
-        "method's band.",
+        "replicates), with its 95 % interval (Wilson). Left of the line, the nominal level, a method is too sure of "
+        "itself, right of it too modest. Displacement: the mean share of the record inside the method's band.",
     )
 
 
@@ -245,11 +244,9 @@ def draw_time(gallery: Gallery) -> Picture:
         "accuracy_against_time",
         chart,
         f"{order[0]} is the fastest of {len(first)} methods of the first tier; the slowest of them takes "
-        f"{slowest:.2g} times as long. Left: processor time of a fit ({cells[0].system}, {level:g} dB); the marker is "
-        "the median, and the line goes to the slowest, often the first of a process, which loads and builds what the "
-        "method needs. Right: root mean square error of k/m over its Cramér-Rao bound, with its 95 % interval; 1 is "
-        f"the best that the data allow. Colours tell whether the initial state is known. {_spoken(gallery)} Within a "
-        "tier the fastest comes first.",
+        f"{slowest:.2g} times as long. Left: processor time of a fit ({cells[0].system}, {level:g} dB), the median and "
+        "a line to the slowest, often the first of a process. Right: root mean square error of k/m over its Cramér-Rao "
+        f"bound, with its 95 % interval. {_spoken(gallery)} Within a tier the fastest comes first.",
     )
 
 
