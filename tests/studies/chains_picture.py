@@ -93,4 +93,6 @@ def _seconds(at: Mapping[Any, Any]) -> str:
     """Return the time of a fit; nothing without one, or of a reference row."""
     seconds = at["cpu_s"]
     there = at["n_ok"] > 0 and at["method"] not in REFERENCES and math.isfinite(seconds)
-    return f"{seconds:.2g}" if there else ""
+    if not there:
+        return ""
+    return "<0.001" if seconds < 0.001 else f"{seconds:.3f}" if seconds < 0.1 else f"{seconds:.3g}"

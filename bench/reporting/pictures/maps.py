@@ -186,8 +186,10 @@ def _basin(
     points[["x", "y"]] = np.log(points[["k/m", "c/m"]] / centre) / np.log(factors)  # -1 to 1 over the panel
     points = points[(abs(points.x) < 1.0) & (abs(points.y) < 1.0)]
     outside = points[points.outside & on_floor].sort_values("y")
-    groups = outside.groupby((outside.y.diff() > APART).cumsum())
-    named = groups.agg({"k/m": "mean", "c/m": "mean", "x": "mean", "method": "; ".join})
+    groups = outside.groupby(((outside.y.diff() > APART) | (abs(outside.x.diff()) > 5.5 * APART)).cumsum())
+    named = groups.agg({"k/m": "max", "c/m": "mean", "x": "max", "method": list})
+    named["method"] = [own if len(own) < 3 else f"{len(own)} methods" for own in named.method]
+    side, away = (alt.expr(f"datum.x > 0.5 ? {own}") for own in ("'right' : 'left'", "-6 : 6"))
     dots, names = (alt.Chart(table(own)).encode(x, y, tooltip=["method", "k/m", "c/m"]) for own in (points, named))
     truth = alt.Chart(table(pd.DataFrame([centre], columns=["k/m", "c/m"])))
     lines = [alt.Chart(contours(k, c, surface, own)).encode(x, y, detail="line:N", order="order:Q")
@@ -196,9 +198,7 @@ def _basin(
         lines[0].mark_line(strokeWidth=0.8).encode(legend, tooltip=["misfit"]),
         *([lines[1].mark_line(style="truth", strokeDash=[4, 2])] if on_floor else []),
         dots.mark_point(filled=True, opacity=0.8, size=20, color=SERIES[1]),
-        names.mark_text(
-            align=alt.expr("datum.x > 0 ? 'right' : 'left'"), dx=alt.expr("datum.x > 0 ? -6 : 6"), limit=90
-        ).encode(text="method:N"),
+        names.mark_text(align=side, dx=away, lineHeight=8, baseline="middle", limit=90).encode(text="method:N"),
         truth.mark_point(shape="cross", filled=True, size=40, style="truth", opacity=1).encode(x, y),
     )
 

@@ -9,8 +9,7 @@ import altair as alt
 import pandas as pd
 
 from bench.reporting.labels import title
-from bench.reporting.pictures.curves import log_log
-from bench.reporting.pictures.style import Picture, layered, save, table
+from bench.reporting.pictures.style import Picture, layered, logarithmic, save, table
 from tests.studies.engines.results import LARGE, Growth
 from tests.studies.engines.rows import CURVES
 
@@ -35,13 +34,21 @@ def picture(growths: Sequence[Growth], folder: Path) -> list[Path]:
         for growth in growths
     ]  # fmt: skip
     frame = table(pd.concat(parts))
-    x, y = log_log(alt.X("n:Q").title("number n (−)"), alt.Y("seconds:Q").title("time (s)"), frame.n, frame.seconds)
+    scale, ticks = logarithmic(0.8 * frame.seconds.min(), 1.25 * frame.seconds.max())
+    x = (
+        alt.X("n:Q")
+        .scale(type="log", nice=False, padding=6)
+        .axis(tickCount=4, format="~g", grid=False)
+        .title("number n (−)")
+    )
+    y = alt.Y("seconds:Q").scale(scale).axis(ticks).title("time (s)")
     hue = alt.Color("method:N").sort(list(dict.fromkeys(frame.method))).legend(columns=4)
     chart = alt.Chart(frame).encode(x, y, hue, tooltip=list(frame.columns))
     layers = layered(frame, chart.mark_line(), chart.mark_point(filled=True, size=14, opacity=1))
     drawn = layers.properties(width=120, height=150)
     facet = alt.Column("panel:N").sort(list(TITLES.values()))
-    return save(Picture("engines_scaling", drawn.facet(column=facet, spacing=10), caption(growths)), folder)
+    faceted = drawn.facet(column=facet, spacing=10).resolve_scale(x="independent")
+    return save(Picture("engines_scaling", faceted, caption(growths)), folder)
 
 
 def caption(growths: Sequence[Growth]) -> str:

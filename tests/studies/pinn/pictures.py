@@ -10,7 +10,7 @@ import altair as alt
 import pandas as pd
 
 from bench.reporting.labels import in_order, title
-from bench.reporting.pictures.style import ONE, Picture, layered, logarithmic, save, table
+from bench.reporting.pictures.style import Picture, layered, logarithmic, save, table
 from tests.studies.pinn.common import METHODS
 
 SIZES = {"residuals": "residuals (−)", "masses": "masses in the chain (−)", "cycles": "cycles in the record (−)"}
@@ -31,14 +31,13 @@ def scaling_picture(data: dict[str, Any], out: Path) -> list[Path]:
         ratio = alt.Y("ratio:Q").scale(domain=[LEAST, TOP], clamp=True).title("errors / oracle's (−)")
         beyond = alt.condition(f"datum.ratio > {TOP}", alt.value("triangle-up"), alt.value("circle"))
         chart = alt.Chart(frame).encode(x, alt.Color("method:N").sort(order), tooltip=list(frame.columns))
-        rule = alt.Chart(ONE).mark_rule(style="quiet").encode(y=alt.datum(1))
+        rule = alt.Chart(pd.DataFrame({"ratio": [1.0]})).mark_rule(style="quiet")
         dots: dict[str, Any] = {"size": 14, "filled": True, "opacity": 1}
         rows = (
             [chart.mark_line(), chart.mark_point(**dots)], alt.Y("seconds:Q").scale(times).axis(ticks).title("s a fit")
         ), ([rule, chart.mark_line(), chart.mark_point(**dots).encode(shape=beyond)], ratio)  # fmt: skip
         panels = [
-            layered(frame, *(own if own is rule else own.encode(y) for own in marks)).properties(width=120, height=90)
-            for marks, y in rows
+            layered(frame, *(own.encode(y) for own in marks)).properties(width=120, height=90) for marks, y in rows
         ]
         columns.append(alt.vconcat(*panels))
     return save(Picture("pinn_scaling", alt.hconcat(*columns, spacing=8), scaling_caption(data)), out)
