@@ -7,7 +7,9 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -30,24 +32,18 @@ RARE = 0.05
 
 def atlas_frame(blocks: Sequence[PointBlock], folder: Path) -> pd.DataFrame:
     """A line for each point and method of the blocks that are finished, with the bound; all of one kind of test."""
-    lines, bounds = [], dict[Point, list[float]]()
+    lines = []
     for block in blocks:
-        stored = read_block(folder, block)
-        if stored is None:
-            continue
-        for point, statistics in zip(block.points, stored, strict=True):
-            if point not in bounds:
-                bounds[point] = _bounds(point)
-            lines.append([*_numbers(point), block.label, *bounds[point], *statistics.row().tolist()])
-    kind = type(blocks[0].points[0])
-    names = [*test_columns(kind), "method", *_bound_columns(kind), *columns(kind.QUANTITIES)]
-    return pd.DataFrame(lines, columns=names)
+        stored = read_block(folder, block) or ()
+        for point, statistics in zip(block.points, stored, strict=bool(stored)):
+            values = zip(columns(point.QUANTITIES), statistics.row().tolist(), strict=True)
+            lines.append({**_test(point), "method": block.label, **_bounds(point), **dict(values)})
+    return pd.DataFrame(lines)
 
 
 def point_frame(point: Point) -> pd.DataFrame:
     """A line for a point, with the bound, as the model of the atlas asks for it."""
-    names = [*test_columns(type(point)), *_bound_columns(type(point))]
-    return pd.DataFrame([[*_numbers(point), *_bounds(point)]], columns=names)
+    return pd.DataFrame([{**_test(point), **_bounds(point)}])
 
 
 def test_columns(kind: type[Point]) -> list[str]:
@@ -55,19 +51,17 @@ def test_columns(kind: type[Point]) -> list[str]:
     return [*(axis.name for axis in kind.AXES), kind.CHOICE.name, "aliased"]
 
 
-def _bound_columns(kind: type[Point]) -> list[str]:
-    return [*(f"bound_{name}" for name in (*kind.QUANTITIES, DISPLACEMENT)), "wrong_basin"]
+def _test(point: Point) -> dict[str, Any]:
+    return {name: getattr(point, name) for name in test_columns(type(point))}
 
 
-def _numbers(point: Point) -> list[float]:
-    return [getattr(point, name) for name in test_columns(type(point))]
-
-
-def _bounds(point: Point) -> list[float]:
+@cache
+def _bounds(point: Point) -> dict[str, float]:
     """The bounds, and the expected share of wrong basins, NaN where it is not known."""
     least = bound_at(point)
-    basin = wrong_basin(point) if isinstance(point, FreeDecay) and not point.aliased else float("nan")
-    return [*least.sds.values(), least.displacement, basin]
+    basin = wrong_basin(point) if isinstance(point, FreeDecay) and not point.aliased else math.nan
+    bounds = {**least.sds, DISPLACEMENT: least.displacement}
+    return {**{f"bound_{name}": bound for name, bound in bounds.items()}, "wrong_basin": basin}
 
 
 def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
