@@ -172,6 +172,7 @@ def free_decay_others(r: Published, f: Facts) -> None:
     missed = r.rows("calibration", method="ls", quantity="k_over_m", snr_db=(30, 20))
     mass = r.rows("table3", metric="m_error_pct", initial_state="known").set_index("method")["median"].dropna()
     f.say(".2f", pencil=excess["matrix_pencil"], ar=plain, repaired=repaired, sindy=sindy)
+    f.say(plain_sindy=quiet["pysindy"].dropna())
     f.say(astray=astray["sum"]["output_error_cold"], astray_fits=astray["size"], ls_off=ls["median"]["ls"])
     f.say(".1g", ls_bound=ls.bound["ls"])
     f.say(".1f", mass=mass)
