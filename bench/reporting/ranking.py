@@ -190,10 +190,13 @@ def first_tier(results: Iterable[Result], metrics: Iterable[str]) -> frozenset[R
 
 
 def fits_of(results: Iterable[Result]) -> Fits:
-    """Return the errors of all methods' fits in the scenarios whose data determine something."""
+    """Return the errors of all methods' fits in the scenarios whose data determine something.
+
+    Scenarios have one order, whoever asks: resamples hang on it, and with them a tier at the edge.
+    """
     stored = [result for result in results if result.stored]
-    by_scenario = list(group(stored, lambda result: result.question).values())
-    informative = [(asked, bounds) for asked in by_scenario if (bounds := determined_bounds(asked))]
+    by_scenario = sorted(group(stored, lambda result: result.question).items())
+    informative = [(asked, bounds) for _, asked in by_scenario if (bounds := determined_bounds(asked))]
     labels = in_order(result.label for result in stored if not result.is_reference)
     fits = {label: [np.empty(0)] * len(informative) for label in labels}
     for place, (asked, bounds) in enumerate(informative):

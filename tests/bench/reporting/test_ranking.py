@@ -187,6 +187,7 @@ def test_the_leaderboard_has_tiers_apart_below_and_beyond_nyquist(reference: Sce
     assert "RLS (submitted): submitted; 5 of its 24 rows were computed again" in text
     tiers_beyond = re.findall(r"^\| (\d) +\| (\w+)", beyond_text, re.MULTILINE)
     assert tiers_beyond == [("1", "Extended"), ("2", "Multiple"), ("2", "LS")]
+    assert ranking(results[:-1]) == ranking(results[-2::-1])  # whoever reads them, in whatever order
 
 
 def test_the_measured_and_the_online_track_are_ranked_by_the_same_rule(tmp_path: Path) -> None:
