@@ -136,10 +136,11 @@ def draw(record: Record, found: np.ndarray, sds: np.ndarray, folder: Path) -> No
     )
     top = layered(tracked, over_time(tracked, "first frequency (Hz)"), rules).resolve_scale(color="independent")
     motion = table(pd.DataFrame({"time": record.times, "volts": 1000 * record.acceleration})[::2])
-    below = alt.Chart(motion).mark_line(strokeWidth=0.4, style="quiet").encode(
-        alt.X("time:Q").title("time (s)").scale(nice=False), alt.Y("volts:Q").title("acceleration (mV)"))  # fmt: skip
+    volts = alt.Y("volts:Q").axis(tickCount=5).title("acceleration (mV)")
+    below = alt.Chart(motion).mark_line(strokeWidth=0.4, style="quiet").encode(alt.X("time:Q").title("time (s)"), volts)
     parts = [part.properties(width=300, height=height) for part, height in ((top, 130), (below, 80))]
-    save(Picture("online_dropbear", alt.vconcat(*parts), caption(record, found)), folder)
+    chart = alt.vconcat(*parts).resolve_scale(x="shared")
+    save(Picture("online_dropbear", chart, caption(record, found)), folder)
 
 
 def caption(record: Record, found: np.ndarray) -> str:
