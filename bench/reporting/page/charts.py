@@ -24,9 +24,11 @@ from bench.reporting.page.words import decibels, quantity, seconds
 from bench.reporting.pictures.responses import samples_of, simulated
 from bench.reporting.ranking import ON_BOUND, fits_of, within_bound
 
-POINTS = 60
+POINTS = 42
 MOST_SAMPLES = 200
-MOST_FITS = 3
+MOST_SETS = 100
+"""Data sets on which two methods can be compared in a scenario."""
+MOST_FITS = 2
 MOST_ABOVE = 3.0
 """A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""
 LOWEST, HIGHEST = 0.7, 6.0
@@ -37,9 +39,9 @@ Spec = dict[str, Any]
 
 
 def scenario_data(panel: ScenarioPanel) -> dict[str, Any]:
-    """What a scenario's page draws, and by method the error over the bound of every fit, as it is ranked."""
+    """What a scenario's page draws, and by method the error over the bound of its first fits, as it is ranked."""
     fits = {label: its[0] for label, its in fits_of(panel.results).items() if its and its[0].size}
-    errors = {title(label): packed(np.exp(losses)) for label, losses in fits.items()}
+    errors = {title(label): packed(np.exp(losses[:MOST_SETS])) for label, losses in fits.items()}
     return {"charts": {"record": record(panel), "spread": spread(panel)}, "errors": errors}
 
 
@@ -97,11 +99,11 @@ def inline(rows: Any) -> Spec:
 
 def tips(*fields: str) -> list[dict[str, str]]:
     """What a chart says of a mark under the pointer."""
-    return [{"field": name, "title": name} for name in fields]
+    return [{"field": name} for name in fields]
 
 
 def chosen(cells: Sequence[Result]) -> list[Result]:
-    """A few that differ: the least error of the displacement, one not far above it, and evenly between."""
+    """A few that differ: the least error of the displacement, and one not far above it."""
     order = sorted((c for c in cells if math.isfinite(_median(c))), key=lambda cell: (_median(cell), cell.label))
     order = [cell for cell in order if _median(cell) <= MOST_ABOVE * _median(order[0])]
     places = np.linspace(0, len(order) - 1, min(MOST_FITS, len(order))).round()

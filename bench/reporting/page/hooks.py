@@ -14,8 +14,11 @@ from mkdocs.plugins import event_priority
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """Where the theme would load from what lets the search work from a folder (iframe-worker, MIT)."""
 DIALOG = 'data-md-component="search" role="dialog"'
-END_TAGS = re.compile(r"\s*</(?:li|tbody|td|th|thead|tr)>\s*")
-"""Those that HTML lets one leave out: https://html.spec.whatwg.org/#optional-tags."""
+NOTHING = re.compile(
+    r"<meta name=\"generator\"[^>]*>|\s*</(?:li|tbody|td|th|thead|tr)>\s*"
+    r"|\s+(?=</?(?:div|footer|form|h[1-6]|header|link|main|meta|nav|p|table|ul)\b)"
+)
+"""End tags that HTML lets one leave out (https://html.spec.whatwg.org/#optional-tags), and blanks between blocks."""
 SUPERFLUOUS = ("sitemap.xml*", "search/search_index.json", "assets/**/*.map", "assets/javascripts/lunr/*")
 """Files with a date, what only debugging or another language needs, and what the search reads as a script."""
 
@@ -27,8 +30,8 @@ def on_config(config: Any, **_: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> None:
-    """Leave the numbers of tables out of the search."""
-    if page.file.src_uri.startswith("results/") and page.file.name != "index":
+    """Leave the numbers of tables, and what was once changed, out of the search."""
+    if re.match(r"results/(?!README)|CHANGELOG", page.file.src_uri):
         page.meta["search"] = {"exclude": True}
 
 
@@ -63,4 +66,4 @@ def _finished(html: str, root: str) -> str:
 
 
 def _packed(html: str) -> str:
-    return END_TAGS.sub("\n", re.sub(r"\s*\n\s*", "\n", html))
+    return NOTHING.sub("", re.sub(r"\s*\n\s*", "\n", html))

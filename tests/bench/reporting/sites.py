@@ -100,6 +100,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.elements.append((tag, dict(attrs)))
         self._in = tag
+        self.text += " " * (tag in ("li", "td", "th", "tr"))
 
     def handle_data(self, data: str) -> None:
         if self._in not in ("style", "script"):
