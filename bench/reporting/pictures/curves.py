@@ -138,7 +138,7 @@ def draw_profiles(name: str, found: Sequence[Profile], truth: dict[str, float], 
         panel = q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else "")
         curves = {DATA: (profile.values, profile.drop)}
         if prior is not None:
-            w, at = np.array(q.vector(prior.names)), np.geomspace(*ends, 50)
+            w, at = np.array(q.vector(prior.names)), np.geomspace(*ends, 400)
             off = (np.log(at) - math.log(q.coefficient) - w @ prior.log_mean) / np.linalg.norm(w * prior.log_sds)
             curves[PRIOR] = (at, off**2 / 2)
         for curve, (values, drop) in curves.items():
@@ -146,12 +146,14 @@ def draw_profiles(name: str, found: Sequence[Profile], truth: dict[str, float], 
             parts.append(own.assign(true=q.value(truth), threshold=THRESHOLD))
     frame = table(pd.concat(parts).query(f"fall <= {3.0 * THRESHOLD}"))
     chart, x = alt.Chart(frame), alt.X("value:Q").scale(zero=False, nice=False).axis(tickCount=4).title(None)
-    fall = alt.Y("fall:Q").title("fall of log-likelihood (−)")
+    name_up, hue = "fall of log-likelihood (−)", alt.Color("curve:N").sort([DATA, PRIOR])
+    fall = alt.Y("fall:Q").title(name_up)
     layers = layered(
         frame,
-        chart.mark_rule(style="quiet", strokeDash=[4, 2]).encode(alt.Y("mean(threshold):Q").title(None)),
+        chart.mark_rule(style="quiet", strokeDash=[4, 2]).encode(alt.Y("mean(threshold):Q").title(name_up)),
         chart.mark_rule(style="truth", strokeDash=[1, 2]).encode(alt.X("mean(true):Q").title(None)),
-        chart.mark_line(point={"size": 8}).encode(x, fall, alt.Color("curve:N").sort([DATA, PRIOR])),
+        chart.mark_line().encode(x, fall, hue),
+        chart.transform_filter(f"datum.curve == '{DATA}'").mark_point(filled=True, size=8).encode(x, fall, hue),
     ).properties(width=100, height=80)
     facet = alt.Facet("panel:N").sort(list(dict.fromkeys(frame.panel)))
     return Picture(
