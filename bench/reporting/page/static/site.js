@@ -135,5 +135,5 @@ const paint = () => {
 paint();
 new MutationObserver(paint).observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
 for (const table of document.querySelectorAll("article table:not([id], .highlighttable)")) {
-  if (table.tBodies[0]?.rows.length > 1) bench.table(table);
+  if (table.tBodies[0]?.rows.length) bench.table(table);
 }
