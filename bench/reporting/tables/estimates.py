@@ -30,7 +30,7 @@ from bench.reporting.tables.render import (
 )  # fmt: skip
 from bench.reporting.tables.tidy import VALUES, line_of, tidy_lines
 from bench.scoring.calibration import calibration, together
-from bench.scoring.statistics import counts
+from bench.scoring.statistics import LEVEL, counts
 from bench.scoring.summary import gross
 from bench.store.cell import Cell
 
@@ -179,15 +179,16 @@ it are in the CSV, and what they rest on in [the reproduction](reproduction.md).
 # ---- whether stated uncertainties hold
 
 FEWEST, COUNTED = 20, 5
-"""Replicates below which nothing is judged, and below which nothing is counted either."""
+"""Replicates below which nothing is called calibrated, and below which nothing is counted."""
 
 
 def calibration_lines(frame: Frame) -> list[Line]:
     """One line a method, noise, start and quantity; the tests of all of them are adjusted together."""
     lines = [calibrated(result, name) for result in frame if result.stored for name in ("k_over_m", "c_over_m")]
-    judged = [line for line in lines if line["n"] >= FEWEST]
+    judged = [line for line in lines if line["n"] >= COUNTED]
     for line, found in zip(judged, together([line["alone"] for line in judged]), strict=True):
-        line["verdict"] = found.verdict
+        if line["n"] >= FEWEST or min(found.adjusted) < LEVEL:
+            line["verdict"] = found.verdict
     return list(lines)
 
 
@@ -217,8 +218,9 @@ CALIBRATION = TableForm(
 one below 1, too wide. The verdict is by three tests (mean of z, its mean square, uniformity of the levels) at 5 %,
 adjusted over all tests of all lines of this table (Benjamini and Hochberg): of what they find, one in twenty is
 expected to be a false alarm, and if all lines were calibrated, nothing would be found with 95 % probability. Fewer than
-{FEWEST} replicates have no verdict. Band: the share of the record, 1,000 points in each replicate, where the true
-displacement lies in the method's own 95 % band. A dash: the method states no uncertainty, or there is no verdict.""",
+{FEWEST} replicates are not enough to call a method calibrated; fewer than {COUNTED} are not counted. Band: the share of
+the record, 1,000 points in each replicate, where the true displacement lies in the method's own 95 % band. A dash: the
+method states no uncertainty, or there is no verdict.""",
     columns=(
         "method", "initial_state", "snr_db", "quantity", "n", "coverage_50", "coverage_80", "coverage_95", "low_95",
         "high_95", "mean_z", "rms_z", "uniform_p", "verdict", "band_95",

@@ -153,6 +153,7 @@ def test_honest_and_halved_uncertainties_are_told_apart(reference: Scenario) -> 
     """Half the standard deviation doubles every normal score: inside 1.96 is then inside 0.98, which 67 % are."""
     even = (np.arange(200) + 0.5) / 200
     levels = {"shooting": even, "pinn": stats.norm.cdf(2.0 * stats.norm.ppf(even)), "ls": np.array([0.5, *[0.999] * 9])}
+    levels["rls"] = (np.arange(10) + 0.5) / 10
     cells = {name: asked(reference, name, own.size) for name, own in levels.items()}
     scores = {name: [{"k_over_m_pit": v, "band_inside_95": 0.9} for v in own.tolist()] for name, own in levels.items()}
     found = tuple(Result.of_cell(cell, stored(cell, scores[name])) for name, cell in cells.items())
@@ -160,11 +161,12 @@ def test_honest_and_halved_uncertainties_are_told_apart(reference: Scenario) -> 
         (one["method"], one["quantity"]): one
         for one in estimates.calibration_lines(Frame("calibration", "T", {}, found))
     }
-    honest, halved, few = (lines[name, "k_over_m"] for name in levels)
+    honest, halved, few, few_honest = (lines[name, "k_over_m"] for name in levels)
     assert (honest["verdict"], honest["coverage_95"]) == ("calibrated", pytest.approx(0.95))
     assert "too sure" in halved["verdict"]
     assert (halved["rms_z"], halved["coverage_95"]) == (pytest.approx(2.0, rel=0.02), pytest.approx(0.67, abs=0.01))
-    assert (few["coverage_95"], few["verdict"], few["n"]) == (0.1, "-", 10)
+    assert (few["coverage_95"], few["verdict"], few["n"]) == (0.1, "too sure, biased downwards", 10)
+    assert few_honest["verdict"] == "-"  # ten are not enough to call it calibrated
     assert lines["pinn", "c_over_m"]["verdict"] == "-"
     assert row_of(written(estimates.CALIBRATION, "calibration", found)[0], "PINN")[-2:] == ["90.0", "200"]
 
