@@ -25,6 +25,7 @@ from bench.reporting.pictures.responses import samples_of, simulated
 from bench.reporting.ranking import ON_BOUND, fits_of, within_bound
 
 POINTS = 42
+SMOOTH = {"interpolate": "monotone"}
 MOST_SAMPLES = 200
 MOST_SETS = 100
 """Data sets on which two methods can be compared in a scenario."""
@@ -146,8 +147,9 @@ def record(panel: ScenarioPanel) -> Spec | None:
         "data": inline(curves),
         "encoding": {"x": x},
         "layer": [
-            {"mark": {"type": "line", "strokeWidth": 6, "style": "region"}, "encoding": {"y": {**y, "field": "truth"}}},
-            {"transform": [fold], "mark": {"type": "line", "strokeWidth": 1.6},
+            {"mark": {"type": "line", "strokeWidth": 6, "style": "region", **SMOOTH},
+             "encoding": {"y": {**y, "field": "truth"}}},
+            {"transform": [fold], "mark": {"type": "line", "strokeWidth": 1.6, **SMOOTH},
              "encoding": {"y": y, "color": method, "strokeDash": method, "tooltip": said}},
             {"data": inline(samples), "mark": {"type": "point", "filled": True, "size": 28, "style": "ink"},
              "encoding": {"y": y, "tooltip": said[1:]}},
