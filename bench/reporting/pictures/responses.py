@@ -62,7 +62,9 @@ def panels(frame: pd.DataFrame, up: str | None, columns: int, height: float) -> 
     """Return a panel for each value of the column ``panel``, in the order in which they come, each with its limits."""
     facet = alt.Facet("panel:N").sort(list(dict.fromkeys(frame.panel)))
     layers = over_time(table(frame), up).properties(width=100, height=height)
-    return layers.facet(facet, columns=columns, spacing=8).resolve_scale(y="independent")
+    alike = frame.groupby("panel").time.max().nunique() == 1
+    faceted = layers.facet(facet, columns=columns, spacing=8)
+    return faceted.resolve_scale(x="shared" if alike else "independent", y="independent")
 
 
 def curves(panel: str, times: np.ndarray, **values: np.ndarray) -> pd.DataFrame:
