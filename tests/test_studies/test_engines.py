@@ -240,7 +240,7 @@ def test_growth_faster_than_the_problem_is_counted() -> None:
     square, root = Growth(CURVES[1], (1, 10), (1.0, 100.0)), Growth(CURVES[2], (1, 100), (1.0, 10.0))
     said = caption([square, root])
     assert said.startswith("Time grows faster than the problem on 1 of 2 lines.")
-    assert said.endswith("Multiple shooting with samples.")
+    assert said.endswith("Multiple shooting with samples 2.00; Bayesian MCMC with samples 0.50.")
 
 
 def test_the_picture_alone_needs_stored_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
