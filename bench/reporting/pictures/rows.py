@@ -239,12 +239,12 @@ def draw_time(gallery: Gallery) -> Picture:
     starts = sorted(set(frame.start))
     chart = beside(frame.drop(columns=["SNR", "quantity"]), order, 5 if len(starts) > 1 else 8, by="start", tiers=tiers)
     first = [name for name in order if tiers.get(name, 99) == tiers.get(order[0], 99)]
-    slowest = seconds[first].max() / seconds[first].min()
+    slowest = float(f"{seconds[first].max() / seconds[first].min():.2g}")
     return Picture(
         "accuracy_against_time",
         chart,
         f"{order[0]} is the fastest of {len(first)} methods of the first tier; the slowest of them takes "
-        f"{slowest:.2g} times as long. Left: processor time of a fit ({cells[0].system}, {level:g} dB), the median and "
+        f"{slowest:,g} times as long. Left: processor time of a fit ({cells[0].system}, {level:g} dB), the median and "
         "a line to the slowest, often the first of a process. Right: root mean square error of k/m over its Cramér-Rao "
         f"bound, with its 95 % interval. {_spoken(gallery)} Within a tier the fastest comes first.",
     )
