@@ -587,7 +587,7 @@ def test_reproduction_of_the_paper(tmp_path: Path) -> None:
     with (REPOSITORY / "results" / "reproduction.csv").open() as file:  # the cells of its other readings take minutes
         verdicts = [row["as in the protocol"] for row in csv.DictReader(file)]
     assert len(verdicts) == 59
-    assert all(re.match("reproduced|ours|not decidable|incompatible", verdict) for verdict in verdicts)
+    assert all(re.match("reproduced|ours|not decidable|incompatible|open", verdict) for verdict in verdicts)
 
 
 # ---- results
