@@ -13,6 +13,16 @@ from bench.isolation import signals as _  # noqa: F401 - first: it waits for Ctr
 from bench.contract.belief import Belief, Draws, Marginal, Normal
 from bench.contract.estimate import Cost, Estimate, NoEstimate, Reconstruction, Status
 from bench.contract.method import EVERY_PROBLEM, Card, Choice, Identifier, Serves
+from bench.contract.modal import (
+    Blows,
+    FreeDecays,
+    FrequencyResponses,
+    ModalCard,
+    ModalEstimate,
+    ModalIdentifier,
+    ModalProblem,
+    Mode,
+)
 from bench.contract.online import (
     Layout,
     OnlineCard,
@@ -63,6 +73,7 @@ __all__ = [
     "SDOF",
     "SIGMA_FLOOR",
     "Belief",
+    "Blows",
     "Card",
     "Channel",
     "Choice",
@@ -72,6 +83,8 @@ __all__ = [
     "Draws",
     "Estimate",
     "Force",
+    "FreeDecays",
+    "FrequencyResponses",
     "HeldModel",
     "Identification",
     "Identifier",
@@ -81,6 +94,11 @@ __all__ = [
     "Linearisation",
     "Marginal",
     "Minimum",
+    "ModalCard",
+    "ModalEstimate",
+    "ModalIdentifier",
+    "ModalProblem",
+    "Mode",
     "NoEstimate",
     "Normal",
     "OnlineCard",

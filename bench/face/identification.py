@@ -15,7 +15,7 @@ from bench.face.results import nulls
 from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
-from bench.records.modes import Mode
+from bench.records.modes import OfferedMode
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
@@ -56,7 +56,7 @@ class Identification:
     notes: tuple[str, ...]
     estimates: Mapping[str, StatedInterval]
     withdrawn: Mapping[str, StatedInterval]
-    modes: tuple[Mode, ...]
+    modes: tuple[OfferedMode, ...]
     residuals: ChannelResiduals | None
     scale_is_free: bool
     runs: Mapping[str, RunAnswer] = field(default_factory=dict)

@@ -11,7 +11,7 @@ from bench.likelihood.autoregression import even_times
 from bench.records.colour import autocorrelation
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
-from bench.records.modes import Mode, alias_of, line, modes_of
+from bench.records.modes import OfferedMode, alias_of, line, modes_of
 from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
@@ -70,7 +70,7 @@ def diagnose(
     intervals: Mapping[str, StatedInterval],
     missing: Sequence[str],
     message: str,
-) -> tuple[tuple[Reason, ...], tuple[Mode, ...]]:
+) -> tuple[tuple[Reason, ...], tuple[OfferedMode, ...]]:
     """Return reasons for caution, and modes to choose from where the system describes none or only one of them.
 
     Args:
@@ -191,7 +191,7 @@ def _outliers(fit: Linearised) -> int:
     return count
 
 
-def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Mode, ...]]:
+def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[OfferedMode, ...]]:
     """Look for a line in the residuals, or an alias of a free motion's frequency: then the modes are offered."""
     channel = problem.records[0].channels[0]
     reasons, is_mode = _line(fit)

@@ -10,7 +10,7 @@ from bench.contract.estimate import Estimate
 from bench.contract.problem import Problem
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
-from bench.records.modes import Mode
+from bench.records.modes import OfferedMode
 from bench.records.problem import Measured
 from bench.records.verdict import Reason, Trust, verdict
 from bench.systems import MEASURED
@@ -48,7 +48,7 @@ class Finding:
     stated: Mapping[str, StatedInterval] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
     fit: Linearised | None = None
-    modes: tuple[Mode, ...] = ()
+    modes: tuple[OfferedMode, ...] = ()
     runs: tuple[Run, ...] = ()
 
     @property

@@ -31,7 +31,7 @@ RATIOS = (0.003, 0.01, 0.03)
 
 
 @dataclass(frozen=True)
-class Mode:
+class OfferedMode:
     """Natural frequency (Hz) and damping ratio, each with the 95 % interval of this record.
 
     ``share``: root mean square of the mode over that of the signal. ``alias``: a frequency that would give the same
@@ -108,7 +108,7 @@ class ModalFit:
         search = least_squares(lambda x: at(x).residuals, start, jacobian, (lowest, np.inf), x_scale=scale, max_nfev=60)
         return at(search.x)
 
-    def modes(self) -> tuple[Mode, ...]:
+    def modes(self) -> tuple[OfferedMode, ...]:
         """Return the modes, the strongest first, with intervals from the residuals as coloured as they are."""
         from scipy.linalg import matmul_toeplitz
         from scipy.stats import t as student
@@ -127,11 +127,11 @@ class ModalFit:
             f, half, ratio = rate / (2 * np.pi), float(halves[0]) / (2 * np.pi), float(s / rate)
             share = float(np.std(self.basis[:, places] @ self.amplitudes[places]) / (np.std(self.values) or 1.0))
             ends = max(ratio - float(halves[1]), 0.0), ratio + float(halves[1])
-            modes.append(Mode(f, f - half, f + half, ratio, *ends, share))
+            modes.append(OfferedMode(f, f - half, f + half, ratio, *ends, share))
         return tuple(sorted(modes, key=lambda mode: -mode.share))
 
 
-def modes_of(times: np.ndarray, values: np.ndarray, most: int = MOST_MODES) -> tuple[Mode, ...]:
+def modes_of(times: np.ndarray, values: np.ndarray, most: int = MOST_MODES) -> tuple[OfferedMode, ...]:
     """Fit up to ``most`` modes to samples (n,) at times (n,); the strongest first, none where a fit fails."""
     fits = modal_fits(times, values, most)
     return fits[-1].modes() if fits else ()
@@ -173,7 +173,7 @@ def _line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> tuple
     return (frequency, float(np.std(residuals)) * np.sqrt(largest) / size) if chance < LINE_LEVEL else (frequency, 0.0)
 
 
-def alias_of(mode: Mode, times: np.ndarray) -> Mode | None:
+def alias_of(mode: OfferedMode, times: np.ndarray) -> OfferedMode | None:
     """Return the lowest frequency above a mode's that would give the same even samples, with its damping ratio."""
     if not even_times(times):
         return None
@@ -183,7 +183,7 @@ def alias_of(mode: Mode, times: np.ndarray) -> Mode | None:
     frequency = float(np.hypot(damped, decay))
     half = (mode.frequency_high - mode.frequency_low) / 2.0
     scale = mode.frequency / frequency
-    return Mode(
+    return OfferedMode(
         frequency,
         frequency - half,
         frequency + half,
