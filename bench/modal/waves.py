@@ -1,0 +1,235 @@
+"""Modes of free vibrations: maximum likelihood of damped waves in all channels together.
+
+A channel is ``Re sum_m shape_m exp(pole_m (t - t0))``, a constant and noise. Poles are common; shapes and constants are
+linear and are eliminated by variable projection (G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973; Jacobian
+of L. Kaufman, BIT 15:49, 1975). The noise of each channel has a size of its own and, at even times, a colour: an
+autoregression of the residuals, by which all is whitened.
+
+Modes are added one by one as long as the Bayesian information criterion falls (G. Schwarz, Ann. Stat. 6:461, 1978). It
+counts the noise's coefficients as well, so that a hump in the noise does not pass for a mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from bench.contract.estimate import Status
+from bench.contract.modal import MOST_MODES, FreeDecays, ModalCard, ModalEstimate, ModalIdentifier, ModalProblem, Mode
+from bench.likelihood.autoregression import Autoregression, autoregression, even_times
+from bench.likelihood.least_squares import Linearisation, minimise
+
+ITERATIONS = 60
+ROUNDING = 1e-7
+"""Least noise, over the size of a channel: less is rounding of the numbers."""
+DECAYS = 8
+"""Decay rates of the search for a further mode, in equal ratios."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaveFit:
+    """Damped waves beside samples ``values`` (channels, n) at ``times`` (n,) from 0 on, with shapes of least squares.
+
+    ``noises``: by which the misfit is whitened, one a channel; ``poles`` (m,): complex, in 1/s.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    noises: tuple[Autoregression, ...]
+    poles: np.ndarray
+
+    @staticmethod
+    def empty(times: np.ndarray, values: np.ndarray) -> WaveFit:
+        """Return the fit of constants alone, with white noise of the size of the samples."""
+        noises = tuple(Autoregression(np.zeros(0), max(float(np.var(channel)), 1e-300)) for channel in values)
+        return WaveFit(times - times[0], values, noises, np.zeros(0, complex))
+
+    def whitened(self, rows: np.ndarray) -> np.ndarray:
+        """Return rows (k, n) whitened by every channel's noise, or (channels, k, n) each by its own."""
+        rows = np.broadcast_to(rows, (len(self.noises), *rows.shape[-2:]))
+        return np.stack([noise.whitened(part) for noise, part in zip(self.noises, rows, strict=True)])
+
+    @cached_property
+    def waves(self) -> np.ndarray:
+        """``exp(pole t)``, shape (m, n)."""
+        return np.exp(self.poles[:, None] * self.times)
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """Waves of unit real and of unit imaginary shape, and ones: shape (2 m + 1, n)."""
+        return np.vstack([self.waves.real, -self.waves.imag, np.ones(self.times.size)])
+
+    @cached_property
+    def projection(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orthonormal columns and triangle of the whitened basis, for each channel."""
+        q, r = np.linalg.qr(np.swapaxes(self.whitened(self.basis), 1, 2))
+        return q, r
+
+    @cached_property
+    def amplitudes(self) -> np.ndarray:
+        """Real parts of the shapes, imaginary parts, and the constant: shape (channels, 2 m + 1)."""
+        q, r = self.projection
+        data = np.swapaxes(q, 1, 2) @ np.swapaxes(self.whitened(self.values[:, None]), 1, 2)
+        return np.asarray((np.linalg.pinv(r) @ data)[..., 0])
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """Complex amplitudes at the first time, shape (channels, m)."""
+        m = self.poles.size
+        return np.asarray(self.amplitudes[:, :m] + 1j * self.amplitudes[:, m : 2 * m])
+
+    @cached_property
+    def residuals(self) -> np.ndarray:
+        """Shape (channels, n), in the channels' units."""
+        return np.asarray(self.values - self.amplitudes @ self.basis)
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Whitened derivatives (channels, n, 2 m) of the motion by real and imaginary parts of the poles."""
+        moving = self.shapes[:, :, None] * (self.times * self.waves)
+        return np.swapaxes(self.whitened(np.concatenate([moving.real, -moving.imag], axis=1)), 1, 2)
+
+    @property
+    def criterion(self) -> float:
+        """The Bayesian information criterion with the best noise of these residuals."""
+        n, m = self.times.size, self.poles.size
+        floors = (ROUNDING * np.std(self.values, axis=1)) ** 2 + 1e-300
+        noises = self._noises(used=False)
+        sizes = [n * np.log(noise.variance + floor) for noise, floor in zip(noises, floors, strict=True)]
+        unknowns = 2 * m + self.values.shape[0] * (2 * m + 1) + sum(noise.order for noise in noises)
+        return float(sum(sizes) + unknowns * np.log(n))
+
+    def _noises(self, used: bool = True) -> tuple[Autoregression, ...]:
+        """Return the noises of the residuals; ``used``: they are smaller than the noise by what the fit has spent."""
+        channels, n = self.values.shape
+        spent = used * (self.basis.shape[0] + 2 * self.poles.size / channels)
+        if even_times(self.times):
+            return tuple(autoregression(channel, spent) for channel in self.residuals)
+        scale = 1.0 / max(n - spent, 1.0)
+        return tuple(Autoregression(np.zeros(0), float(scale * r @ r) or 1e-300) for r in self.residuals)
+
+    def refined(self) -> WaveFit:
+        """Return the fit of all poles, searched for from these, with the noise as it is."""
+        m = self.poles.size
+        fastest = np.pi * (self.times.size - 1) / self.times[-1]
+        slowest = 0.5 * np.pi / self.times[-1]
+
+        def evaluate(_: np.ndarray, unknowns: np.ndarray) -> Linearisation:
+            real, imaginary = unknowns[0, :m], unknowns[0, m:]
+            poles = np.clip(real, -fastest, 0.0) + 1j * np.clip(imaginary, slowest, fastest)
+            fit = replace(self, poles=poles)
+            q, slopes = fit.projection[0], fit.slopes
+            left = fit.whitened(fit.residuals[:, None])[:, 0]
+            slopes = q @ (np.swapaxes(q, 1, 2) @ slopes) - slopes
+            x = np.concatenate([poles.real, poles.imag])[None]
+            return Linearisation.of(x, left.reshape(1, -1), slopes.reshape(1, -1, 2 * m))
+
+        start = evaluate(np.zeros(1), np.concatenate([self.poles.real, self.poles.imag])[None])
+        x = minimise(evaluate, start, ITERATIONS).at.unknowns[0]
+        return replace(self, poles=x[:m] + 1j * x[m:])
+
+    def settled(self) -> WaveFit:
+        """Return the fit with noise and poles to each other's liking."""
+        fit = self.refined()
+        for _ in range(2):
+            fit = replace(fit, noises=fit._noises()).refined()
+        return fit
+
+    def white(self) -> WaveFit:
+        """Return the same poles with noise that is white."""
+        return replace(self, noises=WaveFit.empty(self.times, self.residuals).noises)
+
+    def longer(self) -> Iterator[WaveFit]:
+        """Yield starts with one more mode: at the largest wave in the residuals, and with each mode split in two."""
+        for fit in (self.white(), self):
+            yield replace(fit, poles=np.append(self.poles, fit.largest_wave()))
+        for i, pole in enumerate(self.poles):
+            apart = 1j * max(-pole.real, 2.0 / self.times[-1])
+            yield replace(self.white(), poles=np.append(np.delete(self.poles, i), [pole - apart, pole + apart]))
+
+    def largest_wave(self) -> complex:
+        """Return the pole of the wave that explains most of the whitened residuals, on a grid of matched filters."""
+        left = self.whitened(self.residuals[:, None])[:, 0]
+        n, span = self.times.size, float(self.times[-1])
+        even = np.linspace(0.0, span, n)
+        left = np.array([np.interp(even, self.times, channel) for channel in left])
+        best, most = 0j, -1.0
+        for rate in np.geomspace(0.3, n / 8, DECAYS) / span:
+            window = np.exp(-rate * even)
+            power = np.sum(np.abs(np.fft.rfft(left * window, 2 * n)) ** 2, axis=0)[2:] / (window @ window)
+            if np.max(power) > most:
+                most = float(np.max(power))
+                best = complex(-rate, np.pi * (n - 1) / (n * span) * (2 + int(np.argmax(power))))
+        return best
+
+    @property
+    def unknowns(self) -> int:
+        return 2 * self.poles.size + self.values.shape[0] * (2 * self.poles.size + 1)
+
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the modes in order of frequency, with standard errors from the Fisher information."""
+        m = self.poles.size
+        (q, r), slopes = self.projection, self.slopes
+        along = np.swapaxes(q, 1, 2) @ slopes
+        across = slopes - q @ along
+        covariance = np.linalg.pinv(np.einsum("cni,cnj->ij", across, across), hermitian=True)
+        inverse = np.linalg.pinv(r)
+        by_pole = inverse @ along
+        variances = np.sum(inverse**2, axis=2) + np.einsum("cai,ij,caj->ca", by_pole, covariance, by_pole)
+        shape_sd = np.sqrt((variances[:, :m] + variances[:, m : 2 * m]) / 2.0)
+        size = np.linalg.norm(self.values - np.mean(self.values, axis=1, keepdims=True)) or 1.0
+        modes = []
+        for i, pole in enumerate(self.poles):
+            rate, places = abs(pole), [i, m + i]
+            by = np.array([[pole.real / rate, pole.imag / rate], [-(pole.imag**2), pole.real * pole.imag] / rate**3])
+            sds = np.sqrt(np.diag(by @ covariance[np.ix_(places, places)] @ by.T))
+            share = np.linalg.norm((self.shapes[:, i, None] * self.waves[i]).real) / size
+            modes.append(
+                Mode(
+                    rate / (2 * np.pi), float(-pole.real / rate), float(sds[0]) / (2 * np.pi), float(sds[1]),
+                    self.shapes[:, i], shape_sd[:, i], float(share),
+                )
+            )  # fmt: skip
+        return tuple(sorted(modes, key=lambda mode: mode.frequency))
+
+
+@dataclass(frozen=True)
+class Waves(ModalIdentifier):
+    """Maximum likelihood of damped waves in all channels together."""
+
+    card = ModalCard(
+        summary="maximum likelihood of damped waves in all channels; number by the Bayesian information criterion",
+        settings_source="none to choose",
+        title="Damped waves",
+        order=10,
+    )
+    serves = (FreeDecays,)
+
+    def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
+        """Fit one mode, two and so on; answer those in the band."""
+        assert isinstance(problem.data, FreeDecays)
+        data = problem.data
+        fit = WaveFit.empty(data.times, np.atleast_2d(data.values))
+        most, decided = problem.count or MOST_MODES, ""
+        while fit.poles.size < most and fit.times.size > 4 * fit.unknowns:
+            longer = min((start.settled() for start in fit.longer()), key=lambda fit: fit.criterion)
+            gain = fit.criterion - longer.criterion
+            if problem.count is None and gain <= 0 and fit.poles.size:
+                decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
+                break
+            fit = longer
+        low, high = problem.band or (0.0, np.inf)
+        modes = tuple(mode for mode in fit.modes() if low <= mode.frequency <= high)
+        if not modes:
+            return ModalEstimate((), status=Status.DIVERGED, message="no mode there")
+        sentences = [f"{len(modes)} modes{decided}" if problem.count is None else f"{len(modes)} modes as asked"]
+        for a, b in combinations(modes, 2):
+            if b.frequency - a.frequency < (a.bandwidth + b.bandwidth) / 2.0:
+                sentences.append(
+                    f"{a.frequency:.4g} and {b.frequency:.4g} Hz are close: within their half-power bandwidth"
+                )
+        return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message="; ".join(sentences))
