@@ -1,0 +1,152 @@
+"""Frequency responses averaged over records of force and response, with coherence and variance.
+
+``F`` and ``Y`` are the spectra of force and response of a record, ``mean`` is over records.
+``H1 = mean(conj(F) Y) / mean(|F|²)`` is right where only the response is noisy, ``H2 = mean(|Y|²) / mean(conj(Y) F)``
+where only the force is (J. S. Bendat, A. G. Piersol, Random Data, 4th ed., chapters 6 and 9). Noise of the force with
+the spectrum N biases H1 by the factor ``1 / (1 + N / S)``, S that of the true force: H1 is too low, and noise of the
+response makes H2 too high. Of few records n it is less, as the noise is in the numerator, too: to second order the
+relative bias is ``-(1 - 1/n) N / S``, none of a single record. ``Hv`` is total least squares for one signal-to-noise
+ratio in both: its magnitude is the geometric mean of the two (G. T. Rocklin, J. Crowley, H. Vold, A comparison of H1,
+H2, and Hv frequency response functions, IMAC 3, 1985).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import ShortTimeFFT, windows
+
+from bench.contract.modal import Blows, FrequencyResponses, Mode, Response
+from bench.errors import InputError
+from bench.modal.blows import force_windowed, touched
+
+SEGMENTS, FEWEST_SAMPLES = 8, 16
+"""Segments of a shaker's record where their length is not told, without their overlap; samples of one at least."""
+OVERLAP = 1.0 / 6.0
+"""Correlation of neighbouring segments under Hann's window that overlap by half (P. D. Welch, IEEE Transactions on
+Audio and Electroacoustics 15, 1967)."""
+ENDED = 0.01
+"""Root mean square in the last tenth of a record over that in its first from which the motion has not ended."""
+
+
+@dataclass(frozen=True, eq=False)
+class Averages:
+    """Estimates of the response per unit of force at ``frequencies`` (lines,), each (outputs, lines).
+
+    ``variances``: mean square of the complex error of H1, NaN of a single record; ``bias`` (lines,): relative bias of
+    H1 by the noise of the force, NaN where that is not known: between ``coherence - 1`` and 0; ``count``: independent
+    records; ``window``: decay rate (1/s) of the exponential window that is in all of them.
+    """
+
+    frequencies: np.ndarray
+    h1: np.ndarray
+    h2: np.ndarray
+    hv: np.ndarray
+    coherence: np.ndarray
+    variances: np.ndarray
+    bias: np.ndarray
+    count: float
+    response: Response
+    window: float
+
+    def frequency_responses(self) -> FrequencyResponses:
+        """Return H1 with its variances."""
+        variances = self.variances if np.all(np.isfinite(self.variances)) else None
+        return FrequencyResponses(self.frequencies, self.h1, self.response, variances, self.window)
+
+
+def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force_window: bool = True) -> Averages:
+    """Average H1, H2 and Hv, with coherence, variance and bias.
+
+    With ``n`` records the error of H1 has the mean square ``(1 - coherence) / (coherence (n - 1)) |H1|²``, the scatter
+    of the records about ``Y = H1 F``. Bendat and Piersol (chapter 9) have ``n`` for ``n - 1``, for many records, and
+    half of it for the magnitude.
+
+    Args:
+        blows: Records of force and response.
+        decay: Rate (1/s) of an exponential window for force and response, exact for a force at any time:
+            ``exp(-a t) (h * f) = (exp(-a t) h) * (exp(-a t) f)``. :func:`without_window` takes its damping off a mode.
+        segment: Samples of a segment under Hann's window, half of which the next overlaps. By default the records of a
+            hammer are not cut, and a single one of a shaker is.
+        force_window: Whether the force of a hammer is set to zero where it does not touch.
+
+    Raises:
+        InputError: A segment is longer than the records, or would be under both windows.
+    """
+    n, hammer = blows.forces.shape[1], touched(blows.forces)
+    if segment is None and hammer is None and len(blows.forces) == 1:
+        segment = max(n // SEGMENTS, FEWEST_SAMPLES)
+    if segment is not None and not FEWEST_SAMPLES <= segment <= n:
+        raise InputError("segment", segment, f"from {FEWEST_SAMPLES} to the {n} samples of a record")
+    if segment is not None and decay:
+        raise InputError(
+            "decay", decay, "an exponential window is for blows; leave it out for segments of a shaker's record"
+        )
+    fade = np.exp(-decay * blows.step * np.arange(n))
+    measured = force_windowed(blows).forces if force_window else blows.forces
+    force, response = (_spectra(part * fade, segment) for part in (measured[:, None], blows.responses))
+    count = float(len(force))
+    if segment is not None:
+        count /= 1.0 + 2.0 * OVERLAP**2 * (count - 1.0) / count
+    s_ff, s_yy = np.mean(np.abs(force) ** 2, axis=0), np.mean(np.abs(response) ** 2, axis=0)
+    s_fy = np.mean(np.conj(force) * response, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        h1, h2 = s_fy / s_ff, s_yy / np.conj(s_fy)
+        hv = s_fy / np.abs(s_fy) * np.sqrt(s_yy / s_ff)
+        coherence = np.minimum(np.abs(s_fy) ** 2 / (s_ff * s_yy), 1.0)
+        variances = (1.0 - coherence) * s_yy / s_ff / (count - 1.0) if count > 1.0 else np.full(h1.shape, np.nan)
+    bias = np.full(s_ff.shape[1], np.nan)
+    if hammer is not None and segment is None:
+        quiet = np.where(hammer, 0.0, blows.forces - np.median(blows.forces, axis=1, keepdims=True))
+        noise = np.mean(np.abs(_spectra(quiet * fade, None)) ** 2, axis=0) / np.mean(~hammer @ fade**2)
+        taken = np.mean((hammer if force_window else np.ones_like(hammer)) @ fade**2)
+        bias = -(1.0 - 1.0 / count) * np.minimum(noise * taken / s_ff[0], 1.0)
+    size = segment or n
+    frequencies = np.fft.rfftfreq(size, blows.step)[1 : (size + 1) // 2]
+    window = blows.window + decay
+    return Averages(frequencies, h1, h2, hv, coherence, variances, bias, count, blows.response, window)
+
+
+def _spectra(records: np.ndarray, segment: int | None) -> np.ndarray:
+    """Return spectra (records, ..., lines) of records (records, ..., n), or of their segments; not of 0 and Nyquist."""
+    n = records.shape[-1]
+    if segment is None:
+        return np.asarray(np.fft.rfft(records)[..., 1 : (n + 1) // 2])
+    transform = ShortTimeFFT(windows.hann(segment, sym=False), segment // 2, 1.0)
+    first, last = transform.lower_border_end[1], transform.upper_border_begin(n)[1]
+    parts = transform.stft(records - np.mean(records, axis=-1, keepdims=True), p0=first, p1=last)
+    return np.asarray(np.concatenate(np.moveaxis(parts, -1, 1))[..., 1 : (segment + 1) // 2])
+
+
+def decay_needed(blows: Blows) -> float:
+    """Return the rate (1/s) of an exponential window by which the motion ends with the record, 0 where it has ended.
+
+    Where it has not, the spectra leak: lines near a natural frequency are biased.
+    """
+    n = blows.responses.shape[-1]
+    squares = np.mean(blows.responses**2, axis=0)
+    start, end = np.mean(squares[:, : n // 10], axis=1), np.mean(squares[:, -(n // 10) :], axis=1)
+    left = np.sqrt(np.max(end[start > 0] / start[start > 0], initial=0.0))
+    return float(np.log(max(left / ENDED, 1.0)) / (n * blows.step))
+
+
+def without_window(mode: Mode, rate: float) -> Mode:
+    """Take the damping of an exponential window of this rate (1/s) off a mode: its pole moves by the rate.
+
+    Damped frequency and residue stay; the errors of frequency and damping ratio are taken as independent.
+    """
+    omega, ratio = 2.0 * np.pi * mode.frequency, mode.damping_ratio
+    sigma, damped = ratio * omega - rate, omega * np.sqrt(1.0 - ratio**2)
+    new = float(np.hypot(sigma, damped))
+    cosine, sine = damped / new, sigma / new
+    to_pole = np.array([[ratio, omega], [damped / omega, -(omega**2) * ratio / damped]])
+    change = np.array([[sine, cosine], [cosine**2 / new, -sine * cosine / new]]) @ to_pole
+    sd = np.sqrt(change**2 @ np.array([2.0 * np.pi * mode.frequency_sd, mode.damping_ratio_sd]) ** 2)
+    return replace(
+        mode,
+        frequency=new / (2.0 * np.pi),
+        damping_ratio=float(sine),
+        frequency_sd=float(sd[0]) / (2.0 * np.pi),
+        damping_ratio_sd=float(sd[1]),
+    )

@@ -1,0 +1,151 @@
+"""Averages of force and response against closed forms, SciPy and pyFRF; blows found in a drawn record."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import coherence
+
+from bench.contract.modal import Blows, Mode
+from bench.errors import InputError
+from bench.modal.averages import averages, decay_needed, without_window
+from bench.modal.blows import ForcedRecord, blows_of, force_windowed
+
+STEP = 1.0 / 1024.0
+OMEGA, RATIOS = 2.0 * np.pi * np.array([23.0, 61.0]), np.array([0.02, 0.015])
+RESIDUES = np.array([[1.0, 0.8], [0.6, -0.9]])
+AT, PEAKS = (1.0, 5.1, 9.3, 13.2, 17.5), (100.0, 60.0, 120.0, 80.0, 90.0)
+SECOND = 9.34
+
+
+def receptance(frequencies: np.ndarray, rate: float = 0.0) -> np.ndarray:
+    """Return the response per unit of force (outputs, lines), its impulse response times ``exp(-rate t)``."""
+    s = 2j * np.pi * frequencies[:, None] + rate
+    return np.asarray(RESIDUES @ (1.0 / (s**2 + 2.0 * RATIOS * OMEGA * s + OMEGA**2)).T)
+
+
+def hit(at: float, peak: float, duration: float = 22.0) -> np.ndarray:
+    return np.asarray(peak * np.exp(-0.5 * ((np.arange(int(duration / STEP)) * STEP - at) / 0.001) ** 2))
+
+
+def response_to(force: np.ndarray) -> np.ndarray:
+    """Return the response (outputs, n) to a force without content above the Nyquist frequency, from rest."""
+    n = 4 * force.size
+    spectrum = np.fft.rfft(force, n) * receptance(np.fft.rfftfreq(n, STEP))
+    return np.asarray(np.fft.irfft(spectrum, n)[:, : force.size])
+
+
+def hammered(seed: int = 0, force_noise: float = 0.0, response_noise: float = 0.0) -> ForcedRecord:
+    """Return five blows, the third of them double, with an offset of the force and noise."""
+    rng = np.random.default_rng(seed)
+    force = sum(map(hit, (*AT, SECOND), (*PEAKS, 40.0)), np.zeros(1))
+    responses = response_to(force)
+    sd = response_noise * np.std(responses, axis=1, keepdims=True)
+    noisy = force + 3.0 + force_noise * rng.standard_normal(force.size)
+    return ForcedRecord("five.csv", noisy, responses + sd * rng.standard_normal(responses.shape))
+
+
+def test_a_record_of_five_blows_is_cut_and_a_double_hit_named() -> None:
+    blows, notes = blows_of([hammered(force_noise=0.5, response_noise=0.01)], STEP, "receptance")
+    np.testing.assert_allclose(np.ptp(blows.forces, axis=1), PEAKS, rtol=0.05)
+    assert 3.6 < blows.forces.shape[1] * STEP < 4.0  # the shortest time between two blows is 3.9 s
+    assert np.ptp(np.argmax(blows.forces, axis=1)) <= 1
+    (double,) = (note for note in notes if "hits again" in note)
+    assert double.startswith("five.csv blow 3: the hammer hits again after 40 ms")
+
+
+def test_files_of_a_blow_each_keep_their_length_and_short_ones_are_left_out() -> None:
+    record = hammered()
+    files = [ForcedRecord(f"{k}.csv", record.force[a:b], record.responses[:, a:b])
+             for k, (a, b) in enumerate([(500, 4500), (4800, 8700), (9000, 10000)])]  # fmt: skip
+    blows, notes = blows_of(files, STEP, "receptance")
+    assert blows.forces.shape == (2, 3900)
+    assert any("left out: 2.csv" in note for note in notes)
+    with pytest.raises(InputError, match="64 are needed"):
+        blows_of([ForcedRecord("short", record.force[:50], record.responses[:, :50])], STEP, "receptance")
+
+
+def test_a_force_at_the_limit_of_its_sensor_is_named() -> None:
+    record = hammered(force_noise=0.1)
+    _, notes = blows_of([ForcedRecord("cut", np.minimum(record.force, 20.0), record.responses)], STEP, "receptance")
+    assert [note.split(":")[0] for note in notes if "limit" in note] == [f"cut blow {k}" for k in range(1, 6)]
+
+
+def test_estimates_without_noise_are_the_closed_form() -> None:
+    given = averages(blows_of([hammered()], STEP, "receptance")[0])
+    band = given.frequencies < 150.0
+    true = receptance(given.frequencies)[:, band]
+    for estimate in (given.h1, given.h2, given.hv):
+        assert np.max(np.abs(estimate[:, band] - true)) < 0.01 * np.max(np.abs(true))
+
+
+def test_an_exponential_window_moves_the_poles_by_its_rate_and_is_taken_off_again() -> None:
+    given = averages(blows_of([hammered()], STEP, "receptance")[0], decay=4.0)
+    band = given.frequencies < 150.0
+    true = receptance(given.frequencies, 4.0)[:, band]
+    assert given.window == 4.0
+    assert np.max(np.abs(given.h1[:, band] / true - np.mean(given.h1[0, band] / true[0]))) < 0.01
+    pole = OMEGA[0] * (-RATIOS[0] + 1j * np.sqrt(1.0 - RATIOS[0] ** 2)) - 4.0
+    windowed = Mode(abs(pole) / (2 * np.pi), -pole.real / abs(pole), 0.01, 0.001, np.ones(1), np.ones(1))
+    mode = without_window(windowed, 4.0)
+    assert (mode.frequency, mode.damping_ratio) == pytest.approx((23.0, 0.02), rel=1e-9)
+    rng = np.random.default_rng(1)
+    f, z = 0.01 * rng.standard_normal(20000) + windowed.frequency, 0.001 * rng.standard_normal(20000)
+    moved = 2 * np.pi * f * (-(z := z + windowed.damping_ratio) + 1j * np.sqrt(1 - z**2)) + 4.0
+    assert mode.frequency_sd == pytest.approx(np.std(np.abs(moved)) / (2 * np.pi), rel=0.03)
+    assert mode.damping_ratio_sd == pytest.approx(np.std(-moved.real / np.abs(moved)), rel=0.03)
+
+
+def test_the_window_that_is_needed_depends_on_the_record() -> None:
+    blows, _ = blows_of([hammered()], STEP, "receptance")
+    short = Blows(STEP, blows.forces[:, :1000], blows.responses[..., :1000], "receptance")
+    assert decay_needed(blows) == 0.0
+    assert 1.0 < decay_needed(short) < 4.7 / (1000 * STEP)
+
+
+@pytest.mark.parametrize("windowed", [False, True])
+def test_h1_is_biased_by_the_noise_of_the_force_as_stated_and_scatters_as_its_variance(windowed: bool) -> None:
+    ratios, stated, squares = [], [], []
+    for seed in range(12):
+        blows, _ = blows_of([hammered(seed, 1.0, 0.003)], STEP, "receptance")
+        given = averages(blows, force_window=windowed)
+        band = (given.frequencies > 5.0) & (given.frequencies < 80.0)
+        true = receptance(given.frequencies)
+        ratios.append(np.mean((given.h1 / true)[:, band].real) - 1.0)
+        stated.append(np.mean(given.bias[band]))
+        squares.append(np.median(np.abs(given.h1 - true)[:, band] ** 2 / given.variances[:, band]))
+        assert np.all(given.bias[band] <= 0.0)
+    error = 3.0 * np.std(ratios) / np.sqrt(len(ratios))
+    assert abs(np.mean(ratios) - np.mean(stated)) < error + 0.05 * abs(np.mean(stated))
+    assert (np.mean(stated) < -0.02) is not windowed
+    assert 0.5 < np.mean(squares) < 1.2  # the median of F(2, 8) is 0.76
+
+
+def test_a_shakers_record_is_averaged_as_scipy_does() -> None:
+    rng = np.random.default_rng(3)
+    force = rng.standard_normal(60_000)
+    responses = response_to(force)
+    responses += 0.3 * np.std(responses, axis=1, keepdims=True) * rng.standard_normal(responses.shape)
+    blows, notes = blows_of([ForcedRecord("shaker", force, responses)], STEP, "receptance")
+    assert "shaker" in notes[0]
+    assert force_windowed(blows) is blows
+    given = averages(blows, segment=2000)
+    level = (force - np.mean(force), responses - np.mean(responses, axis=1, keepdims=True))
+    _, expected = coherence(level[0], level[1], 1.0 / STEP, nperseg=2000, detrend=False)
+    np.testing.assert_allclose(given.coherence, expected[:, 1:-1], rtol=1e-6)
+    band = given.frequencies < 100.0
+    squares = np.abs(given.h1 - receptance(given.frequencies)) ** 2 / given.variances
+    assert 0.7 < np.mean(squares[:, band]) < 2.0  # Hann's window leaks at the natural frequencies
+    with pytest.raises(InputError, match="60000 samples"):
+        averages(blows, segment=70_000)
+
+
+def test_estimates_are_those_of_pyfrf() -> None:
+    pyfrf = pytest.importorskip("pyFRF")
+    blows, _ = blows_of([hammered(2, 0.5, 0.05)], STEP, "receptance")
+    given = averages(blows, force_window=False)
+    other = pyfrf.FRF(round(1.0 / STEP), blows.forces[:, None], blows.responses, exc_type="f", resp_type="d")
+    lines = slice(1, given.frequencies.size + 1)
+    np.testing.assert_allclose(given.h1, other.get_H1()[:, 0, lines], rtol=1e-6)
+    np.testing.assert_allclose(given.h2, other.get_H2()[:, 0, lines], rtol=1e-6)
+    np.testing.assert_allclose(given.coherence, other.get_coherence()[:, lines], rtol=1e-6)
