@@ -66,7 +66,8 @@ def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force
     Args:
         blows: Records of force and response.
         decay: Rate (1/s) of an exponential window for force and response, exact for a force at any time:
-            ``exp(-a t) (h * f) = (exp(-a t) h) * (exp(-a t) f)``. :func:`without_window` takes its damping off a mode.
+            ``exp(-a t) (h * f) = (exp(-a t) h) * (exp(-a t) f)``. It comes to that of ``blows.window``, which the force
+            does not have yet. :func:`without_window` takes the damping of both off a mode.
         segment: Samples of a segment under Hann's window, half of which the next overlaps. By default the records of a
             hammer are not cut, and a single one of a shaker is.
         force_window: Whether the force of a hammer is set to zero where it does not touch.
@@ -83,9 +84,11 @@ def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force
         raise InputError(
             "decay", decay, "an exponential window is for blows; leave it out for segments of a shaker's record"
         )
-    fade = np.exp(-decay * blows.step * np.arange(n))
+    times, window = blows.step * np.arange(n), blows.window + decay
+    fade = np.exp(-window * times)
     measured = force_windowed(blows).forces if force_window else blows.forces
-    force, response = (_spectra(part * fade, segment) for part in (measured[:, None], blows.responses))
+    force = _spectra(measured[:, None] * fade, segment)
+    response = _spectra(blows.responses * np.exp(-decay * times), segment)
     count = float(len(force))
     if segment is not None:
         count /= 1.0 + 2.0 * OVERLAP**2 * (count - 1.0) / count
@@ -104,7 +107,6 @@ def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force
         bias = -(1.0 - 1.0 / count) * np.minimum(noise * taken / s_ff[0], 1.0)
     size = segment or n
     frequencies = np.fft.rfftfreq(size, blows.step)[1 : (size + 1) // 2]
-    window = blows.window + decay
     return Averages(frequencies, h1, h2, hv, coherence, variances, bias, count, blows.response, window)
 
 

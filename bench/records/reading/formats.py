@@ -24,8 +24,8 @@ from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.records.reading.grid import LineAbove, bounds_of, make_table, row_of, shape_of
 from bench.records.reading.headings import Column, column_of
-from bench.records.reading.table import MAX_COLUMNS, PREAMBLE, Table, check_size
-from bench.records.reading.units import Measures
+from bench.records.reading.table import MAX_COLUMNS, PREAMBLE, Spectrum, Table, check_size
+from bench.records.reading.units import Measures, unit_of
 
 Reader = Callable[[bytes, Path], Table]
 """From the bytes of a file and its path to its table; raises InputError."""
@@ -237,16 +237,22 @@ def read_tdms(data: bytes, source: Path) -> Table:
     return Table(tuple(columns))
 
 
-DATA_SET, GENERAL, TIME_RESPONSE, UNKNOWN, TIME = 58, 0, 1, 0, 17
-"""Type of a data set; types of function, and of abscissa, that may be a record in time."""
+DATA_SET, UNITS, SI = 58, 164, 1
+"""Types of data sets: a function, and the units of the file, with the code of m, N and s."""
+GENERAL, TIME_RESPONSE, FREQUENCY_RESPONSE, UNKNOWN, TIME, FREQUENCY = 0, 1, 4, 0, 17, 18
+"""Types of function, and of abscissa."""
+COMPLEX = (5, 6)
+"""Types of values, in single and double precision."""
 ORDINATES: dict[int, Measures] = {
     8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force",
 }  # fmt: skip
 """Types of an ordinate: 9 is a reaction force, 13 an excitation."""
+SI_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
 
 def read_universal(data: bytes, source: Path) -> Table:
-    """Read the data sets 58 of a universal file, text or binary, each with its own times."""
+    """Read the data sets 58 of a universal file, text or binary, each with its own times, or with its frequencies."""
     file = optional("pyuff", source).UFF(str(source))
     types = [int(kind) for kind in file.get_set_types()]
     heads = {i: file.read_sets(i, header_only=True) for i, kind in enumerate(types) if kind == DATA_SET}
@@ -256,15 +262,32 @@ def read_universal(data: bytes, source: Path) -> Table:
     if not columns:
         held = ", ".join(map(str, sorted(set(types)))) or "none"
         raise InputError("data", source, f"a data set {DATA_SET} is needed; it holds {held}")
-    if all(column.flaw for column in columns):
+    si = UNITS in types and int(file.read_sets(types.index(UNITS))["units_code"]) == SI
+    responses = {i: head for i, head in heads.items() if int(head["func_type"]) == FREQUENCY_RESPONSE}
+    spectra = [_spectrum(file, i, head, source, si) for i, head in responses.items()]
+    if all(column.flaw for column in columns) and not spectra:
         remedy = f"no data set is a record in time: {columns[0].flaw}; export time responses"
         raise InputError("data", source, remedy)
-    return Table(tuple(columns))
+    return Table(tuple(columns), spectra=tuple(spectra))
+
+
+def _text(head: Mapping[str, Any], key: str) -> str:
+    text = " ".join(str(head[key]).split())
+    return "" if text.upper() == "NONE" else text
+
+
+def _body(file: Any, i: int, head: Mapping[str, Any], source: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return abscissa and values of a data set; raises InputError where it has not as many as it says."""
+    body, n = file.read_sets(i), int(head["num_pts"])
+    if len(body["data"]) != n or len(body["x"]) != n:
+        remedy = f"{n} values are announced; write the file again"
+        raise InputError("data", f"{source} data set {i} of {len(body['data'])} values", remedy)
+    return np.asarray(body["x"], float), np.asarray(body["data"])
 
 
 def _data_set(file: Any, i: int, head: Mapping[str, Any], source: Path) -> Column:
     label, unit, entity, clock = (
-        "" if str(head[key]).strip().upper() == "NONE" else " ".join(str(head[key]).split())
+        _text(head, key)
         for key in ("ordinate_axis_lab", "ordinate_axis_units_lab", "rsp_ent_name", "abscissa_axis_units_lab")
     )
     node = f"node {head['rsp_node']}" if head["rsp_node"] else entity
@@ -274,13 +297,40 @@ def _data_set(file: Any, i: int, head: Mapping[str, Any], source: Path) -> Colum
         f"not over time (abscissa type {head['abscissa_spec_data_type']})":
             head["abscissa_spec_data_type"] not in (UNKNOWN, TIME),
         f"its times are in {clock}, not in s": clock.lower() not in ("", "s", "sec"),
-        "complex values": head["ord_data_type"] in (5, 6),
+        "complex values": head["ord_data_type"] in COMPLEX,
     }  # fmt: skip
     if any(flaws.values()):
         return _flawed(name, next(flaw for flaw, holds in flaws.items() if holds))
-    body, n = file.read_sets(i), int(head["num_pts"])
-    if len(body["data"]) != n:
-        remedy = f"{n} values are announced; write the file again"
-        raise InputError("data", f"{source} data set {i} of {len(body['data'])} values", remedy)
+    times, values = _body(file, i, head, source)
     measures = ORDINATES.get(int(head["ordinate_spec_data_type"]))
-    return column_of(name, np.asarray(body["data"], float), unit, measures, np.asarray(body["x"], float))
+    return column_of(name, values.astype(float), unit, measures, times)
+
+
+def _spectrum(file: Any, i: int, head: Mapping[str, Any], source: Path, si: bool) -> Spectrum:
+    """Return a frequency response with the units that the file gives: ``m/s^2`` and ``N``, or ``(m/s^2)/N`` in one."""
+    axis, unit, per = (_text(head, f"{key}_units_lab") for key in ("abscissa_axis", "ordinate_axis", "orddenom_axis"))
+    remedy = {
+        "real values; both parts, or magnitude and phase, make a response: export it complex":
+            head["ord_data_type"] not in COMPLEX,
+        "it is not over frequency in Hz; export it so":
+            head["abscissa_spec_data_type"] not in (UNKNOWN, FREQUENCY) or axis.lower() not in ("", "hz"),
+    }  # fmt: skip
+    for reason, holds in remedy.items():
+        if holds:
+            raise InputError("data", f"{source} data set {i}", reason)
+    if not per and unit_of(unit) is None and "/" in unit:
+        unit, per = unit.rsplit("/", 1)
+    frequencies, values = _body(file, i, head, source)
+    said, force = (ORDINATES.get(int(head[f"{key}_spec_data_type"])) for key in ("ordinate", "orddenom"))
+    units = SI_UNITS if si else {}
+    response = column_of(_place(head, "rsp"), values, unit or units.get(said or "", ""), said, frequencies)
+    per = per or units.get("force", "")
+    return Spectrum(response, column_of("", np.empty(0), per, force), _place(head, "ref"))
+
+
+def _place(head: Mapping[str, Any], which: str) -> str:
+    """Return node and direction as ``3 +Z``, or the name of the entity."""
+    direction = int(head[f"{which}_dir"])
+    axis = DIRECTIONS[abs(direction)] if abs(direction) < len(DIRECTIONS) else ""
+    node = str(head[f"{which}_node"]) if head[f"{which}_node"] else _text(head, f"{which}_ent_name")
+    return f"{node} {'-' if direction < 0 else '+'}{axis}" if axis else node

@@ -48,7 +48,7 @@ def read_recordings(path: Path, options: ReadOptions = NO_OPTIONS) -> tuple[Reco
         InputError: in one line, what is wrong or not certain and what to add.
     """
     table, sha256 = read_file(path)
-    return _recordings(table, options, str(path), sha256)
+    return recordings_of(table, options, str(path), sha256)
 
 
 def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
@@ -64,7 +64,7 @@ def of_arrays(
 ) -> Recording:
     """Return the record in arrays of one length: times (s, or dates), m and N; raises InputError."""
     table = _table_of({"times": times, "displacement": displacement, "force": force})
-    return _only(_recordings(table, options, "arrays"))
+    return _only(recordings_of(table, options, "arrays"))
 
 
 def _table_of(arrays: Mapping[str, ArrayLike | None]) -> Table:
@@ -125,7 +125,12 @@ def _only(recordings: Sequence[Recording]) -> Recording:
     return recordings[0]
 
 
-def _recordings(table: Table, options: ReadOptions, source: str, sha256: str = "") -> tuple[Recording, ...]:
+def recordings_of(table: Table, options: ReadOptions, source: str, sha256: str = "") -> tuple[Recording, ...]:
+    """Return the records in the table of a file, as :func:`read_recordings`."""
+    if table.spectra and all(column.flaw for column in table.columns):
+        raise InputError(
+            "data", source, "it holds frequency responses, no records in time; add modes=auto for their modes"
+        )
     columns, notes = columns_by_role(table, options, source)
     notes, error = [*table.notes, *notes], 0.0
     if (time := columns.get("t")) and (sums := increments_summed(time.values, time.header)):

@@ -76,13 +76,29 @@ def slot(role: str) -> tuple[str, int]:
 
 
 @dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A frequency response as a file gives it: ``response`` over ``times``, which are Hz here, per unit of ``force``.
+
+    ``at`` is where the force acts.
+    """
+
+    response: Column
+    force: Column
+    at: str
+
+
+@dataclass(frozen=True, eq=False)
 class Table:
-    """Columns, what was done to get them, the row of the file of each sample, and what else the file holds."""
+    """Columns, what was done to get them, the row of the file of each sample, and what else the file holds.
+
+    ``spectra`` are no columns in time.
+    """
 
     columns: tuple[Column, ...]
     notes: tuple[str, ...] = ()
     rows: np.ndarray | None = None
     contents: str = ""
+    spectra: tuple[Spectrum, ...] = ()
 
     def listing(self) -> str:
         """The columns by number and header, or the variables and their shapes, for an error."""

@@ -893,11 +893,11 @@ def test_universal_files_without_units_or_with_two_sensors(tmp_path: Path) -> No
     np.testing.assert_allclose(read(path, columns={"a2": 1}).signals[0].values, 2 * 9.80665 * values, rtol=1e-10)
 
 
-def test_frequency_responses_are_refused(tmp_path: Path) -> None:
+def test_frequency_responses_are_no_records_in_time(tmp_path: Path) -> None:
     pyuff = pytest.importorskip("pyuff")
     path = tmp_path / "r.uff"
     pyuff.UFF(str(path)).write_sets([universal_set(np.ones(50) * 1j, func_type=4, abscissa_spec_data_type=18)], "add")
-    with pytest.raises(InputError, match="no data set is a record in time"):
+    with pytest.raises(InputError, match="no records in time; add modes=auto"):
         read(path)
 
 
