@@ -63,7 +63,7 @@ NO_MODE = "no pole stays from order to order: take a longer record, more samples
 
 
 @dataclass(frozen=True, eq=False)
-class Waves:
+class Realised:
     """Damped waves in even samples: ``z`` (k,) on and above the real axis, ``shapes`` (channels, k) of ``Re(b z^j)``.
 
     ``wald`` (k,): amplitudes squared over their variance, were the poles known and the residuals white.
@@ -80,7 +80,7 @@ class Waves:
         return np.asarray(self.z.imag > 0)
 
     @staticmethod
-    def fitted(z: np.ndarray, values: np.ndarray) -> Waves:
+    def fitted(z: np.ndarray, values: np.ndarray) -> Realised:
         """Fit amplitudes and a constant of each channel by least squares to values (channels, n)."""
         z = z[(z.imag >= 0) & (np.abs(z) < 1)]
         powers = np.exp(np.log(z) * np.arange(values.shape[1])[:, None])
@@ -92,7 +92,7 @@ class Waves:
         noise = np.sum(residuals**2, axis=1, keepdims=True) / max(values.shape[1] - 2 * z.size, 1)
         spread = np.sum(inverse[:-1] ** 2, axis=1).reshape(2, -1).mean(axis=0)
         wald = np.sum(np.abs(shapes) ** 2 / np.maximum(noise, 1e-300), axis=0) / np.maximum(spread, 1e-300)
-        return Waves(z, shapes, wald, residuals)
+        return Realised(z, shapes, wald, residuals)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,14 @@ class _StabilisedModes(ModalIdentifier):
         return self._answer(waves, chosen, step * thin, thin, used, values, said)
 
     def _answer(
-        self, waves: Waves, chosen: np.ndarray, step: float, thin: int, scale: np.ndarray, values: np.ndarray, said: str
+        self,
+        waves: Realised,
+        chosen: np.ndarray,
+        step: float,
+        thin: int,
+        scale: np.ndarray,
+        values: np.ndarray,
+        said: str,
     ) -> ModalEstimate:
         """Answer with the chosen waves, at a ``step``: of means of ``thin`` samples of values over scale."""
         n, samples = waves.residuals.shape
@@ -148,17 +155,19 @@ class _StabilisedModes(ModalIdentifier):
         shapes = scale[:, None] * waves.shapes[:, chosen] / gains
         shape_sds = scale[:, None] * shape_sds / np.abs(gains)
         motion = np.exp(rates * step / thin * np.arange(values.shape[1])[:, None])
-        power = np.mean((shapes[:, None] * motion).real ** 2, axis=1) / np.var(values, axis=1)[:, None]
+        sizes = np.linalg.norm((shapes[:, None] * motion).real, axis=(0, 1))
+        shares = sizes / np.linalg.norm(values - np.mean(values, axis=1, keepdims=True))
         modes = [
-            Mode(abs(rate) / (2 * np.pi), -rate.real / abs(rate), *sd, shape, shape_sd, share)
-            for rate, sd, shape, shape_sd, share in zip(
-                rates, sds, shapes.T, shape_sds.T, np.sqrt(np.mean(power, axis=0)), strict=True
+            Mode(
+                float(abs(rate)) / (2 * np.pi), float(-rate.real / abs(rate)), float(sds[i, 0]), float(sds[i, 1]),
+                shapes[:, i], shape_sds[:, i], float(shares[i]),
             )
-        ]
+            for i, rate in enumerate(rates)
+        ]  # fmt: skip
         degrees = n * samples - 2 * waves.z.size * (n + 1) - n
         return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), max(degrees, 1), message=said)
 
-    def _deviations(self, waves: Waves, chosen: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    def _deviations(self, waves: Realised, chosen: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors (modes, 2) of frequency (Hz) and damping ratio, and (channels, modes) of the shapes."""
         n, samples = waves.residuals.shape
         upper = waves.z.imag > 0
@@ -182,7 +191,7 @@ class _StabilisedModes(ModalIdentifier):
         both = 0.5 * (variance(2.0 * shapes.real, noises) + variance(2.0 * shapes.imag, noises))
         return poles, np.sqrt(both)
 
-    def _orders(self, values: np.ndarray) -> list[Waves]:
+    def _orders(self, values: np.ndarray) -> list[Realised]:
         """Realise values (channels, n) at rising orders."""
         n, samples = values.shape
         rows = self._rows(samples)
@@ -195,7 +204,7 @@ class _StabilisedModes(ModalIdentifier):
         orders = []
         for states in range(2, most + 1, 2):
             shift = np.linalg.pinv(main[:-block, :states]) @ main[block:, :states]
-            orders.append(Waves.fitted(np.linalg.eigvals(shift).astype(complex), values))
+            orders.append(Realised.fitted(np.linalg.eigvals(shift).astype(complex), values))
         return orders
 
     def _rows(self, samples: int) -> int:
@@ -244,7 +253,7 @@ def thinning(values: np.ndarray) -> int:
     return max(1, min(-(-samples // MOST_SAMPLES), samples // (LEAST_A_CYCLE * max(highest, 1))))
 
 
-def stable(orders: list[Waves], count: int | None, band: np.ndarray) -> tuple[Waves, np.ndarray, str]:
+def stable(orders: list[Realised], count: int | None, band: np.ndarray) -> tuple[Realised, np.ndarray, str]:
     """Choose an order and the waves that are modes there, with natural rates (1/sample) in a band; say why so many."""
     chains: list[list[tuple[int, int]]] = []
     before: dict[int, list[tuple[int, int]]] = {}
@@ -277,7 +286,7 @@ def stable(orders: list[Waves], count: int | None, band: np.ndarray) -> tuple[Wa
     return orders[best], np.array(members[best], int), said
 
 
-def staying(before: Waves, now: Waves) -> np.ndarray:
+def staying(before: Realised, now: Realised) -> np.ndarray:
     """Number of the wave in the order before that each wave of this one continues, -1 for none."""
     a, b = np.log(now.z)[:, None], np.log(before.z)[None]
     with np.errstate(all="ignore"):
