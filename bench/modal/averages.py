@@ -26,6 +26,8 @@ SEGMENTS, FEWEST_SAMPLES = 8, 16
 OVERLAP = 1.0 / 6.0
 """Correlation of neighbouring segments under Hann's window that overlap by half (P. D. Welch, IEEE Transactions on
 Audio and Electroacoustics 15, 1967)."""
+REACH = 0.01
+"""Least power of the force over its largest in lines that are excited."""
 ENDED = 0.01
 """Root mean square in the last tenth of a record over that in its first from which the motion has not ended."""
 
@@ -36,7 +38,8 @@ class Averages:
 
     ``variances``: mean square of the complex error of H1, NaN of a single record; ``bias`` (lines,): relative bias of
     H1 by the noise of the force, NaN where that is not known: between ``coherence - 1`` and 0; ``count``: independent
-    records; ``window``: decay rate (1/s) of the exponential window that is in all of them.
+    records; ``window``: decay rate (1/s) of the exponential window that is in all of them; ``reach``: whether the force
+    has a hundredth of its largest power, the usual end (-20 dB) of what a hammer excites.
     """
 
     frequencies: np.ndarray
@@ -49,11 +52,20 @@ class Averages:
     count: float
     response: Response
     window: float
+    reach: np.ndarray
 
     def frequency_responses(self) -> FrequencyResponses:
         """Return H1 with its variances."""
         variances = self.variances if np.all(np.isfinite(self.variances)) else None
         return FrequencyResponses(self.frequencies, self.h1, self.response, variances, self.window)
+
+    def summary(self) -> str:
+        """Return coherence and bias in a sentence, medians over the lines that the force excites."""
+        coherence, bias = float(np.median(self.coherence[:, self.reach])), float(np.median(self.bias[self.reach]))
+        size = f"by {100.0 * bias:.2g} %" if np.isfinite(bias) else f"by at most {100.0 * (coherence - 1.0):.2g} %"
+        last = float(np.max(self.frequencies[self.reach]))
+        lines = f"{self.count:.3g} averages up to {last:.4g} Hz, where the force has fallen by 20 dB"
+        return f"{lines}: coherence {coherence:.3f} in the median, noise of the force biases H1 {size}"
 
 
 def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force_window: bool = True) -> Averages:
@@ -99,15 +111,17 @@ def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force
         hv = s_fy / np.abs(s_fy) * np.sqrt(s_yy / s_ff)
         coherence = np.minimum(np.abs(s_fy) ** 2 / (s_ff * s_yy), 1.0)
         variances = (1.0 - coherence) * s_yy / s_ff / (count - 1.0) if count > 1.0 else np.full(h1.shape, np.nan)
-    bias = np.full(s_ff.shape[1], np.nan)
+    noise = np.full(s_ff.shape[1], np.nan)
     if hammer is not None and segment is None:
         quiet = np.where(hammer, 0.0, blows.forces - np.median(blows.forces, axis=1, keepdims=True))
-        noise = np.mean(np.abs(_spectra(quiet * fade, None)) ** 2, axis=0) / np.mean(~hammer @ fade**2)
+        level = np.mean(np.abs(_spectra(quiet * fade, None)) ** 2, axis=0) / np.mean(~hammer @ fade**2)
         taken = np.mean((hammer if force_window else np.ones_like(hammer)) @ fade**2)
-        bias = -(1.0 - 1.0 / count) * np.minimum(noise * taken / s_ff[0], 1.0)
+        noise = np.minimum(level * taken / s_ff[0], 1.0)
+    bias, true = -(1.0 - 1.0 / count) * noise, s_ff[0] * (1.0 - np.nan_to_num(noise))
     size = segment or n
     frequencies = np.fft.rfftfreq(size, blows.step)[1 : (size + 1) // 2]
-    return Averages(frequencies, h1, h2, hv, coherence, variances, bias, count, blows.response, window)
+    reach = true >= REACH * np.max(true)
+    return Averages(frequencies, h1, h2, hv, coherence, variances, bias, count, blows.response, window, reach)
 
 
 def _spectra(records: np.ndarray, segment: int | None) -> np.ndarray:

@@ -247,7 +247,7 @@ ORDINATES: dict[int, Measures] = {
     8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force",
 }  # fmt: skip
 """Types of an ordinate: 9 is a reaction force, 13 an excitation."""
-SI_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+SI_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
 DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
 

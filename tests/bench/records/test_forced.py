@@ -1,0 +1,125 @@
+"""Blows and frequency responses as files give them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.contract.modal import Blows, FrequencyResponses
+from bench.errors import InputError
+from bench.records.forced import Forced, forced_motion, frequency_responses
+from bench.records.reading import ReadOptions, read_recordings
+from bench.records.reading.files import read_file
+
+LINES = np.arange(0.0, 100.0, 0.5)
+RESPONSES = np.array([1.0, -0.5])[:, None] / (60.0**2 - (2 * np.pi * LINES) ** 2 + 50j * LINES)
+
+
+def written(path: Path, binary: int = 0, count: int = 2, **other: Any) -> Path:
+    pyuff = pytest.importorskip("pyuff")
+    sets = []
+    for k, values in enumerate(RESPONSES[:count], 1):
+        given = {
+            "type": 58, "binary": binary, "func_type": 4, "rsp_node": k, "rsp_dir": 3, "ref_node": 1, "ref_dir": -3,
+            "data": values, "x": LINES, "id1": "plate", "rsp_ent_name": "NONE", "ref_ent_name": "NONE",
+            "abscissa_spacing": 1, "abscissa_spec_data_type": 18, "abscissa_axis_units_lab": "Hz",
+            "ordinate_spec_data_type": 12, "ordinate_axis_units_lab": "g", "orddenom_spec_data_type": 13,
+            "orddenom_axis_units_lab": "kN",
+        }  # fmt: skip
+        sets.append(given | {key: value[k - 1] if isinstance(value, tuple) else value for key, value in other.items()})
+    pyuff.UFF(str(path)).write_sets(sets, "add")
+    return path
+
+
+def read(path: Path, **options: Any) -> Forced:
+    response = options.pop("response", None)
+    return frequency_responses(read_file(path)[0].spectra, path.name, ReadOptions(**options), response)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves what it writes open
+@pytest.mark.parametrize("binary", [0, 1])
+def test_frequency_responses_come_in_si_units_with_their_places(binary: int, tmp_path: Path) -> None:
+    data, names, units, _ = read(written(tmp_path / "r.uff", binary))
+    assert isinstance(data, FrequencyResponses)
+    assert (data.response, names, units) == ("accelerance", ("1 +Z", "2 +Z"), ("m/s²", "m/s²"))
+    np.testing.assert_allclose(data.frequencies, LINES[1:])  # nothing is accelerated at 0 Hz
+    np.testing.assert_allclose(data.values, RESPONSES[:, 1:] * 9.80665 / 1e3, rtol=1e-6)
+
+
+def test_one_label_may_hold_both_units_and_a_roving_hammer_is_a_row(tmp_path: Path) -> None:
+    path = written(
+        tmp_path / "r.uff", rsp_node=7, ref_node=(4, 5), ordinate_spec_data_type=0, orddenom_spec_data_type=0,
+        ordinate_axis_units_lab="(mm/s)/N", orddenom_axis_units_lab="NONE",
+    )  # fmt: skip
+    data, names, _, notes = read(path)
+    assert isinstance(data, FrequencyResponses)
+    assert (data.response, names) == ("mobility", ("4 -Z", "5 -Z"))
+    assert any("reciprocity" in note for note in notes)
+    np.testing.assert_allclose(data.values, RESPONSES[:, 1:] * 1e-3, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fields", "options", "message"),
+    [
+        ({"ordinate_spec_data_type": 0, "ordinate_axis_units_lab": "NONE"}, {}, "add response=receptance or"),
+        ({}, {"response": "mobility"}, "says accelerance; leave response= out"),
+        ({"ordinate_axis_units_lab": "NONE"}, {}, "no unit is known of the acceleration; add units=a:g"),
+        ({"orddenom_axis_units_lab": "V"}, {}, "units=f:V: no unit of force"),
+        ({"ordinate_spec_data_type": (12, 11), "ordinate_axis_units_lab": ("g", "m/s")}, {}, "motions of one kind"),
+        ({"ordinate_spec_data_type": 13, "ordinate_axis_units_lab": "N"}, {}, "force over force"),
+        ({"ref_node": (1, 2)}, {}, "one point of force, or of one response"),
+        ({"abscissa_axis_units_lab": "rpm"}, {}, "not over frequency in Hz"),
+        ({"data": np.abs(RESPONSES[0])}, {}, "real values"),
+        ({"x": (LINES, 2 * LINES)}, {}, "different frequencies"),
+        ({"data": 0 * RESPONSES[0]}, {}, "0 lines of numbers"),
+    ],
+)  # fmt: skip
+def test_what_is_not_certain_is_refused_in_a_line(
+    fields: dict[str, Any], options: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        read(written(tmp_path / "r.uff", **fields), **options)
+
+
+def test_units_and_kind_may_be_told_and_a_cut_file_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "r.uff", ordinate_spec_data_type=0, ordinate_axis_units_lab="NONE")
+    data, *_ = read(path, response="receptance", units={"x": "mm"})
+    np.testing.assert_allclose(data.values[0], RESPONSES[0, 1:] * 1e-6, rtol=1e-6)  # type: ignore[union-attr]
+    text = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*text[:40], "    -1\n"]))
+    with pytest.raises(InputError, match="values are announced"):
+        read(path)
+
+
+def hammered(path: Path, header: str = "t [s],f [N],a1 [g],a2 [g]", peaks: tuple[float, ...] = (50.0, 80.0)) -> Path:
+    t = np.arange(6000) / 1000.0
+    force = sum((p * np.exp(-0.5 * ((t - 0.5 - 3 * k) / 0.002) ** 2) for k, p in enumerate(peaks)), np.zeros(t.size))
+    ring = np.convolve(force, np.exp(-3.0 * t) * np.sin(200.0 * t))[: t.size]
+    np.savetxt(path, np.column_stack([t, force, ring, -ring]), delimiter=",", header=header, comments="")
+    return path
+
+
+def test_blows_of_two_files_of_several_sensors(tmp_path: Path) -> None:
+    paths = hammered(tmp_path / "1.csv"), hammered(tmp_path / "2.csv", peaks=(40.0, 90.0))
+    recordings = [recording for path in paths for recording in read_recordings(path)]
+    data, names, units, notes = forced_motion(recordings, window=2.0)
+    assert isinstance(data, Blows)
+    assert (data.response, data.window, names, units) == ("accelerance", 2.0, ("a1", "a2"), ("m/s²", "m/s²"))
+    np.testing.assert_allclose(np.max(data.forces, axis=1), (50.0, 80.0, 40.0, 90.0))
+    assert data.responses.shape[:2] == (4, 2)
+    assert any("exponential window, 2 1/s, is taken off" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("t [s],f1 [N],f2 [N],a [g]", "2 forces; blows act at one point"),
+        ("t [s],f [N],a [g],v [m/s]", "responses are acceleration and velocity|velocity and acceleration"),
+    ],
+)
+def test_several_forces_or_kinds_of_response_are_refused(header: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        forced_motion(read_recordings(hammered(tmp_path / "r.csv", header)))
