@@ -15,14 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import ShortTimeFFT, windows
+from scipy.signal import csd
 
 from bench.contract.modal import Blows, FrequencyResponses, Mode, Response
-from bench.errors import InputError
 from bench.modal.blows import force_windowed, touched
 
 SEGMENTS, FEWEST_SAMPLES = 8, 16
-"""Segments of a shaker's record where their length is not told, without their overlap; samples of one at least."""
+"""Segments of a shaker's record, without their overlap; samples of one at least."""
 OVERLAP = 1.0 / 6.0
 """Correlation of neighbouring segments under Hann's window that overlap by half (P. D. Welch, IEEE Transactions on
 Audio and Electroacoustics 15, 1967)."""
@@ -61,6 +60,8 @@ class Averages:
 
     def summary(self) -> str:
         """Return coherence and bias in a sentence, medians over the lines that the force excites."""
+        if self.count == 1.0:
+            return "a single blow tells nothing of its errors; with several there are coherence and scatter"
         coherence, bias = float(np.median(self.coherence[:, self.reach])), float(np.median(self.bias[self.reach]))
         size = f"by {100.0 * bias:.2g} %" if np.isfinite(bias) else f"by at most {100.0 * (coherence - 1.0):.2g} %"
         last = float(np.max(self.frequencies[self.reach]))
@@ -68,8 +69,10 @@ class Averages:
         return f"{lines}: coherence {coherence:.3f} in the median, noise of the force biases H1 {size}"
 
 
-def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force_window: bool = True) -> Averages:
+def averages(blows: Blows, decay: float = 0.0, force_window: bool = True) -> Averages:
     """Average H1, H2 and Hv, with coherence, variance and bias.
+
+    The single record of a shaker is cut into segments under Hann's window, half of which the next overlaps.
 
     With ``n`` records the error of H1 has the mean square ``(1 - coherence) / (coherence (n - 1)) |H1|²``, the scatter
     of the records about ``Y = H1 F``. Bendat and Piersol (chapter 9) have ``n`` for ``n - 1``, for many records, and
@@ -80,59 +83,40 @@ def averages(blows: Blows, decay: float = 0.0, segment: int | None = None, force
         decay: Rate (1/s) of an exponential window for force and response, exact for a force at any time:
             ``exp(-a t) (h * f) = (exp(-a t) h) * (exp(-a t) f)``. It comes to that of ``blows.window``, which the force
             does not have yet. :func:`without_window` takes the damping of both off a mode.
-        segment: Samples of a segment under Hann's window, half of which the next overlaps. By default the records of a
-            hammer are not cut, and a single one of a shaker is.
         force_window: Whether the force of a hammer is set to zero where it does not touch.
-
-    Raises:
-        InputError: A segment is longer than the records, or would be under both windows.
     """
     n, hammer = blows.forces.shape[1], touched(blows.forces)
-    if segment is None and hammer is None and len(blows.forces) == 1:
-        segment = max(n // SEGMENTS, FEWEST_SAMPLES)
-    if segment is not None and not FEWEST_SAMPLES <= segment <= n:
-        raise InputError("segment", segment, f"from {FEWEST_SAMPLES} to the {n} samples of a record")
-    if segment is not None and decay:
-        raise InputError(
-            "decay", decay, "an exponential window is for blows; leave it out for segments of a shaker's record"
-        )
-    times, window = blows.step * np.arange(n), blows.window + decay
-    fade = np.exp(-window * times)
-    measured = force_windowed(blows).forces if force_window else blows.forces
-    force = _spectra(measured[:, None] * fade, segment)
-    response = _spectra(blows.responses * np.exp(-decay * times), segment)
-    count = float(len(force))
-    if segment is not None:
+    cut = hammer is None and len(blows.forces) == 1
+    size = max(n // SEGMENTS, FEWEST_SAMPLES) if cut else n
+    count = float(len(blows.forces))
+    if cut:
+        count = float(1 + (n - size) // (size - size // 2))
         count /= 1.0 + 2.0 * OVERLAP**2 * (count - 1.0) / count
-    s_ff, s_yy = np.mean(np.abs(force) ** 2, axis=0), np.mean(np.abs(response) ** 2, axis=0)
-    s_fy = np.mean(np.conj(force) * response, axis=0)
+
+    def power(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the mean of ``conj(A) B`` without the lines of 0 and Nyquist."""
+        spectra = csd(a, b, 1.0 / blows.step, "hann" if cut else "boxcar", size)[1]
+        return np.asarray(np.mean(spectra, axis=0)[..., 1 : (size + 1) // 2])
+
+    times, window = blows.step * np.arange(n), blows.window + decay
+    fade, responses = np.exp(-window * times), blows.responses * np.exp(-decay * times)
+    forces = (force_windowed(blows).forces if force_window else blows.forces) * fade
+    s_ff, s_yy, s_fy = power(forces, forces).real, power(responses, responses).real, power(forces[:, None], responses)
     with np.errstate(divide="ignore", invalid="ignore"):
         h1, h2 = s_fy / s_ff, s_yy / np.conj(s_fy)
         hv = s_fy / np.abs(s_fy) * np.sqrt(s_yy / s_ff)
         coherence = np.minimum(np.abs(s_fy) ** 2 / (s_ff * s_yy), 1.0)
         variances = (1.0 - coherence) * s_yy / s_ff / (count - 1.0) if count > 1.0 else np.full(h1.shape, np.nan)
-    noise = np.full(s_ff.shape[1], np.nan)
-    if hammer is not None and segment is None:
-        quiet = np.where(hammer, 0.0, blows.forces - np.median(blows.forces, axis=1, keepdims=True))
-        level = np.mean(np.abs(_spectra(quiet * fade, None)) ** 2, axis=0) / np.mean(~hammer @ fade**2)
-        taken = np.mean((hammer if force_window else np.ones_like(hammer)) @ fade**2)
-        noise = np.minimum(level * taken / s_ff[0], 1.0)
-    bias, true = -(1.0 - 1.0 / count) * noise, s_ff[0] * (1.0 - np.nan_to_num(noise))
-    size = segment or n
-    frequencies = np.fft.rfftfreq(size, blows.step)[1 : (size + 1) // 2]
-    reach = true >= REACH * np.max(true)
-    return Averages(frequencies, h1, h2, hv, coherence, variances, bias, count, blows.response, window, reach)
-
-
-def _spectra(records: np.ndarray, segment: int | None) -> np.ndarray:
-    """Return spectra (records, ..., lines) of records (records, ..., n), or of their segments; not of 0 and Nyquist."""
-    n = records.shape[-1]
-    if segment is None:
-        return np.asarray(np.fft.rfft(records)[..., 1 : (n + 1) // 2])
-    transform = ShortTimeFFT(windows.hann(segment, sym=False), segment // 2, 1.0)
-    first, last = transform.lower_border_end[1], transform.upper_border_begin(n)[1]
-    parts = transform.stft(records - np.mean(records, axis=-1, keepdims=True), p0=first, p1=last)
-    return np.asarray(np.concatenate(np.moveaxis(parts, -1, 1))[..., 1 : (segment + 1) // 2])
+    noise = np.full(s_ff.shape, np.nan)
+    if hammer is not None:
+        quiet = np.where(hammer, 0.0, blows.forces - np.median(blows.forces, axis=1, keepdims=True)) * fade
+        taken = np.mean((hammer if force_window else np.ones_like(hammer)) @ fade**2) / np.mean(~hammer @ fade**2)
+        noise = np.minimum(power(quiet, quiet).real * taken / s_ff, 1.0)
+    true = s_ff * (1.0 - np.nan_to_num(noise))
+    return Averages(
+        np.fft.rfftfreq(size, blows.step)[1 : (size + 1) // 2], h1, h2, hv, coherence, variances,
+        -(1.0 - 1.0 / count) * noise, count, blows.response, window, true >= REACH * np.max(true),
+    )  # fmt: skip
 
 
 def decay_needed(blows: Blows) -> float:
