@@ -106,9 +106,10 @@ def touched(forces: np.ndarray) -> np.ndarray | None:
     """
     size = np.abs(forces - np.median(forces, axis=1, keepdims=True))
     beyond = size > NOISY * _noise(size)
-    if not beyond.any(axis=1).all() or np.mean(beyond) > MOST_TOUCHED:
+    pulse = beyond & (size > LEAST_PEAK * np.max(size, axis=1, keepdims=True))
+    if not pulse.any(axis=1).all() or np.mean(pulse) > MOST_TOUCHED:
         return None
-    width = int(np.median(np.count_nonzero(size > LEAST_PEAK * np.max(size, axis=1, keepdims=True), axis=1)))
+    width = int(np.median(np.count_nonzero(pulse, axis=1)))
     return np.asarray(binary_dilation(beyond, np.ones((1, 2 * width + 1), bool)))
 
 
