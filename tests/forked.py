@@ -28,7 +28,8 @@ REPOSITORY = Path(__file__).parents[1]
 Main = Callable[[Sequence[str]], int]
 WARM = (
     ["method=ls", "snr=nan"], ["method=ls", "data=nowhere.csv"], ["experiment=online", "x=1"],
-    ["experiment=atlas", "x=1"], ["experiment=measured", "x=1"], ["method=ls", "system.duration=-1"],
+    ["experiment=atlas", "x=1"], ["experiment=measured", "x=1"], ["experiment=modal", "x=1"],
+    ["method=ls", "system.duration=-1"],
     ["certify", "data=nowhere.csv"], ["track", "from=nowhere.csv"], ["identifiability", "snr=nan"],
     ["new", "method=new", "out=/dev/null"], ["design", "given=nowhere.csv"],
     ["report", "out=/dev/null"], ["tables", "archive=nowhere"], ["tables", "what=claims", "results=nowhere"],

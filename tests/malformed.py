@@ -155,6 +155,8 @@ track from=random                                 | stream=                     
 -m experiment=online system=sdof force=loud dry_run=true | force.kind=loud          | coloured
 -m experiment=online scenario=rmap dry_run=true   | scenario=rmap                    | did you mean ramp
 -m experiment=online method=efk dry_run=true      | method=efk                       | did you mean ekf
+-m experiment=modal scenario=two_mode dry_run=true | scenario=two_mode                | two_modes
+-m experiment=modal method=wavs dry_run=true      | method=wavs                      | waves
 -m experiment=atlas part=phases dry_run=true     | part=phases                      | one of points
 -m experiment=atlas method=shoting                | method=shoting                   | did you mean shooting
 -m experiment=atlas points=0                      | points=0                         | greater than or equal to 1

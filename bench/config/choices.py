@@ -16,7 +16,7 @@ from bench.errors import InputError, did_you_mean
 
 GROUPS = (*fields.GROUPS, "experiment")
 """Fields whose value is chosen by name."""
-TRACKS = {"measured": "measured_track", "online": "online", "atlas": "atlas"}
+TRACKS = {"measured": "measured_track", "online": "online", "modal": "modal", "atlas": "atlas"}
 """Experiments with fields of their own, each a verb of the module of ``bench.commands``."""
 _OWN: dict[str, dict[str, Any]] = {}
 """Contents of files of your own by the names under which Hydra gets them."""

@@ -22,7 +22,10 @@ from bench.commands.verbs import VERBS
 README = REPOSITORY / "README.md"
 OPEN = {"method", "system", "prior", "disturbance", "settings", "hydra", "fixed", "nominal"}
 """Groups whose fields a command's help does not list; ``<field>.<name>=`` of these is checked by the command alone."""
-OWN = {"experiment=measured": "measured_track", "experiment=online": "online", "experiment=atlas": "atlas"}
+OWN = {
+    "experiment=measured": "measured_track", "experiment=online": "online", "experiment=modal": "modal",
+    "experiment=atlas": "atlas",
+}  # fmt: skip
 """Experiments with a module, and so fields, of their own."""
 
 

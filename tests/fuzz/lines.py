@@ -13,7 +13,7 @@ from malformed import all_malformed
 from bench.commands.verbs import VERBS
 from bench.config.overrides import settable
 
-STARTS = ("method=ls", *VERBS, "experiment=online", "experiment=atlas", "experiment=measured")
+STARTS = ("method=ls", *VERBS, "experiment=online", "experiment=modal", "experiment=atlas", "experiment=measured")
 ASKED = {"-h", "--help", "--version"}
 """Where one of these is on a line, the rest of it does not matter."""
 WORDS = sorted({word for case in all_malformed() for word in case.words if len(word) < 400})

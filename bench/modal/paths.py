@@ -1,0 +1,72 @@
+"""The fits of the modal track: a method on a replicate of a scenario, kept as a file of JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from bench.entrants.modal import load_modal, make_modal
+from bench.modal.scenario import ModalScenario
+from bench.store.results import read_result, write_result
+
+STORED = 1
+"""Version of what is stored of a fit."""
+LIMIT_S = 600.0
+"""Limit of a fit (s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFit:
+    """A task of the engine: a replicate by a method, which is given the number of modes where ``counted``."""
+
+    scenario: ModalScenario
+    method: str
+    replicate: int
+    counted: bool = False
+    seed: int = 0
+    size: int = 1
+    limit_s: float = LIMIT_S
+
+    @cached_property
+    def key(self) -> str:
+        """Return a digest of scenario, method, versions, seed and replicate."""
+        versions = [STORED, load_modal(self.method).version]
+        parts = [versions, self.scenario.identity, self.method, self.counted, self.seed, self.replicate]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:20]
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Return the method and the scenario."""
+        return self.method, self.scenario.label
+
+    def read(self, folder: Path) -> dict[str, Any] | None:
+        """Return what is stored of the fit; None where nothing is."""
+        content = read_result(folder, self.key)
+        return None if content is None else dict(json.loads(content))
+
+    def stored(self, folder: Path) -> bool:
+        """Return whether the fit is stored whole."""
+        return self.read(folder) is not None
+
+    def compute(self, folder: Path) -> None:
+        """Identify the modes and store them; raises InputError where the folder cannot be written."""
+        problem, truth = self.scenario.draw(self.seed, self.replicate)
+        if self.counted:
+            problem = replace(problem, count=len(truth.frequencies))
+        method, start = make_modal(self.method), time.perf_counter()
+        estimate = method.identify_modes(problem)
+        wall_s = time.perf_counter() - start
+        modes = [
+            [float(x) for x in (m.frequency, m.damping_ratio, m.frequency_sd, m.damping_ratio_sd)]
+            for m in estimate.modes
+        ]
+        stored = {
+            "status": estimate.status.value, "message": estimate.message, "degrees": float(estimate.degrees),
+            "modes": modes, "wall_s": wall_s,
+        }  # fmt: skip
+        write_result(folder, self.key, json.dumps(stored).encode())
