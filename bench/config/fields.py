@@ -57,6 +57,8 @@ class Config:
     from_: Annotated[float | None, "s of the record's own clock, where the part to use begins"] = None
     to: Annotated[float | None, "s, where it ends"] = None
     decimate: Annotated[int, Within(ge=1, le=10_000), "keep every n-th sample, after a low-pass filter"] = 1
+    modes: Annotated[str | None, "auto, or a number: several modes; method= then names modal methods"] = None
+    band: Annotated[str | None, "Hz, with modes=: in which band they are looked for, as 10:40"] = None
     detrend: Annotated[bool | None, "remove a straight line from the motion; by default where significant"] = None
     force_gain: Annotated[float, "factor of the column of the force; -1 turns its sign"] = 1
     hold: Annotated[Hold, "how the force runs between its samples"] = "linear"
@@ -79,9 +81,14 @@ SWEPT = (*GROUPS, "snr", "initial_state", "replicates", "seed")
 """Fields of a cell: -m sweeps over their values."""
 RECORD = (
     "columns", "units", "rate", "from", "to", "decimate", "detrend", "force_gain", "hold", "fixed", "nominal", "start",
-    "plot", "picture",
+    "plot", "picture", "modes", "band",
 )  # fmt: skip
 """Fields of a measured record, which need ``data``."""
+MODAL = (
+    "data", "modes", "band", "method", "columns", "units", "rate", "from", "to", "decimate", "detrend", "format",
+    "plot", "picture",
+)  # fmt: skip
+"""Fields of a measured record of which modes are sought; others are refused there."""
 
 
 @cache

@@ -64,8 +64,10 @@ def _values(item: Any) -> list[Any]:
     return [str(item) if isinstance(item, Path) else item]
 
 
-def _add(overrides: dict[str, list[Any]], field: str, values: list[Any], text: str, of_record: bool = False) -> None:
-    """Add a field with its values; ``of_record``: its system and methods are looked up where records are read."""
+def _add(
+    overrides: dict[str, list[Any]], field: str, values: list[Any], text: str, unchecked: Sequence[str] = ()
+) -> None:
+    """Add a field with its values; choices of groups that are ``unchecked`` are looked up where records are read."""
     if field in overrides:
         raise InputError(field, text, "given twice; give it once")
     if not values:
@@ -74,7 +76,7 @@ def _add(overrides: dict[str, list[Any]], field: str, values: list[Any], text: s
         raise InputError(field, text, f"more than {MOST_VALUES} values")
     if any("${" in str(value) for value in values):
         raise InputError(field, text, "write the value itself; ${...} is not looked up")
-    if field in GROUPS and not (of_record and (field == "system" or values == ["all"])):
+    if field in GROUPS and field not in unchecked and not (unchecked and values == ["all"]):
         for value in values:
             check_choice(field, value)
     overrides[field] = values
@@ -99,10 +101,11 @@ def read_overrides(texts: Sequence[str]) -> Overrides:
     InputError.
     """
     of_record = any(text.startswith("data=") and text != "data=null" for text in texts)
+    unchecked = ("system", *(("method",) if any(text.startswith("modes=") for text in texts) else ()))
     overrides: dict[str, list[Any]] = {}
     for text in texts:
         key, values = _deleted(text) if text.startswith("~") else _assigned(text.lstrip("+"))
-        _add(overrides, key, values, text.partition("=")[2], of_record)
+        _add(overrides, key, values, text.partition("=")[2], unchecked if of_record else ())
     return overrides
 
 

@@ -98,6 +98,12 @@ class Mode:
     share: float = float("nan")
 
     @property
+    def pole(self) -> complex:
+        """Pole (1/s) in the upper half plane."""
+        rate = 2.0 * np.pi * self.frequency
+        return complex(-self.damping_ratio * rate, rate * np.sqrt(max(1.0 - self.damping_ratio**2, 0.0)))
+
+    @property
     def bandwidth(self) -> float:
         """Half-power bandwidth (Hz)."""
         return 2.0 * self.damping_ratio * self.frequency

@@ -15,10 +15,12 @@ from bench.face.results import nulls
 from bench.records.find import find_all
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval
+from bench.records.modal import ModalFinding, find_modes, residuals_of_modes
+from bench.records.modal_data import read_modal
 from bench.records.modes import OfferedMode
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
-from bench.records.request import request_of
+from bench.records.request import modal_request_of, request_of
 from bench.records.response import ChannelResiduals, residuals_of
 from bench.reporting.record_page import record_page
 
@@ -104,7 +106,9 @@ def identify(
     displacement: ArrayLike | None = None,
     force: ArrayLike | None = None,
     *,
-    method: str,
+    method: str | None = None,
+    modes: int | str | None = None,
+    band: tuple[float, float] | None = None,
     system: str | None = None,
     columns: Mapping[str, int | str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -128,7 +132,9 @@ def identify(
             samples (s, or dates).
         displacement: the samples (m), where ``data`` are times.
         force: the force (N) at the same times, where one acts and ``data`` are times.
-        method: a method.
+        method: a method; with ``modes`` a modal method, by default that of maximum likelihood.
+        modes: ``"auto"`` or a number, where several modes are sought; they are in ``modes`` of the answer.
+        band: lowest and highest frequency (Hz) of the modes that are sought.
         system: ``auto``, a sum of terms as ``sdof+coulomb``, or a scenario of ``conf/system`` whose system it is; by
             default m x'' + c x' + k x = f.
         columns: which column is what, where a file does not say: ``{"t": 0, "x": 3}``.
@@ -170,7 +176,8 @@ def identify(
     """
     paths = _paths(data, displacement, force)
     fields = {
-        "method": method, "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
+        "method": method if modes is None else None, "modes": None if modes is None else str(modes),
+        "band": None if band is None else ":".join(map(str, band)), "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
         "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate, "detrend": detrend,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
@@ -181,7 +188,21 @@ def identify(
     }
     if span is not None:
         of_file |= {"from": span[0], "to": span[1]}
-    overrides = {**overrides_of(fields, known, of_file, settings or {}), **({"system": [system]} if system else {})}
+    choices = {
+        "system": system,
+        "method": method if modes is not None else None,
+    }  # which are checked where they are read
+    overrides = {
+        **overrides_of(fields, known, of_file, settings or {}),
+        **{name: [choice] for name, choice in choices.items() if choice is not None},
+    }
+    if modes is not None:
+        modal = modal_request_of(overrides)
+        read = () if paths else (of_arrays(data, displacement, force, modal.options),)  # type: ignore[arg-type]
+        findings = [finding for record in read_modal(modal, read) for finding in find_modes(modal, record)]
+        if len(findings) > 1:
+            raise InputError("data", ", ".join(paths), f"{len(findings)} answers: one record and one method at a time")
+        return identified_modes(findings[0])
     request = request_of(overrides)
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
@@ -229,4 +250,25 @@ def identified(finding: Finding) -> Identification:
         residuals=residuals_of(finding),
         scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,
         runs={r.name: RunAnswer(r.finding.trust.value, r.left_out, r.finding.intervals) for r in finding.runs},
+    )
+
+
+def identified_modes(finding: ModalFinding) -> Identification:
+    """Return the modes of a record as users get them."""
+    estimate, record = finding.estimate, finding.record
+    return Identification(
+        method=finding.method,
+        data=record.source,
+        samples=record.samples,
+        status=estimate.status.value,
+        message=estimate.message,
+        wall_s=finding.wall_s,
+        trust=finding.trust.value,
+        reasons=tuple(reason.text for reason in finding.reasons),
+        notes=finding.notes,
+        estimates={},
+        withdrawn={},
+        modes=finding.modes,
+        residuals=residuals_of_modes(finding),
+        scale_is_free=False,
     )

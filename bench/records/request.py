@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from bench.config.choices import choices, own_file
 from bench.config.experiment import sweep
+from bench.config.fields import GROUPS, MODAL, Config
 from bench.config.overrides import Overrides
-from bench.config.schema import Job
+from bench.config.schema import Job, config_from
+from bench.contract.modal import MOST_MODES, ModalIdentifier
+from bench.entrants.modal import make_modal, registered_modal
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import method_names
 from bench.errors import InputError
@@ -40,13 +44,28 @@ class Request:
         return self.jobs[0]
 
 
+@dataclass(frozen=True)
+class ModalRequest:
+    """Files, how to read them, and the modal methods by name; ``count`` of modes, None for as many as there are.
+
+    Without a method the data decide which it is.
+    """
+
+    files: tuple[Path, ...]
+    options: ReadOptions
+    methods: Mapping[str, ModalIdentifier]
+    count: int | None
+    band: tuple[float, float] | None
+    config: Config
+
+
 def request_of(overrides: Overrides) -> Request:
     """The request that overrides make.
 
     Raises:
         InputError: For what makes no sense, before any file is read.
     """
-    given = {key: [",".join(map(str, values))] if key in LISTS else list(values) for key, values in overrides.items()}
+    given = _joined(overrides)
     _check(given)
     system = str(given.pop("system", [VISCOUS])[0])
     if _of_configuration(system):
@@ -57,7 +76,62 @@ def request_of(overrides: Overrides) -> Request:
         given["method"] = [name for name in method_names() if name not in REFERENCES]
     jobs = sweep(given, measured=True)
     config = jobs[0].config
-    options = ReadOptions(
+    options, files = _options(config), _files(config)
+    if options.decimate > 1 and config.start is not None:
+        raise InputError("start", config.start, "decimate= leaves the first samples out; leave start= out, too")
+    spec = jobs[0].prior_spec() if "prior" in given else None
+    if spec is not None and (spec.wrong or spec.draws != "nominal"):
+        field, value = ("prior.draws", spec.draws) if spec.draws != "nominal" else ("prior", spec.name)
+        raise InputError(field, value, "it is of simulated data; nominal.<p>= states your values")
+    return Request(files, options, system, tuple(jobs))
+
+
+def modal_request_of(overrides: Overrides) -> ModalRequest:
+    """The request that overrides with ``modes=`` make; raises InputError before any file is read."""
+    given = _joined(overrides)
+    _check_single(given)
+    for key in (key for key in given if key.partition(".")[0] not in MODAL and given[key] != [None]):
+        raise InputError(key, given[key][0], "it says nothing with modes=; leave one of the two out")
+    settings = {key.removeprefix("method."): given.pop(key)[0] for key in list(given) if key.startswith("method.")}
+    names = given.pop("method", [])
+    names = list(registered_modal()) if names == [ALL] else names
+    if settings and len(names) != 1:
+        raise InputError(f"method.{next(iter(settings))}", next(iter(settings.values())), "with one method=")
+    config = config_from({group: {} for group in GROUPS} | {key: values[0] for key, values in given.items()})
+    methods = {str(name): make_modal(name, settings) for name in names}
+    return ModalRequest(
+        _files(config),
+        replace(_options(config), sensors=True),
+        methods,
+        _count(config.modes),
+        _band(config.band),
+        config,
+    )
+
+
+def _count(modes: str | None) -> int | None:
+    text = str(modes).strip().lower()
+    if text != AUTO and not (text.isdecimal() and 1 <= int(text) <= MOST_MODES):
+        raise InputError("modes", modes, f"auto, or a number from 1 to {MOST_MODES}")
+    return None if text == AUTO else int(text)
+
+
+def _band(band: str | None) -> tuple[float, float] | None:
+    try:
+        low, high = (float(part) for part in (band or "0:1").split(":"))
+    except ValueError:
+        low = high = 0.0
+    if not 0.0 <= low < high < math.inf:
+        raise InputError("band", band, "lower:upper in Hz, as 10:40")
+    return (low, high) if band else None
+
+
+def _joined(overrides: Overrides) -> dict[str, list[Any]]:
+    return {key: [",".join(map(str, values))] if key in LISTS else list(values) for key, values in overrides.items()}
+
+
+def _options(config: Config) -> ReadOptions:
+    return ReadOptions(
         _pairs("columns", config.columns),
         _pairs("units", config.units),
         config.rate,
@@ -66,23 +140,30 @@ def request_of(overrides: Overrides) -> Request:
         config.decimate,
         config.detrend,
     )
-    if options.decimate > 1 and config.start is not None:
-        raise InputError("start", config.start, "decimate= leaves the first samples out; leave start= out, too")
+
+
+def _files(config: Config) -> tuple[Path, ...]:
     files = tuple(Path(os.path.expanduser(part.strip())) for part in str(config.data).split(",") if part.strip())
     if not files:
         raise InputError("data", config.data, "name a file, or several with a comma between two")
-    spec = jobs[0].prior_spec() if "prior" in given else None
-    if spec is not None and (spec.wrong or spec.draws != "nominal"):
-        field, value = ("prior.draws", spec.draws) if spec.draws != "nominal" else ("prior", spec.name)
-        raise InputError(field, value, "it is of simulated data; nominal.<p>= states your values")
-    return Request(files, options, system, tuple(jobs))
+    return files
+
+
+def _check_single(given: Mapping[str, Sequence[Any]]) -> None:
+    for key, values in given.items():
+        if len(values) > 1 and key != "method":
+            raise InputError(key, ",".join(map(str, values)), "one value at a time for a measured record")
 
 
 def _check(given: Mapping[str, Sequence[Any]]) -> None:
     """Raise InputError for several values where one is meant, and for what belongs to a prior that is not there."""
-    for key, values in given.items():
-        if len(values) > 1 and key != "method":
-            raise InputError(key, ",".join(map(str, values)), "one value at a time for a measured record")
+    _check_single(given)
+    if "modes" in given:
+        raise InputError(
+            "modes", given["modes"][0], "python -m bench data=... takes it, this verb does not; leave it out"
+        )
+    if "band" in given:
+        raise InputError("band", given["band"][0], "it is a band of modes; add modes=auto")
     nominal = [key for key in given if key.startswith("nominal.")]
     if nominal and "prior" not in given:
         raise InputError(nominal[0], given[nominal[0]][0], "a nominal value says nothing without prior=; add it")

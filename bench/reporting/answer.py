@@ -5,7 +5,8 @@ All take plain values: intervals are those of :class:`bench.records.intervals.St
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from bench.reporting.rounding import decimals, number, readable, rounded
@@ -45,6 +46,8 @@ def value_and_ends(interval: Interval | None, of: str = "") -> tuple[str, str]:
     if interval is None:
         return "–", "–"
     value = rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])[0]
+    if math.isnan(interval[f"{of}low"]):
+        return value, "–"
     return "–" if interval["limit"] else value, ends_text(interval, of)
 
 
@@ -57,6 +60,8 @@ def uncertain_text(interval: Interval) -> str:
     """Return ``52.10 ± 0.20``, or the value with its ends where they are uneven to the digits that are printed."""
     value, low, high = (interval[end] for end in ("value", "low", "high"))
     text, places, half = rounded(value, low, high)[0], decimals(low, high), 0.5 * (high - low)
+    if math.isnan(half):
+        return text
     if places is None or "e" in text or round(abs(high + low - 2 * value) * 10.0**places) > 1:
         return f"{text} ({ends_text(interval)})"
     return f"{text} ± {half:.{max(places, 0)}f}"
@@ -126,13 +131,32 @@ def values_table(stated: Mapping[str, Interval], withdrawn: Mapping[str, Interva
     return Grid(headers, rows)
 
 
-def modes_table(modes: Iterable[Mapping[str, Any]]) -> Grid:
-    """Tabulate the modes of a record with their intervals, and aliases."""
+def modes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
+    """Tabulate the modes of a record with their intervals, and aliases; with amplitudes where they are known."""
     rows = []
     for mode in modes:
         cells = [text for interval in _mode_intervals(mode) for text in value_and_ends(interval)]
-        rows.append((*cells, "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"))
-    return Grid(("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share"), rows)
+        rows.append([*cells, "alias" if mode["alias"] else f"{100 * mode['share']:.2g} % of the signal"])
+        if "amplitude" in mode:
+            rows[-1].append(_plus_minus(mode["amplitude"], mode["amplitude_high"] - mode["amplitude"]))
+    units = ", ".join(dict.fromkeys(mode["amplitude_unit"] for mode in modes if "amplitude" in mode))
+    headers = ("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share", f"Amplitude ({units})")
+    return Grid(headers if units else headers[:-1], rows)
+
+
+def shapes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
+    """Tabulate what each sensor has of a mode over the largest; with a phase where it is not in phase or opposed."""
+    shapes = {number(mode["frequency"]): mode["shape"] for mode in modes if mode.get("shape")}
+    rows = []
+    for frequency, shape in shapes.items():
+        phases = [f" at {part['phase']:.0f}°" if part["phase"] else "" for part in shape]
+        cells = [_plus_minus(part["ratio"], part["half"]) + phase for part, phase in zip(shape, phases, strict=True)]
+        rows.append((frequency, *cells))
+    return Grid(("Shape (Hz)", *(part["sensor"] for shape in list(shapes.values())[:1] for part in shape)), rows)
+
+
+def _plus_minus(value: float, half: float) -> str:
+    return uncertain_text({"value": value, "low": value - half, "high": value + half, "limit": ""}) if half else "1"
 
 
 def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Grid:

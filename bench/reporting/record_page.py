@@ -5,11 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.reporting.answer import MEANING, answer, ends_text, modes_table, residual_facts, runs_table, values_table
+from bench.reporting.answer import (
+    MEANING,
+    answer,
+    ends_text,
+    modes_table,
+    residual_facts,
+    runs_table,
+    shapes_table,
+    values_table,
+)
 from bench.reporting.rounding import number, readable
 from bench.reporting.terminal import table, wrapped
 
 FREE = "free vibration without a prior: m, c and k are not individually identifiable, only k/m and c/m"
+OF_MODES = (
+    "Intervals of this record: what its noise leaves open. Amplitude: at the first sample, where it is largest; share: root "
+    "mean square over that of the signal; shape: over the largest, negative where opposed to it."
+)
 WIDEST = 5
 """Columns of values that fit a terminal: the interval assuming white noise is in the JSON and in the certificate."""
 
@@ -29,10 +42,11 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
     if stated or withdrawn:
         values = values_table(stated, withdrawn)
         blocks.append(table([row[:WIDEST] for row in values.rows], values.headers[:WIDEST], (0, 2)))
-    for grid in (modes_table(found["modes"]), runs_table(found["runs"])):
+    for grid in (modes_table(found["modes"]), shapes_table(found["modes"]), runs_table(found["runs"])):
         if grid.rows:  # its first and last column hold words
             blocks.append(table(grid.rows, grid.headers, (0, len(grid.headers) - 1)))
     foot = [wrapped(f"Intervals {MEANING}.")] if stated else []
+    foot += [wrapped(OF_MODES)] if any("amplitude" in mode for mode in found["modes"]) else []
     foot += [wrapped(FREE)] if scale_is_free and (stated or withdrawn) else []
     foot += [wrapped(f"{name}: {text}") for name, text in residual_facts(residuals).items()] if residuals else []
     return "\n\n".join([*blocks, *(["\n".join(foot)] if foot else [])])

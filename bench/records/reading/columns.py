@@ -157,6 +157,8 @@ class _Columns:
         from_first = by_letter or values == list(range(1, len(values) + 1))
         if len(counted) == len(group) and len(before) == 1 and from_first:
             return {f"{letter}{value}": i for (_, value), i in counted.items()}
+        if self.options.sensors:
+            return {f"{letter}{number}": i for number, i in enumerate(group, 1)}
         liveliest = max(group, key=lambda i: float(np.nanstd(self[i].values)) * (self[i].unit or (0, 1.0))[1])
         several = f"several columns measure {LETTERS[letter]}: {self.listed(group)}"
         dofs = f"{letter}1:{self._key(group[0])},{letter}2:{self._key(group[1])}"

@@ -35,6 +35,7 @@ class ReadOptions:
         end: keep up to here
         decimate: keep every n-th sample, after a low-pass filter
         detrend: take the drift of the sensors away; by default where it is significant
+        sensors: several columns of one quantity are sensors of one motion, and not to be chosen from
 
     Raises:
         InputError: a role that does not exist or is given twice, or a number that cannot be meant.
@@ -47,6 +48,7 @@ class ReadOptions:
     end: float | None = None
     decimate: int = 1
     detrend: bool | None = None
+    sensors: bool = False
 
     def __post_init__(self) -> None:
         for name, roles in (("columns", list(self.columns)), ("units", list(self.units))):

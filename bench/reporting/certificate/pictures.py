@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.records.modal import ModalFinding, modal_response
 from bench.records.response import Response, thinned
 from bench.reporting.pictures.theme import FULL, HALF, SERIES, theme
 from bench.reporting.rounding import readable
@@ -56,12 +57,37 @@ def svg(picture: Specification, ground: str | None = None) -> str:
 
 def fit_picture(response: Response) -> str:
     """Draw samples, fitted response and residuals as the content of an SVG file."""
+    return svg(_fit_over_time(response), theme()["background"])
+
+
+def _fit_over_time(response: Response) -> Specification:
     fit, labels = response.fit, (f"{response.measures} ({response.unit})", f"residual ({response.unit})")
     curves = {} if fit is None else {"fit": (BLUE, (fit.times, fit.values))}
     left = {} if fit is None else {ORANGE: (response.times, fit.residuals.values)}
     title = response.method if fit is None else f"{response.method}: {response.trust.value}"
     picture = _over_time((response.times, response.values), curves, left, labels, FULL)
-    return svg({**picture, "title": {"text": title, "orient": "top", "anchor": "end"}}, theme()["background"])
+    return {**picture, "title": {"text": title, "orient": "top", "anchor": "end"}}
+
+
+def modes_picture(finding: ModalFinding) -> str:
+    """Draw the liveliest channel with its fit, and its spectrum with the modes marked, as the content of a file."""
+    response, comparison = modal_response(finding), finding.comparison
+    panels = [] if response is None else [_fit_over_time(response)]
+    if comparison is not None:
+        i = int(np.argmax(np.linalg.norm(comparison.measured, axis=1)))
+        sizes = {"record": (INK, np.abs(comparison.measured[i])), "modes": (BLUE, np.abs(comparison.fitted[i]))}
+        sizes["residuals"] = ORANGE, np.abs(comparison.measured[i] - comparison.fitted[i])
+        most = 2.0 * max(float(np.max(size)) for _, size in sizes.values())
+        least = max(0.5 * float(np.percentile(sizes["residuals"][1], 2)), 1e-9 * most)
+        layers = [_fixed(RULE | {"strokeDash": [2, 2]}, x=mode.frequency) for mode in finding.estimate.modes]
+        layers += [
+            _curve((comparison.frequencies, np.clip(size, least, most)), name, strokeWidth=0.7)
+            for name, (_, size) in sizes.items()
+        ]
+        colours = {name: colour for name, (colour, _) in sizes.items()}
+        titles = "frequency (Hz)", f"amplitude ({finding.record.units[i]})"
+        panels.append(_panel(layers, titles, 0.36 * FULL, FULL, colours, log=(least, most)))
+    return svg({"vconcat": panels, "resolve": {"scale": {"color": "independent"}}}, theme()["background"])
 
 
 def pictures(shown: Mapping[str, Any]) -> list[tuple[str, str]]:
