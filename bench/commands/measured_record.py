@@ -61,7 +61,11 @@ def _answers(request: Request, plot: bool, picture: bool) -> Shown:
 
     findings = find_all(request, read_measured(request))
     response = response_of(best_of(findings)) if plot or picture else None
-    return [identified(finding) for finding in findings], response, fit_picture(response) if picture else ""
+    return (
+        [identified(finding) for finding in findings],
+        response,
+        fit_picture(response) if picture and response else "",
+    )
 
 
 def _modes(request: ModalRequest, plot: bool, picture: bool) -> Shown:

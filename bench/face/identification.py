@@ -177,8 +177,9 @@ def identify(
     paths = _paths(data, displacement, force)
     fields = {
         "method": method if modes is None else None, "modes": None if modes is None else str(modes),
-        "band": None if band is None else ":".join(map(str, band)), "prior": prior, "nominal": nominal, "seed": seed, "timeout_s": timeout_s,
-        "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate, "detrend": detrend,
+        "band": None if band is None else ":".join(map(str, band)), "prior": prior, "nominal": nominal, "seed": seed,
+        "timeout_s": timeout_s, "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate,
+        "detrend": detrend,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
     of_file: dict[str, Any] = {

@@ -8,7 +8,7 @@ from functools import reduce
 
 import numpy as np
 
-from bench.contract.modal import FreeDecays, ModalData
+from bench.contract.modal import Blows, FreeDecays, ModalData
 from bench.errors import InputError
 from bench.records.prepare import prepare
 from bench.records.reading import Recording, read_recordings
@@ -31,7 +31,8 @@ class ModalRecord:
     @property
     def samples(self) -> int:
         """Number of samples of a channel, or of lines of a frequency response."""
-        return int((self.data.times if isinstance(self.data, FreeDecays) else self.data.responses).shape[-1])
+        values = self.data.responses if isinstance(self.data, Blows) else self.data.values
+        return int(values.shape[-1])
 
 
 def read_modal(request: ModalRequest, recordings: Sequence[Recording] = ()) -> tuple[ModalRecord, ...]:

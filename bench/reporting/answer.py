@@ -46,8 +46,6 @@ def value_and_ends(interval: Interval | None, of: str = "") -> tuple[str, str]:
     if interval is None:
         return "–", "–"
     value = rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])[0]
-    if math.isnan(interval[f"{of}low"]):
-        return value, "–"
     return "–" if interval["limit"] else value, ends_text(interval, of)
 
 
@@ -135,12 +133,12 @@ def modes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
     """Tabulate the modes of a record with their intervals, and aliases; with amplitudes where they are known."""
     rows = []
     for mode in modes:
-        cells = [text for interval in _mode_intervals(mode) for text in value_and_ends(interval)]
-        rows.append([*cells, "alias" if mode["alias"] else f"{100 * mode['share']:.2g} % of the signal"])
+        share = "alias" if mode["alias"] else f"{100 * mode['share']:.2g} % of the signal"
+        rows.append([*map(uncertain_text, _mode_intervals(mode)), share])
         if "amplitude" in mode:
             rows[-1].append(_plus_minus(mode["amplitude"], mode["amplitude_high"] - mode["amplitude"]))
     units = ", ".join(dict.fromkeys(mode["amplitude_unit"] for mode in modes if "amplitude" in mode))
-    headers = ("Mode (Hz)", "95 % interval", "Damping ratio (%)", "95 % interval", "Share", f"Amplitude ({units})")
+    headers = ("Mode (Hz), 95 %", "Damping ratio (%), 95 %", "Share", f"Amplitude ({units}), 95 %")
     return Grid(headers if units else headers[:-1], rows)
 
 

@@ -20,8 +20,8 @@ from bench.reporting.terminal import table, wrapped
 
 FREE = "free vibration without a prior: m, c and k are not individually identifiable, only k/m and c/m"
 OF_MODES = (
-    "Intervals of this record: what its noise leaves open. Amplitude: at the first sample, where it is largest; share: root "
-    "mean square over that of the signal; shape: over the largest, negative where opposed to it."
+    "Intervals of this record: what its noise leaves open. Amplitude: at the first sample, where it is largest; share: "
+    "root mean square over that of the signal; shape: over the largest, negative where opposed to it."
 )
 WIDEST = 5
 """Columns of values that fit a terminal: the interval assuming white noise is in the JSON and in the certificate."""

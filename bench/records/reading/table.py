@@ -68,8 +68,9 @@ class ReadOptions:
             raise InputError("from", self.start, f"it must be before to={self.end:g}")
 
     def unit(self, role: str) -> str:
-        """Return the unit given for a role, "" without one."""
-        return next((unit for other, unit in self.units.items() if slot(other) == slot(role)), "")
+        """Return the unit given for a role, or for all of its letter; "" without one."""
+        given = (unit for other, unit in self.units.items() if slot(other) == slot(role))
+        return next(given, self.units.get(role[0], ""))
 
 
 def slot(role: str) -> tuple[str, int]:
