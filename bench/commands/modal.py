@@ -67,7 +67,6 @@ def _fits(
     refused: list[Line] = []
     for name in names or track["methods"]:
         n = track["replicates_by_method"].get(name, track["replicates"])
-        counted = name in track["counted"]
         try:
             method = make_modal(name)
         except InputError as error:
@@ -75,13 +74,12 @@ def _fits(
                 raise
             refused += [{"scenario": of.label, "method": name, "message": error.remedy} for of in scenarios]
             continue
-        title = f"{method.card.title}, number given" if counted else method.card.title
         for of in scenarios:
             if objection := method.objection(of.draw(seed, 0)[0]):
-                refused.append({"scenario": of.label, "method": title, "message": objection})
+                refused.append({"scenario": of.label, "method": method.card.title, "message": objection})
             else:
                 replicates = range(n if most is None else min(n, most))
-                fits[of.label, title] = [TrackFit(of, name, i, counted, seed) for i in replicates]
+                fits[of.label, method.card.title] = [TrackFit(of, name, i, seed) for i in replicates]
     return fits, refused
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,11 @@ LIMIT_S = 600.0
 
 @dataclass(frozen=True, eq=False)
 class TrackFit:
-    """A task of the engine: a replicate by a method, which is given the number of modes where ``counted``."""
+    """A task of the engine: a replicate by a method, which is not given the number of modes."""
 
     scenario: ModalScenario
     method: str
     replicate: int
-    counted: bool = False
     seed: int = 0
     size: int = 1
     limit_s: float = LIMIT_S
@@ -36,7 +35,7 @@ class TrackFit:
     def key(self) -> str:
         """Return a digest of scenario, method, versions, seed and replicate."""
         versions = [STORED, load_modal(self.method).version]
-        parts = [versions, self.scenario.identity, self.method, self.counted, self.seed, self.replicate]
+        parts = [versions, self.scenario.identity, self.method, self.seed, self.replicate]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:20]
 
     @property
@@ -55,9 +54,7 @@ class TrackFit:
 
     def compute(self, folder: Path) -> None:
         """Identify the modes and store them; raises InputError where the folder cannot be written."""
-        problem, truth = self.scenario.draw(self.seed, self.replicate)
-        if self.counted:
-            problem = replace(problem, count=len(truth.frequencies))
+        problem, _ = self.scenario.draw(self.seed, self.replicate)
         method, start = make_modal(self.method), time.perf_counter()
         estimate = method.identify_modes(problem)
         wall_s = time.perf_counter() - start

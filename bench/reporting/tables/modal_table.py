@@ -17,14 +17,14 @@ BOUND = "bound"
 """The row of the bound, among the methods."""
 HEAD = """# Table 12. The modal track
 
-Natural frequencies and damping ratios of several modes, whose number no method is given unless its row says so. In
-brackets behind a frequency: damping ratio, and amplitude or modal constant. Each replicate draws phases, shapes, noise,
-times and peaks of blows. **rms**: root mean square of the relative error over replicates and modes. **excess**: that of
-the error over its Cramér-Rao bound (amplitudes, phases and constants unknown; the force known to be zero outside of a
-blow); one is the best that an estimate without bias can do. **cov.**: 95 % intervals that cover the true value. These
-are of the modes that were identified: within a half-power bandwidth of the true frequency, or within five bounds. Of
-all replicates, **number right**: as many modes as there are; **outliers**: true modes that were missed, or are off by
-more than five bounds. **ms**: median time of a fit. Methods stand in the order of outliers, then of excess."""
+Natural frequencies and damping ratios of several modes, whose number no method is given. In brackets behind a
+frequency: damping ratio, and amplitude or modal constant. Each replicate draws phases, shapes, noise, times and peaks
+of blows. **rms**: root mean square of the relative error over replicates and modes. **excess**: that of the error over
+its Cramér-Rao bound (amplitudes, phases and constants unknown; the force known to be zero outside of a blow); one is the
+best that an estimate without bias can do. **cov.**: 95 % intervals that cover the true value. These are of the modes
+that were identified: within a half-power bandwidth of the true frequency, or within five bounds. Of all replicates,
+**number right**: as many modes as there are; **outliers**: true modes that were missed, or are off by more than five
+bounds. **ms**: median time of a fit. Methods stand in the order of outliers, then of excess."""
 
 
 def modal_table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> Mapping[str, str]:
@@ -58,15 +58,17 @@ def in_order(scored: Sequence[Line]) -> list[Line]:
 
 
 def in_words(scored: Sequence[Line]) -> str:
-    """Say what each method is worth on a scenario, in the order of its lines."""
-    members = group([line for line in scored if line["method"] != BOUND], lambda line: line["method"])
-    said = [
-        f"{name} {excess_text(larger_excess(of))} times the bound, {of[0]['outliers_pct']:.0f} % of modes "
-        f"missed or off, number of modes right in {of[0]['right_pct']:.0f} %"
-        for name, of in members.items()
-    ]
-    count = max((of[0]["replicates"] for of in members.values()), default=0)
-    return f"In {count} records: {'; '.join(said)}." if said else ""
+    """Say what each method is worth on a scenario, in the order of its lines; nothing without a method."""
+    said = []
+    for name, of in group([line for line in scored if line["method"] != BOUND], lambda line: line["method"]).items():
+        line, limits = of[0], []
+        if line["outliers_pct"] > 0.0:
+            limits.append(f"{line['outliers_pct']:.1f} % of modes missed or off")
+        if line["right_pct"] < 100.0:
+            limits.append(f"number of modes right in {line['right_pct']:.0f} %")
+        behind = f", with {' and '.join(limits)}" if limits else ""
+        said.append(f"{excess_text(larger_excess(of))} times by {name} ({line['replicates']} records{behind})")
+    return f"Errors over the bound: {'; '.join(said)}." if said else ""
 
 
 def _last(lines: Sequence[Line]) -> dict[str, str]:
