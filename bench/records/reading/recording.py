@@ -131,6 +131,11 @@ def recordings_of(table: Table, options: ReadOptions, source: str, sha256: str =
         raise InputError(
             "data", source, "it holds frequency responses, no records in time; add modes=auto for their modes"
         )
+    n, block = len(table.columns), _block(table, options)
+    if block < n:
+        tables = [replace(table, columns=table.columns[k : k + block]) for k in range(0, n, block)]
+        runs = [recordings_of(part, options, f"{source} run {k}", sha256) for k, part in enumerate(tables, 1)]
+        return tuple(run for several in runs for run in several)
     columns, notes = columns_by_role(table, options, source)
     notes, error = [*table.notes, *notes], 0.0
     if (time := columns.get("t")) and (sums := increments_summed(time.values, time.header)):
@@ -148,6 +153,15 @@ def recordings_of(table: Table, options: ReadOptions, source: str, sha256: str =
         run = _Run(parts, options, f"{source} run {k}", [*notes, said], rows[first:last])
         recordings.append(run.recording(sha256, error))
     return tuple(recordings)
+
+
+def _block(table: Table, options: ReadOptions) -> int:
+    """Return after how many signals with times of their own the same come again, as those of a further blow."""
+    n, headers = len(table.columns), [column.header for column in table.columns]
+    last = max((int(key) for key in options.columns.values() if str(key).isdigit()), default=0)
+    own = all(column.times is not None for column in table.columns)
+    blocks = (p for p in range(max(last + 1, 2), n) if own and n % p == 0 and headers == headers[:p] * (n // p))
+    return next((p for p in blocks if len(set(headers[:p])) > 1), n)
 
 
 def _starts(table: Table, columns: Mapping[str, Column], n: int, source: str) -> list[int]:

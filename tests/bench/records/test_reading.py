@@ -893,6 +893,18 @@ def test_universal_files_without_units_or_with_two_sensors(tmp_path: Path) -> No
     np.testing.assert_allclose(read(path, columns={"a2": 1}).signals[0].values, 2 * 9.80665 * values, rtol=1e-10)
 
 
+def test_signals_that_come_again_in_a_universal_file_are_further_records(tmp_path: Path) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "r.uff"
+    force = {"ordinate_spec_data_type": 13, "ordinate_axis_units_lab": "N", "rsp_node": 1}
+    sets = [(k * np.ones(50), given) for k in (1, 2, 3) for given in (force, {})]
+    pyuff.UFF(str(path)).write_sets([universal_set(values, **given) for values, given in sets], "add")
+    runs = read_recordings(path)
+    assert [[signal.role for signal in run.signals] for run in runs] == 3 * [["a", "f"]]
+    assert [run.signals[1].values[0] for run in runs] == [1.0, 2.0, 3.0]
+    assert [len(run.signals) for run in read_recordings(path, ReadOptions({"f": 2, "a": 3}))] == [2]
+
+
 def test_frequency_responses_are_no_records_in_time(tmp_path: Path) -> None:
     pyuff = pytest.importorskip("pyuff")
     path = tmp_path / "r.uff"
