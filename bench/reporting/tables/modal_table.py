@@ -19,12 +19,12 @@ HEAD = """# Table 12. The modal track
 
 Natural frequencies and damping ratios of several modes, whose number no method is given. In brackets behind a
 frequency: damping ratio, and amplitude or modal constant. Each replicate draws phases, shapes, noise, times and peaks
-of blows. **rms**: root mean square of the relative error over replicates and modes. **excess**: that of the error over
-its Cramér-Rao bound (amplitudes, phases and constants unknown; the force known to be zero outside of a blow); one is the
-best that an estimate without bias can do. **cov.**: 95 % intervals that cover the true value. These are of the modes
-that were identified: within a half-power bandwidth of the true frequency, or within five bounds. Of all replicates,
-**number right**: as many modes as there are; **outliers**: true modes that were missed, or are off by more than five
-bounds. **ms**: median time of a fit. Methods stand in the order of outliers, then of excess."""
+of blows. **rms**: root mean square of the relative error over replicates and modes. **excess**: that of the error
+over its Cramér-Rao bound (amplitudes, phases and constants unknown; the force known to be zero outside of a blow);
+one is the best that an estimate without bias can do. **cov.**: 95 % intervals that cover the true value. These are of
+the modes that were identified: within a half-power bandwidth of the true frequency, or within five bounds. Of all
+replicates, **number right**: as many modes as there are; **outliers**: true modes that were missed, or are off by
+more than five bounds. **ms**: median time of a fit. Methods stand in the order of outliers, then of excess."""
 
 
 def modal_table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> Mapping[str, str]:
