@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bench.config.declaration import Field, fields_of
+from bench.contract.modal import Response
 from bench.contract.problem import Hold
 from bench.scenario.declaration import STRICT, Positive, Within
 
@@ -59,6 +60,12 @@ class Config:
     decimate: Annotated[int, Within(ge=1, le=10_000), "keep every n-th sample, after a low-pass filter"] = 1
     modes: Annotated[str | None, "auto, or a number: several modes; method= then names modal methods"] = None
     band: Annotated[str | None, "Hz, with modes=: in which band they are looked for, as 10:40"] = None
+    response: Annotated[Response | None, "with modes=: what frequency responses are, where the file does not say"] = (
+        None
+    )
+    window: Annotated[
+        float, Within(ge=0), "1/s, with modes=: decay rate of an exponential window that is in the data already"
+    ] = 0
     detrend: Annotated[bool | None, "remove a straight line from the motion; by default where significant"] = None
     force_gain: Annotated[float, "factor of the column of the force; -1 turns its sign"] = 1
     hold: Annotated[Hold, "how the force runs between its samples"] = "linear"
@@ -81,12 +88,12 @@ SWEPT = (*GROUPS, "snr", "initial_state", "replicates", "seed")
 """Fields of a cell: -m sweeps over their values."""
 RECORD = (
     "columns", "units", "rate", "from", "to", "decimate", "detrend", "force_gain", "hold", "fixed", "nominal", "start",
-    "plot", "picture", "modes", "band",
+    "plot", "picture", "modes", "band", "response", "window",
 )  # fmt: skip
 """Fields of a measured record, which need ``data``."""
 MODAL = (
     "data", "modes", "band", "method", "columns", "units", "rate", "from", "to", "decimate", "detrend", "format",
-    "plot", "picture",
+    "plot", "picture", "response", "window",
 )  # fmt: skip
 """Fields of a measured record of which modes are sought; others are refused there."""
 

@@ -66,7 +66,7 @@ class Averages:
         size = f"by {100.0 * bias:.2g} %" if np.isfinite(bias) else f"by at most {100.0 * (coherence - 1.0):.2g} %"
         last = float(np.max(self.frequencies[self.reach]))
         lines = f"{self.count:.3g} averages up to {last:.4g} Hz, where the force has fallen by 20 dB"
-        return f"{lines}: coherence {coherence:.3f} in the median, noise of the force biases H1 {size}"
+        return f"{lines}: coherence {coherence:.4g} in the median, noise of the force biases H1 {size}"
 
 
 def averages(blows: Blows, decay: float = 0.0, force_window: bool = True) -> Averages:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -57,7 +58,9 @@ def forced_motion(recordings: Sequence[Recording], window: float = 0.0) -> Force
         for signal in motions:
             if at_limit(signal.values).any():
                 notes.append(f"{recording.source}: {signal.role} is at the limit of its sensor; do not rely on it")
-        records.append(ForcedRecord(recording.source, forces[0].values, np.stack([s.values for s in motions])))
+        records.append(
+            ForcedRecord(Path(recording.source).name, forces[0].values, np.stack([s.values for s in motions]))
+        )
     if np.ptp(steps) > UNEVEN * steps[0]:
         raise InputError("data", recordings[-1].source, "its sampling rate differs from that of the first file")
     blows, said = blows_of(records, float(np.mean(steps)), RESPONSES[first[0].measures], window)

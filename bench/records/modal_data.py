@@ -1,4 +1,8 @@
-"""What a modal method is given of measured records: free decays of all sensors, read and prepared as for one mode."""
+"""What a modal method is given of measured records: free decays of all sensors, blows, or frequency responses.
+
+Free decays are read and prepared as for one mode, each a record; blows of all files together are one, and so are the
+frequency responses.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,14 @@ from functools import reduce
 
 import numpy as np
 
-from bench.contract.modal import Blows, FreeDecays, ModalData
+from bench.contract.modal import Blows, FreeDecays, FrequencyResponses, ModalData, Response
 from bench.errors import InputError
+from bench.records.decimation import decimated
+from bench.records.forced import forced_motion, frequency_responses, has_force
 from bench.records.prepare import prepare
-from bench.records.reading import Recording, read_recordings
+from bench.records.reading import Recording
+from bench.records.reading.files import read_file
+from bench.records.reading.recording import recordings_of
 from bench.records.request import ModalRequest
 
 LEAST_SAMPLES = 32
@@ -37,12 +45,24 @@ class ModalRecord:
 
 def read_modal(request: ModalRequest, recordings: Sequence[Recording] = ()) -> tuple[ModalRecord, ...]:
     """Return the records of a request, from its files or from what was read of them before; raises InputError."""
+    source, options, window = ", ".join(path.name for path in request.files), request.options, request.config.window
+    response: Response | None = request.config.response
     if not recordings:
-        recordings = [recording for path in request.files for recording in read_recordings(path, request.options)]
-    records = [_free_decays(recording) for recording in prepare(recordings, request.options, n_dof=2)]
-    for record in records if request.band is not None else ():
-        _check_band(request.band, record)
-    return tuple(records)
+        tables = [(str(path), *read_file(path)) for path in request.files]
+        if spectra := [spectrum for _, table, _ in tables for spectrum in table.spectra]:
+            records = [ModalRecord(source, *frequency_responses(spectra, source, options, response, window))]
+            return _within(request.band, records)
+        recordings = [r for path, table, sha256 in tables for r in recordings_of(table, options, path, sha256)]
+    if response is not None:
+        raise InputError(
+            "response", response, "it is of frequency responses; the units of a record say what it measures"
+        )
+    if has_force(recordings):
+        forced = forced_motion([decimated(recording, options.decimate) for recording in recordings], window)
+        return _within(request.band, [ModalRecord(source, *forced)])
+    if window:
+        raise InputError("window", window, "an exponential window is of blows and frequency responses; leave it out")
+    return _within(request.band, [_free_decays(recording) for recording in prepare(recordings, options, n_dof=2)])
 
 
 def _free_decays(recording: Recording) -> ModalRecord:
@@ -60,11 +80,17 @@ def _free_decays(recording: Recording) -> ModalRecord:
     return ModalRecord(recording.source, FreeDecays(times, values), roles, units, recording.notes)
 
 
-def _check_band(band: tuple[float, float] | None, record: ModalRecord) -> None:
-    if band is None or not isinstance(record.data, FreeDecays):
-        return
-    times = record.data.times
-    nyquist = (times.size - 1) / float(np.ptp(times)) / 2.0
-    if band[1] > nyquist * (1 + 1e-9):
-        remedy = f"{record.source} is sampled at {2 * nyquist:.6g} Hz, so frequencies end at {nyquist:.6g} Hz"
-        raise InputError("band", f"{band[0]:g}:{band[1]:g}", remedy)
+def _within(band: tuple[float, float] | None, records: Sequence[ModalRecord]) -> tuple[ModalRecord, ...]:
+    """Return the records; raises InputError where the band goes beyond their frequencies."""
+    for record in records:
+        data = record.data
+        if isinstance(data, FrequencyResponses):
+            highest = float(data.frequencies[-1])
+        elif isinstance(data, Blows):
+            highest = 0.5 / data.step
+        else:
+            highest = (data.times.size - 1) / float(np.ptp(data.times)) / 2.0
+        if band is not None and band[1] > highest * (1 + 1e-9):
+            remedy = f"the frequencies of {record.source} end at {highest:.6g} Hz"
+            raise InputError("band", f"{band[0]:g}:{band[1]:g}", remedy)
+    return tuple(records)

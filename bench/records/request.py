@@ -162,8 +162,9 @@ def _check(given: Mapping[str, Sequence[Any]]) -> None:
         raise InputError(
             "modes", given["modes"][0], "python -m bench data=... takes it, this verb does not; leave it out"
         )
-    if "band" in given:
-        raise InputError("band", given["band"][0], "it is a band of modes; add modes=auto")
+    for key in ("band", "response", "window"):
+        if key in given:
+            raise InputError(key, given[key][0], "it is for modes; add modes=auto")
     nominal = [key for key in given if key.startswith("nominal.")]
     if nominal and "prior" not in given:
         raise InputError(nominal[0], given[nominal[0]][0], "a nominal value says nothing without prior=; add it")

@@ -11,9 +11,12 @@ import pytest
 from bench.contract.modal import Blows, FrequencyResponses
 from bench.errors import InputError
 from bench.records.forced import Forced, forced_motion, frequency_responses
+from bench.records.modal_data import read_modal
 from bench.records.reading import ReadOptions, read_recordings
 from bench.records.reading.files import read_file
+from bench.records.request import modal_request_of
 
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff's open files
 LINES = np.arange(0.0, 100.0, 0.5)
 RESPONSES = np.array([1.0, -0.5])[:, None] / (60.0**2 - (2 * np.pi * LINES) ** 2 + 50j * LINES)
 
@@ -39,7 +42,6 @@ def read(path: Path, **options: Any) -> Forced:
     return frequency_responses(read_file(path)[0].spectra, path.name, ReadOptions(**options), response)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves what it writes open
 @pytest.mark.parametrize("binary", [0, 1])
 def test_frequency_responses_come_in_si_units_with_their_places(binary: int, tmp_path: Path) -> None:
     data, names, units, _ = read(written(tmp_path / "r.uff", binary))
@@ -111,6 +113,22 @@ def test_blows_of_two_files_of_several_sensors(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.max(data.forces, axis=1), (50.0, 80.0, 40.0, 90.0))
     assert data.responses.shape[:2] == (4, 2)
     assert any("exponential window, 2 1/s, is taken off" in note for note in notes)
+
+
+def test_a_request_makes_one_record_of_all_blows_or_all_frequency_responses(tmp_path: Path) -> None:
+    files = f"{hammered(tmp_path / '1.csv')},{hammered(tmp_path / '2.csv')}"
+    (blows,) = read_modal(modal_request_of({"data": [files], "modes": ["auto"], "window": [1.5]}))
+    assert isinstance(blows.data, Blows)
+    assert (len(blows.data.forces), blows.data.window, blows.channels) == (4, 1.5, ("a1", "a2"))
+    with pytest.raises(InputError, match="response=mobility: it is of frequency responses"):
+        read_modal(modal_request_of({"data": [files], "modes": ["auto"], "response": ["mobility"]}))
+    with pytest.raises(InputError, match=r"band=10:900: the frequencies of 1\.csv, 2\.csv end at 500 Hz"):
+        read_modal(modal_request_of({"data": [files], "modes": ["auto"], "band": ["10:900"]}))
+    (one, two) = (written(tmp_path / f"{k}.uff", 1, 1, rsp_node=k) for k in (3, 4))
+    (responses,) = read_modal(modal_request_of({"data": [f"{one},{two}"], "modes": ["2"]}))
+    assert responses.channels == ("3 +Z", "4 +Z")
+    with pytest.raises(InputError, match="add modes=auto for their modes"):
+        read_recordings(one)
 
 
 @pytest.mark.parametrize(

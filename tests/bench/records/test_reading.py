@@ -893,6 +893,7 @@ def test_universal_files_without_units_or_with_two_sensors(tmp_path: Path) -> No
     np.testing.assert_allclose(read(path, columns={"a2": 1}).signals[0].values, 2 * 9.80665 * values, rtol=1e-10)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves what it writes open
 def test_signals_that_come_again_in_a_universal_file_are_further_records(tmp_path: Path) -> None:
     pyuff = pytest.importorskip("pyuff")
     path = tmp_path / "r.uff"
