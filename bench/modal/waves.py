@@ -23,7 +23,8 @@ from bench.contract.modal import MOST_MODES, FreeDecays, ModalCard, ModalEstimat
 from bench.likelihood.autoregression import Autoregression, autoregression, even_times
 from bench.likelihood.least_squares import Linearisation, minimise
 
-ITERATIONS = 60
+ITERATIONS, FIRST_ITERATIONS = 60, 12
+"""Steps of a search at most, and of one whose outcome is only compared with others."""
 ROUNDING = 1e-7
 """Least noise, over the size of a channel: less is rounding of the numbers."""
 DECAYS = 8
@@ -112,7 +113,7 @@ class WaveFit:
         scale = 1.0 / max(n - spent, 1.0)
         return tuple(Autoregression(np.zeros(0), float(scale * r @ r) or 1e-300) for r in self.residuals)
 
-    def refined(self) -> WaveFit:
+    def refined(self, iterations: int = ITERATIONS) -> WaveFit:
         """Return the fit of all poles, searched for from these, with the noise as it is."""
         m = self.poles.size
         fastest = np.pi * (self.times.size - 1) / self.times[-1]
@@ -129,12 +130,12 @@ class WaveFit:
             return Linearisation.of(x, left.reshape(1, -1), slopes.reshape(1, -1, 2 * m))
 
         start = evaluate(np.zeros(1), np.concatenate([self.poles.real, self.poles.imag])[None])
-        x = minimise(evaluate, start, ITERATIONS).at.unknowns[0]
+        x = minimise(evaluate, start, iterations).at.unknowns[0]
         return replace(self, poles=x[:m] + 1j * x[m:])
 
     def settled(self) -> WaveFit:
         """Return the fit with noise and poles to each other's liking."""
-        fit = self.refined()
+        fit = self
         for _ in range(2):
             fit = replace(fit, noises=fit._noises()).refined()
         return fit
@@ -145,7 +146,7 @@ class WaveFit:
 
     def longer(self) -> Iterator[WaveFit]:
         """Yield starts with one more mode: at the largest wave in the residuals, and with each mode split in two."""
-        for fit in (self.white(), self):
+        for fit in (self.white(), self) if any(noise.order for noise in self.noises) else (self.white(),):
             yield replace(fit, poles=np.append(self.poles, fit.largest_wave()))
         for i, pole in enumerate(self.poles):
             apart = 1j * max(-pole.real, 2.0 / self.times[-1])
@@ -216,7 +217,8 @@ class Waves(ModalIdentifier):
         fit = WaveFit.empty(data.times, np.atleast_2d(data.values))
         most, decided = problem.count or MOST_MODES, ""
         while fit.poles.size < most and fit.times.size > 4 * fit.unknowns:
-            longer = min((start.settled() for start in fit.longer()), key=lambda fit: fit.criterion)
+            starts = (start.refined(FIRST_ITERATIONS) for start in fit.longer())
+            longer = min(starts, key=lambda fit: fit.criterion).settled()
             gain = fit.criterion - longer.criterion
             if problem.count is None and gain <= 0 and fit.poles.size:
                 decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
