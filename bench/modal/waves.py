@@ -5,16 +5,15 @@ linear and are eliminated by variable projection (G. H. Golub, V. Pereyra, SIAM 
 of L. Kaufman, BIT 15:49, 1975). The noise of each channel has a size of its own and, at even times, a colour: an
 autoregression of the residuals, by which all is whitened.
 
-Modes are added one by one as long as the Bayesian information criterion falls (G. Schwarz, Ann. Stat. 6:461, 1978). It
-counts the noise's coefficients as well, so that a hump in the noise does not pass for a mode.
+Their number is that of the least Bayesian information criterion (G. Schwarz, Ann. Stat. 6:461, 1978). Modes are added
+one by one while that of white noise falls, as the autoregression of a fit that lacks strong modes would stand for them;
+then the number is judged with the noise's coefficients counted, so that a hump in the noise does not pass for a mode.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 
@@ -94,12 +93,11 @@ class WaveFit:
         moving = self.shapes[:, :, None] * (self.times * self.waves)
         return np.swapaxes(self.whitened(np.concatenate([moving.real, -moving.imag], axis=1)), 1, 2)
 
-    @property
-    def criterion(self) -> float:
-        """The Bayesian information criterion with the best noise of these residuals."""
+    def criterion(self, coloured: bool = True) -> float:
+        """Return the Bayesian information criterion with the best noise of these residuals."""
         n, m = self.times.size, self.poles.size
         floors = (ROUNDING * np.std(self.values, axis=1)) ** 2 + 1e-300
-        noises = self._noises(used=False)
+        noises = self._noises(used=False) if coloured else self.white().noises
         sizes = [n * np.log(noise.variance + floor) for noise, floor in zip(noises, floors, strict=True)]
         unknowns = 2 * m + self.values.shape[0] * (2 * m + 1) + sum(noise.order for noise in noises)
         return float(sum(sizes) + unknowns * np.log(n))
@@ -116,6 +114,8 @@ class WaveFit:
     def refined(self, iterations: int = ITERATIONS) -> WaveFit:
         """Return the fit of all poles, searched for from these, with the noise as it is."""
         m = self.poles.size
+        if not m:
+            return self
         fastest = np.pi * (self.times.size - 1) / self.times[-1]
         slowest = 0.5 * np.pi / self.times[-1]
 
@@ -144,13 +144,20 @@ class WaveFit:
         """Return the same poles with noise that is white."""
         return replace(self, noises=WaveFit.empty(self.times, self.residuals).noises)
 
-    def longer(self) -> Iterator[WaveFit]:
-        """Yield starts with one more mode: at the largest wave in the residuals, and with each mode split in two."""
-        for fit in (self.white(), self) if any(noise.order for noise in self.noises) else (self.white(),):
-            yield replace(fit, poles=np.append(self.poles, fit.largest_wave()))
+    def longer(self, coloured: bool) -> WaveFit:
+        """Return the best fit with one more mode.
+
+        It starts at the largest wave in the residuals, or from one mode split in two, as a line between two close ones
+        leaves no line beside it.
+        """
+        fit = self if coloured else self.white()
+        starts = [np.append(self.poles, fit.largest_wave())]
         for i, pole in enumerate(self.poles):
             apart = 1j * max(-pole.real, 2.0 / self.times[-1])
-            yield replace(self.white(), poles=np.append(np.delete(self.poles, i), [pole - apart, pole + apart]))
+            starts.append(np.append(np.delete(self.poles, i), [pole - apart, pole + apart]))
+        fits = (replace(fit, poles=poles).refined(FIRST_ITERATIONS) for poles in starts)
+        best = min(fits, key=lambda fit: fit.criterion(coloured))
+        return best.settled() if coloured else best.refined()
 
     def largest_wave(self) -> complex:
         """Return the pole of the wave that explains most of the whitened residuals, on a grid of matched filters."""
@@ -215,23 +222,27 @@ class Waves(ModalIdentifier):
         assert isinstance(problem.data, FreeDecays)
         data = problem.data
         fit = WaveFit.empty(data.times, np.atleast_2d(data.values))
-        most, decided = problem.count or MOST_MODES, ""
-        while fit.poles.size < most and fit.times.size > 4 * fit.unknowns:
-            starts = (start.refined(FIRST_ITERATIONS) for start in fit.longer())
-            longer = min(starts, key=lambda fit: fit.criterion).settled()
-            gain = fit.criterion - longer.criterion
-            if problem.count is None and gain <= 0 and fit.poles.size:
-                decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
+        most = problem.count or MOST_MODES
+        fits = [fit]
+        while len(fits) <= most and fit.times.size > 4 * fits[-1].unknowns:
+            longer = fits[-1].longer(coloured=False)
+            if problem.count is None and longer.criterion(False) >= fits[-1].criterion(False):
                 break
-            fit = longer
+            fits.append(longer)
+        fit, decided = fits.pop().settled(), ""
+        if problem.count is None:
+            while len(fits) > 1 and (fewer := fits.pop().settled()).criterion() < fit.criterion():
+                fit = fewer
+            while fit.poles.size < MOST_MODES:
+                longer = fit.longer(coloured=True)
+                gain = fit.criterion() - longer.criterion()
+                if gain <= 0:
+                    decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
+                    break
+                fit = longer
         low, high = problem.band or (0.0, np.inf)
         modes = tuple(mode for mode in fit.modes() if low <= mode.frequency <= high)
         if not modes:
             return ModalEstimate((), status=Status.DIVERGED, message="no mode there")
-        sentences = [f"{len(modes)} modes{decided}" if problem.count is None else f"{len(modes)} modes as asked"]
-        for a, b in combinations(modes, 2):
-            if b.frequency - a.frequency < (a.bandwidth + b.bandwidth) / 2.0:
-                sentences.append(
-                    f"{a.frequency:.4g} and {b.frequency:.4g} Hz are close: within their half-power bandwidth"
-                )
-        return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message="; ".join(sentences))
+        message = f"{len(modes)} modes{decided or ', as asked'}"
+        return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message=message)
