@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,13 +20,15 @@ if TYPE_CHECKING:
     from bench.modal.scenario import ModalScenario
     from bench.reporting.frame import Line
 
+Fits = dict[tuple[str, str], "list[TrackFit]"]
+"""By scenario and title of the method, the fits of its replicates."""
 COMMAND = "python -m bench -m experiment=modal"
 
 
 def modal(
     scenario: Annotated[tuple[str, ...], OneOf(modal_scenario_names), "empty: all"] = (),
     method: Annotated[tuple[str, ...], "modal methods; empty: those of the track"] = (),
-    replicates: Annotated[int | None, Within(ge=1), "at most so many [those of the track]"] = None,
+    replicates: Annotated[int | None, Within(ge=1), "records of a scenario [those of the track]"] = None,
     seed: Annotated[int, Within(ge=0, lt=2**63), "of all random streams"] = 0,
     workers: Workers = None,
     store: Annotated[Path, "folder of finished fits"] = Path("outputs/modal"),
@@ -41,64 +44,58 @@ def modal(
     from bench.engine.pool import Limits
     from bench.reporting.tables.modal_table import modal_table
 
-    scenarios = [modal_scenario(name) for name in scenario or modal_scenario_names()]
-    fits, lines = _fits(scenarios, method, replicates, seed)
+    scenarios = {name: modal_scenario(name) for name in scenario or modal_scenario_names()}
+    fits, lines = _fits(scenarios.values(), method, replicates or modal_track()["replicates"], seed)
     work = Work(store, out, Limits(workers or usable_cores()), fit, dry_run)
     if not work.complete([task for tasks in fits.values() for task in tasks], "fit"):
         return 0
-    for each in scenarios:
-        lines += _lines(each, {title: tasks for (label, title), tasks in fits.items() if label == each.label}, store)
-    for name, text in modal_table(lines, {each.label: each.describe() for each in scenarios}, COMMAND).items():
+    lines += [line for name in scenarios for line in _scored(fits, name, store)]
+    for name, text in modal_table(lines, {name: of.describe() for name, of in scenarios.items()}, COMMAND).items():
         folder = tex if name.endswith(".tex") else out
         write(folder / name, text, folder)
         print(folder / name)
     return 0
 
 
-def _fits(
-    scenarios: Sequence[ModalScenario], names: Sequence[str], most: int | None, seed: int
-) -> tuple[dict[tuple[str, str], list[TrackFit]], list[Line]]:
-    """Return the fits by scenario and title of the method, and a line for each method that cannot serve a scenario."""
+def _fits(scenarios: Iterable[ModalScenario], names: Sequence[str], count: int, seed: int) -> tuple[Fits, list[Line]]:
+    """Return the fits by scenario and method, and a line for each method that cannot serve a scenario."""
     from bench.entrants.modal import make_modal
     from bench.modal.paths import TrackFit
 
-    track = modal_track()
-    fits: dict[tuple[str, str], list[TrackFit]] = {}
+    fits: Fits = {}
     refused: list[Line] = []
-    for name in names or track["methods"]:
-        n = track["replicates_by_method"].get(name, track["replicates"])
+    for name, of in product(names or modal_track()["methods"], scenarios):
+        title = name
         try:
             method = make_modal(name)
+            title = method.card.title
+            objection = method.objection(of.draw(seed, 0)[0])
         except InputError as error:
             if names:
                 raise
-            refused += [{"scenario": of.label, "method": name, "message": error.remedy} for of in scenarios]
-            continue
-        for of in scenarios:
-            if objection := method.objection(of.draw(seed, 0)[0]):
-                refused.append({"scenario": of.label, "method": method.card.title, "message": objection})
-            else:
-                replicates = range(n if most is None else min(n, most))
-                fits[of.label, method.card.title] = [TrackFit(of, name, i, seed) for i in replicates]
+            objection = error.remedy
+        if objection:
+            refused.append({"scenario": of.label, "method": title, "message": objection})
+        else:
+            fits[of.label, title] = [TrackFit(of, name, i, seed) for i in range(count)]
     return fits, refused
 
 
-def _lines(scenario: ModalScenario, fits: Mapping[str, Sequence[TrackFit]], store: Path) -> list[Line]:
-    """Return the lines of the bound and of each method, or one that says why a method has no scores."""
+def _scored(fits: Fits, scenario: str, store: Path) -> Iterator[Line]:
+    """Yield the lines of the bound and of each method on a scenario, or one that says why a method has no scores."""
     from bench.modal.bound import modal_bound
     from bench.modal.score import bound_scores, modal_scores
     from bench.reporting.tables.modal_table import BOUND
 
-    replicates = max(fits.values(), key=len, default=())
-    truths = [fit.scenario.draw(fit.seed, fit.replicate)[1] for fit in replicates]
+    mine = {title: tasks for (label, title), tasks in fits.items() if label == scenario}
+    truths = [task.scenario.draw(task.seed, task.replicate)[1] for task in next(iter(mine.values()), [])]
     bounds = [modal_bound(truth) for truth in truths]
     lines = [{"method": BOUND, **row} for row in bound_scores(bounds)] if bounds else []
-    for title, of_method in fits.items():
-        results = [fit.read(store) for fit in of_method]
-        n = len(results)
+    for title, tasks in mine.items():
+        results = [task.read(store) for task in tasks]
         if any(result and result["status"] == "ok" for result in results):
-            lines += [{"method": title, **row} for row in modal_scores(results, truths[:n], bounds[:n])]
+            lines += [{"method": title, **row} for row in modal_scores(results, truths, bounds)]
         else:
             said = Counter(result["message"] if result else "not run, or ended without a result" for result in results)
             lines.append({"method": title, "message": said.most_common(1)[0][0]})
-    return [{"scenario": scenario.label, **line} for line in lines]
+    yield from ({"scenario": scenario, **line} for line in lines)
