@@ -91,12 +91,15 @@ def modal_request_of(overrides: Overrides) -> ModalRequest:
     given = _joined(overrides)
     _check_single(given)
     for key in (key for key in given if key.partition(".")[0] not in MODAL and given[key] != [None]):
-        raise InputError(key, given[key][0], "it says nothing with modes=; leave one of the two out")
+        raise InputError(key, given[key][0], "does not go with modes=; leave one of the two out")
     settings = {key.removeprefix("method."): given.pop(key)[0] for key in list(given) if key.startswith("method.")}
     names = given.pop("method", [])
     names = list(registered_modal()) if names == [ALL] else names
     if settings and len(names) != 1:
         raise InputError(f"method.{next(iter(settings))}", next(iter(settings.values())), "with one method=")
+    for name in names:
+        if name not in registered_modal():
+            raise InputError("method", name, f"modes= takes modal methods: {', '.join(registered_modal())}, or all")
     config = config_from({group: {} for group in GROUPS} | {key: values[0] for key, values in given.items()})
     methods = {str(name): make_modal(name, settings) for name in names}
     return ModalRequest(

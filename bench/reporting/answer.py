@@ -14,6 +14,10 @@ from bench.reporting.rounding import decimals, number, readable, rounded
 Interval = Mapping[str, Any]
 
 
+MOST_LISTED = 4
+"""Modes that an answer lists in its first line."""
+
+
 class Grid(NamedTuple):
     """A table: headers, rows of text, and a class of style for each row or none."""
 
@@ -89,7 +93,11 @@ def _modes_text(modes: Sequence[Mapping[str, Any]]) -> str:
     pairs = [[uncertain_text(own) for own in _mode_intervals(mode)] for mode in modes]
     if any(mode["alias"] for mode in modes):
         return f"{' or '.join(f'{frequency} Hz' for frequency, _ in pairs)}: the sampling cannot distinguish them"
-    return f"{len(pairs)} modes: " + "; ".join(f"{f} Hz, damping ratio {ratio} %" for f, ratio in pairs)
+    if len(pairs) > MOST_LISTED:
+        return f"{len(pairs)} modes from {pairs[0][0]} to {pairs[-1][0]} Hz"
+    return f"{len(pairs)} mode{'s' * (len(pairs) > 1)}: " + "; ".join(
+        f"{f} Hz, damping ratio {ratio} %" for f, ratio in pairs
+    )
 
 
 def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:
@@ -133,7 +141,7 @@ def modes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
     """Tabulate the modes of a record with their intervals, and aliases; with amplitudes where they are known."""
     rows = []
     for mode in modes:
-        share = "alias" if mode["alias"] else f"{100 * mode['share']:.2g} % of the signal"
+        share = "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"
         rows.append([*map(uncertain_text, _mode_intervals(mode)), share])
         if "amplitude" in mode:
             rows[-1].append(_plus_minus(mode["amplitude"], mode["amplitude_high"] - mode["amplitude"]))
