@@ -197,13 +197,11 @@ def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float
         return Comparison(frequencies, measured, fitted[:, inside])
     s, shapes = 2j * np.pi * frequencies + data.window, np.stack([mode.shape for mode in modes], axis=1)
     poles = np.array([mode.pole for mode in modes])[:, None]
-    fitted = s ** DERIVATIVES[data.response] * (
-        shapes @ (1.0 / (s - poles)) + shapes.conj() @ (1.0 / (s - poles.conj()))
-    )
-    rest = s ** DERIVATIVES[data.response] * np.stack([1.0 / s**2, np.ones(s.size)])  # (2, lines)
-    rest = rest / np.linalg.norm(rest, axis=1, keepdims=True)
-    fitted = fitted + (np.linalg.lstsq(rest.T, (measured - fitted).T, rcond=None)[0].T @ rest)
-    return Comparison(frequencies, measured, fitted)
+    derivative = s ** DERIVATIVES[data.response]
+    fitted = derivative * (shapes @ (1.0 / (s - poles)) + shapes.conj() @ (1.0 / (s - poles.conj())))
+    rest = np.stack([derivative / s**2, derivative], axis=1)
+    rest = rest / np.linalg.norm(rest, axis=0)
+    return Comparison(frequencies, measured, fitted + (rest @ np.linalg.lstsq(rest, (measured - fitted).T)[0]).T)
 
 
 def _reasons(
@@ -218,9 +216,8 @@ def _reasons(
     apart = np.where(np.min([comparison.distance(mode) for mode in modes], axis=0) > NEAR, power, 0.0)
     share = float(np.sqrt(np.max(apart)))
     if share > SECOND_MODE and power.size * (1.0 - np.max(apart) / np.sum(power)) ** (power.size - 1) < LINE_LEVEL:
-        said = (
-            f"the residuals hold a line at {comparison.frequencies[np.argmax(apart)]:.4g} Hz, {share:.0%} of the signal"
-        )
+        frequency = comparison.frequencies[np.argmax(apart)]
+        said = f"the residuals hold a line at {frequency:.4g} Hz, {share:.0%} of the signal"
         yield Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{said}: modes={len(modes) + 1}, or a band=")
     elif left > MOST_LEFT:
         yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
@@ -228,7 +225,7 @@ def _reasons(
     over, left = comparison.near(worst)
     if over > UNEXPLAINED:
         said = f"near {_named(worst)} the residuals are {over:.2g} times the noise beside it, {left:.0%} of the motion"
-        why = "it decays otherwise, or another mode is close: intervals there are too narrow"
+        why = "another mode is close, it does not decay as a mode, or the start does not belong to it (from=)"
         yield Reason(Trust.NO if left > MOST_LEFT else Trust.CAUTION, f"{said}: {why}")
     for mode in modes:
         if mode.damping_ratio <= 0.0:

@@ -95,9 +95,8 @@ def _modes_text(modes: Sequence[Mapping[str, Any]]) -> str:
         return f"{' or '.join(f'{frequency} Hz' for frequency, _ in pairs)}: the sampling cannot distinguish them"
     if len(pairs) > MOST_LISTED:
         return f"{len(pairs)} modes from {pairs[0][0]} to {pairs[-1][0]} Hz"
-    return f"{len(pairs)} mode{'s' * (len(pairs) > 1)}: " + "; ".join(
-        f"{f} Hz, damping ratio {ratio} %" for f, ratio in pairs
-    )
+    text = "; ".join(f"{frequency} Hz, damping ratio {ratio} %" for frequency, ratio in pairs)
+    return f"{len(pairs)} modes: {text}" if len(pairs) > 1 else f"one mode: {text}"
 
 
 def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:

@@ -10,6 +10,7 @@ import numpy as np
 from bench.errors import InputError
 from bench.records.reading.headings import Column
 from bench.records.reading.table import ReadOptions, Table, slot
+from bench.records.reading.times import increments_summed
 from bench.records.reading.units import KNOWN, LETTERS, unit_of
 
 LETTER_OF: dict[str, str] = {quantity: letter for letter, quantity in LETTERS.items()}
@@ -136,6 +137,14 @@ class _Columns:
             raise self.error(which, listing=True)
         return times[0] if times else None
 
+    def _likely_time(self) -> int | None:
+        """Return the first column that grows or holds increments, for an example."""
+        for i in self.usable:
+            values = self[i].values
+            if np.all(np.diff(values) > 0) or increments_summed(values, self[i].header) is not None:
+                return i
+        return None
+
     def _group(self, letter: str, usable: Sequence[int]) -> list[int]:
         """Return the columns of one quantity: by their unit, or by their name where no unit stands with it.
 
@@ -178,8 +187,12 @@ class _Columns:
                 raise self.error(f"{remedy}, or keep it as it is with {self.example(time, i, letter)}")
         remedy = "a column of displacement, velocity or acceleration is needed"
         if usable:
-            example = self.example(time)
-            remedy = f"no unit says what a column measures; add e.g. {example}, and units= where the file has none"
+            clock = time if time is not None else self._likely_time()
+            liveliest = max(
+                (i for i in usable if i != clock), key=lambda i: float(np.nanstd(self[i].values)), default=None
+            )
+            example = self.example(clock, liveliest)
+            remedy = f"no unit says what a column measures; add e.g. {example} units=t:ms,x:mm with what they are in"
         raise self.error(remedy, listing=True)
 
     # what must hold of the roles
