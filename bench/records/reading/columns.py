@@ -138,12 +138,13 @@ class _Columns:
         return times[0] if times else None
 
     def _likely_time(self) -> int | None:
-        """Return the first column that grows or holds increments, for an example."""
+        """Return, for an example, the column whose steps are most alike, of those that grow or hold increments."""
+        steps = {}
         for i in self.usable:
-            values = self[i].values
-            if np.all(np.diff(values) > 0) or increments_summed(values, self[i].header) is not None:
-                return i
-        return None
+            grows = np.diff(self[i].values)
+            if np.all(grows > 0) or increments_summed(self[i].values, self[i].header) is not None:
+                steps[i] = grows if np.all(grows > 0) else self[i].values[1:]
+        return min(steps, key=lambda i: float(np.std(steps[i]) / np.mean(steps[i])), default=None)
 
     def _group(self, letter: str, usable: Sequence[int]) -> list[int]:
         """Return the columns of one quantity: by their unit, or by their name where no unit stands with it.
@@ -188,11 +189,10 @@ class _Columns:
         remedy = "a column of displacement, velocity or acceleration is needed"
         if usable:
             clock = time if time is not None else self._likely_time()
-            liveliest = max(
-                (i for i in usable if i != clock), key=lambda i: float(np.nanstd(self[i].values)), default=None
-            )
+            others = self.beside(clock) if clock is not None else []
+            liveliest = max(others, key=lambda i: float(np.nanstd(self[i].values)), default=None)
             example = self.example(clock, liveliest)
-            remedy = f"no unit says what a column measures; add e.g. {example} units=t:ms,x:mm with what they are in"
+            remedy = f"no unit says what a column measures; add e.g. {example} units=t:ms,x:mm as they are"
         raise self.error(remedy, listing=True)
 
     # what must hold of the roles
