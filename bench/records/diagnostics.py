@@ -207,7 +207,8 @@ def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Offer
             said = f"{second.share:.0%} of the signal is a harmonic at {ratio:.3g} times the natural frequency"
             return [Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear")], ()
         names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
-        return [Reason(reasons[0].verdict, f"the record holds modes at {names}; {reasons[0].text}")], modes
+        said = f"the record holds modes at {names}: add modes={len(modes)}; {reasons[0].text}"
+        return [Reason(reasons[0].verdict, said)], modes
     frequency = (natural_frequency(fit) or 0.0) / problem.natural_units().time
     rate = (channel.n - 1) / float(np.ptp(channel.times))
     if not rate / FEW_SAMPLES < frequency < rate or channel.n < 12:

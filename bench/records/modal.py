@@ -44,6 +44,8 @@ UNEXPLAINED = 2.0
 """Root mean square of the residuals near a mode over the noise beside it, beyond which the noise does not explain them:
 intervals that assume that noise are then as much too narrow."""
 FEW_CYCLES = 2.0
+ALIKE = 0.9
+"""Modal assurance criterion beyond which two shapes count as the same, as is usual; of one sensor it is 1."""
 REAL = 10.0
 """Degrees from 0 or 180 within which a part of a shape counts as in phase or opposed."""
 
@@ -153,9 +155,8 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     if estimate.status is not Status.OK or not modes:
         why = f"no answer ({estimate.status.value}): {estimate.message or 'no mode stands out of the noise'}"
         return replace(finding, reasons=(Reason(Trust.NO, why),))
-    for first, second in pairwise(modes):
-        if second.frequency - first.frequency < (first.bandwidth + second.bandwidth) / 2.0:
-            notes.append(f"the modes at {_named(first)} and {_named(second)} are close, nearer than their bandwidths")
+    for first, second in _close(modes):
+        notes.append(f"the modes at {_named(first)} and {_named(second)} are close, nearer than their bandwidths")
     comparison = compare(record, modes, problem.band)
     reasons = tuple(_reasons(record, modes, comparison, problem))
     return replace(finding, comparison=comparison, reasons=reasons, notes=(*record.notes, *notes))
@@ -219,14 +220,18 @@ def _reasons(
         frequency = comparison.frequencies[np.argmax(apart)]
         said = f"the residuals hold a line at {frequency:.4g} Hz, {share:.0%} of the signal"
         yield Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{said}: modes={len(modes) + 1}, or a band=")
-    elif left > MOST_LEFT:
-        yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
     worst = max(modes, key=lambda mode: comparison.near(mode)[0])
-    over, left = comparison.near(worst)
+    over, there = comparison.near(worst)
     if over > UNEXPLAINED:
-        said = f"near {_named(worst)} the residuals are {over:.2g} times the noise beside it, {left:.0%} of the motion"
+        said = f"near {_named(worst)} the residuals are {over:.2g} times the noise beside it, {there:.0%} of the motion"
         why = "another mode is close, it does not decay as a mode, or the start does not belong to it (from=)"
-        yield Reason(Trust.NO if left > MOST_LEFT else Trust.CAUTION, f"{said}: {why}")
+        yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{said}: {why}")
+    elif left > MOST_LEFT and share <= SECOND_MODE:
+        yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
+    for first, second in _close(modes):
+        if _likeness(first, second) > ALIKE:
+            said = f"the modes at {_named(first)} and {_named(second)} may be one that does not decay as a mode"
+            yield Reason(Trust.CAUTION, f"{said}: they are close and of the same shape")
     for mode in modes:
         if mode.damping_ratio <= 0.0:
             yield Reason(Trust.CAUTION, f"the mode at {_named(mode)} grows: its damping ratio is not positive")
@@ -238,6 +243,17 @@ def _reasons(
         yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")
     if (cycles := float(np.ptp(data.times)) * modes[0].frequency) < FEW_CYCLES:
         yield Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles of the mode at {_named(modes[0])}")
+
+
+def _close(modes: Sequence[Mode]) -> list[tuple[Mode, Mode]]:
+    """Return neighbours that are nearer than their half-power bandwidths."""
+    return [(a, b) for a, b in pairwise(modes) if b.frequency - a.frequency < (a.bandwidth + b.bandwidth) / 2.0]
+
+
+def _likeness(first: Mode, second: Mode) -> float:
+    """Compute the modal assurance criterion of two shapes (R. J. Allemang, Sound and Vibration 37(8):14, 2003)."""
+    product = np.abs(np.vdot(first.shape, second.shape)) / np.linalg.norm(first.shape) / np.linalg.norm(second.shape)
+    return float(product**2)
 
 
 def _chance_of_noise(mode: Mode, lines: int) -> float:

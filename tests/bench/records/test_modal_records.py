@@ -1,0 +1,146 @@
+"""Several modes of measured records: command, Python, verdict and errors, on records drawn by closed form."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bench
+from bench import FreeDecays, Mode
+from bench.commands.main import main
+from bench.records.modal import compare, motion
+from bench.records.modal_data import ModalRecord
+
+RATE, FIRST, SECOND = 200.0, (12.0, 0.01), (31.0, 0.02)
+T = np.arange(600) / RATE
+Waves = Sequence[tuple[float, float, float, float]]
+"""Natural frequency (Hz), damping ratio, amplitude and phase of each mode."""
+
+
+def wave(frequency: float, ratio: float, amplitude: float, phase: float = 0.0) -> np.ndarray:
+    rate = 2 * np.pi * frequency
+    return amplitude * np.exp(-ratio * rate * T) * np.cos(rate * np.sqrt(1 - ratio**2) * T + phase)
+
+
+def noise(size: float, seed: int) -> np.ndarray:
+    return size * np.random.default_rng(seed).standard_normal(T.size)
+
+
+def write(name: str, *channels: np.ndarray, heads: str = "x [mm]") -> None:
+    rows = "\n".join(",".join(f"{value:.7g}" for value in row) for row in zip(T, *channels, strict=True))
+    Path(name).write_text(f"t [s],{heads}\n{rows}\n")
+
+
+@pytest.fixture(autouse=True)
+def records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sensor; two, the second mode of which is opposed in the second; and noise alone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    write("one.csv", 0.5 + wave(*FIRST, 3.0) + wave(*SECOND, 1.0, 1.0) + noise(0.02, 0))
+    left = wave(*FIRST, 2.0) + wave(*SECOND, 2.0) + noise(0.02, 1)
+    right = wave(*FIRST, 1.0) - wave(*SECOND, 0.5) + noise(0.02, 2)
+    write("two.csv", left, right, heads="left [g],right [g]")
+    write("noise.csv", noise(1.0, 3))
+
+
+def answer(capsys: pytest.CaptureFixture[str], *fields: str, status: int = 0) -> dict[str, object]:
+    assert main([*fields, "format=json"]) == status
+    document: dict[str, object] = json.loads(capsys.readouterr().out)
+    return document
+
+
+@pytest.mark.parametrize("asked", ["auto", "2"])
+def test_two_modes_with_intervals_amplitudes_and_trust(asked: str, capsys: pytest.CaptureFixture[str]) -> None:
+    result = answer(capsys, "data=one.csv", f"modes={asked}")
+    assert result["trust"] == "trust"
+    for mode, (frequency, ratio), amplitude in zip(result["modes"], (FIRST, SECOND), (3.0, 1.0), strict=True):  # type: ignore[call-overload]
+        for name, true in (("frequency", frequency), ("damping_ratio", ratio), ("amplitude", amplitude)):
+            width = mode[f"{name}_high"] - mode[f"{name}_low"]
+            assert abs(mode[name] - true) < width  # two intervals wide: 4 standard errors
+            assert width < 0.1 * true
+    residuals = result["residuals"]
+    assert isinstance(residuals, dict)
+    assert residuals["rms"] == pytest.approx(0.02, rel=0.1)
+    assert residuals["offset"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_page_names_modes_number_and_verdict(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data=one.csv", "modes=auto", "picture=modes.svg", "plot=always"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("2 modes: 12.0")
+    assert "waves: trust" in out
+    assert "Bayesian information criterion" in out
+    assert "measured" in out
+    assert Path("modes.svg").read_text(encoding="utf-8").count(">frequency (Hz)<") == 1
+
+
+def test_sensors_are_all_columns_of_one_quantity_and_shapes_have_signs() -> None:
+    result = bench.identify("two.csv", modes="auto")
+    first, second = (mode.shape for mode in result.modes)
+    assert [part.sensor for part in first] == ["a1", "a2"]
+    for shape, true in ((first, 0.5), (second, -0.25)):
+        assert shape[0].ratio == 1.0
+        assert shape[1].ratio == pytest.approx(true, abs=2 * shape[1].half)
+        assert shape[1].half < 0.05
+    assert "-0.2" in repr(result)
+
+
+def test_a_band_holds_the_answer_and_the_comparison() -> None:
+    result = bench.identify("one.csv", modes=1, band=(5, 20))
+    (mode,) = result.modes
+    assert mode.frequency == pytest.approx(12.0, rel=1e-3)
+
+
+def test_a_mode_that_is_missing_is_named_and_noise_is_not_trusted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data=one.csv", "modes=1"]) in (0, 1)
+    assert "line at 31" in (out := capsys.readouterr().out)
+    assert "modes=2" in out
+    assert answer(capsys, "data=noise.csv", "modes=1", status=1)["trust"] == "do not trust"
+
+
+def test_a_record_of_one_mode_with_a_second_one_is_offered_modes(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["data=one.csv", "method=matrix_pencil", "format=json"])
+    assert any("add modes=2" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
+
+
+def test_a_decay_that_is_none_of_a_mode_is_not_trusted() -> None:
+    """The decay of dry friction is a line, not an exponential."""
+    ended = np.maximum(1.0 - T / 2.0, 0.0)
+    write("friction.csv", ended * np.cos(2 * np.pi * 12.0 * T) + noise(0.002, 4))
+    result = bench.identify("friction.csv", modes=1)
+    assert result.trust != "trust"
+    assert "near 11.95 Hz" in " ".join(result.reasons)
+
+
+def test_motion_and_its_spectrum_are_those_of_the_closed_form() -> None:
+    mode = Mode(*FIRST, 0.0, 0.0, np.array([3.0 * np.exp(0.4j)]), np.zeros(1))
+    data = FreeDecays(T + 7.0, (wave(*FIRST, 3.0, 0.4) + 2.0)[None])
+    assert motion(data, [mode], data.times)[0] == pytest.approx(wave(*FIRST, 3.0, 0.4))
+    comparison = compare(ModalRecord("", data, ("x",), ("m",), ()), [mode], (5.0, 50.0))
+    assert comparison.frequencies[[0, -1]] == pytest.approx([16 / 3, 50.0])  # lines are 1 / 3 s apart
+    assert np.max(comparison.power) < 1e-20
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        (["modes=0"], "modes=0: auto, or a number from 1 to 10"),
+        (["modes=eleven"], "modes=eleven: auto, or a number from 1 to 10"),
+        (["modes=2", "band=40:10"], "band=40:10: lower:upper in Hz, as 10:40"),
+        (["modes=2", "band=10:150"], "band=10:150: the frequencies of one.csv end at 100 Hz"),
+        (["modes=2", "system=duffing"], "system=duffing: does not go with modes="),
+        (["modes=2", "method=pinn"], "method=pinn: modes= takes modal methods: "),
+        (["method=ls", "band=10:40"], "band=10:40: it is for modes; add modes=auto"),
+        (["modes=2", "to=0.1"], "21 samples: at least 32 are needed for modes"),
+    ],
+)
+def test_what_makes_no_sense_is_said_in_a_line(
+    fields: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["data=one.csv", *fields]) == 2
+    assert said in (error := capsys.readouterr().err)
+    assert error.count("\n") == 1
