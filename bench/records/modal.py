@@ -155,15 +155,16 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     if estimate.status is not Status.OK or not modes:
         why = f"no answer ({estimate.status.value}): {estimate.message or 'no mode stands out of the noise'}"
         return replace(finding, reasons=(Reason(Trust.NO, why),))
-    for first, second in _close(modes):
-        notes.append(f"the modes at {_named(first)} and {_named(second)} are close, nearer than their bandwidths")
+    if close := _close(modes):
+        pairs = "; ".join(_named(*pair) for pair in close)
+        notes.append(f"modes that are close, nearer than their half-power bandwidths: {pairs}")
     comparison = compare(record, modes, problem.band)
     reasons = tuple(_reasons(record, modes, comparison, problem))
     return replace(finding, comparison=comparison, reasons=reasons, notes=(*record.notes, *notes))
 
 
-def _named(mode: Mode) -> str:
-    return f"{mode.frequency:.4g} Hz"
+def _named(*modes: Mode) -> str:
+    return f"{' and '.join(f'{mode.frequency:.4g}' for mode in modes)} Hz"
 
 
 # ------------------------------------------------------------------------------- what is left of the record
@@ -210,10 +211,8 @@ def _reasons(
 ) -> Iterator[Reason]:
     """Yield reasons for caution."""
     data, power, left = record.data, comparison.power, float(np.sqrt(np.sum(comparison.power)))
-    for mode in modes:
-        if (chance := _chance_of_noise(mode, power.size)) > NOISE_CHANCE:
-            grave = Trust.NO if len(modes) == 1 else Trust.CAUTION
-            yield Reason(grave, f"the mode at {_named(mode)} may be noise: p = {chance:.2g}")
+    if noise := [mode for mode in modes if _chance_of_noise(mode, power.size) > NOISE_CHANCE]:
+        yield Reason(Trust.NO if len(noise) == len(modes) else Trust.CAUTION, f"may be noise: {_named(*noise)}")
     apart = np.where(np.min([comparison.distance(mode) for mode in modes], axis=0) > NEAR, power, 0.0)
     share = float(np.sqrt(np.max(apart)))
     if share > SECOND_MODE and power.size * (1.0 - np.max(apart) / np.sum(power)) ** (power.size - 1) < LINE_LEVEL:
@@ -228,15 +227,12 @@ def _reasons(
         yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{said}: {why}")
     elif left > MOST_LEFT and share <= SECOND_MODE:
         yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
-    for first, second in _close(modes):
-        if _likeness(first, second) > ALIKE:
-            said = f"the modes at {_named(first)} and {_named(second)} may be one that does not decay as a mode"
-            yield Reason(Trust.CAUTION, f"{said}: they are close and of the same shape")
-    for mode in modes:
-        if mode.damping_ratio <= 0.0:
-            yield Reason(Trust.CAUTION, f"the mode at {_named(mode)} grows: its damping ratio is not positive")
-        elif 2.0 * mode.damping_ratio_sd > WIDE * mode.damping_ratio:
-            yield Reason(Trust.CAUTION, f"the damping ratio at {_named(mode)} is hardly known")
+    if alike := [pair for pair in _close(modes) if _likeness(*pair) > ALIKE]:
+        pairs = "; ".join(_named(*pair) for pair in alike)
+        said = "close and of one shape, so they may be one that does not decay as a mode"
+        yield Reason(Trust.CAUTION, f"{said}: {pairs}")
+    if wide := [mode for mode in modes if 2.0 * mode.damping_ratio_sd > WIDE * mode.damping_ratio]:
+        yield Reason(Trust.CAUTION, f"damping ratios are known to an order of magnitude at most: {_named(*wide)}")
     if not isinstance(data, FreeDecays):
         return
     if any(np.any(at_limit(values)) for values in data.values):

@@ -17,6 +17,7 @@ from bench.errors import InputError
 from bench.records.decimation import decimated
 from bench.records.forced import forced_motion, frequency_responses, has_force
 from bench.records.prepare import prepare
+from bench.records.problem import MAX_SAMPLES
 from bench.records.reading import Recording
 from bench.records.reading.files import read_file
 from bench.records.reading.recording import recordings_of
@@ -75,6 +76,9 @@ def _free_decays(recording: Recording) -> ModalRecord:
         common = " that all sensors have" if len(sensors) > 1 else ""
         remedy = f"{times.size} samples{common}: at least {LEAST_SAMPLES} are needed for modes"
         raise InputError("data", recording.source, remedy)
+    if times.size > MAX_SAMPLES:
+        remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to=, or fewer samples by decimate="
+        raise InputError("data", f"{recording.source}, {times.size} samples", remedy)
     values = np.stack([signal.values[np.isin(signal.times, times)] / signal.size for signal in sensors])
     roles, units = zip(*((signal.role, signal.written or signal.unit) for signal in sensors), strict=True)
     return ModalRecord(recording.source, FreeDecays(times, values), roles, units, recording.notes)
