@@ -28,7 +28,6 @@ from itertools import combinations
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import fftconvolve
-from scipy.special import digamma
 
 from bench.contract.estimate import Status
 from bench.contract.modal import (
@@ -45,7 +44,7 @@ from bench.contract.modal import (
 from bench.likelihood.least_squares import Linearisation, minimise
 from bench.modal.blows import force_windowed, touched
 
-FIRST, ITERATIONS = 10, 60
+FIRST, ITERATIONS = 5, 60
 """Trial steps of a search from every start, and from the best of them."""
 ROUNDING = 1e-7
 """Least noise, over the size of an output: less is rounding of the numbers."""
@@ -67,9 +66,10 @@ REAL_MODE = 10.0
 class Spectra:
     """Spectra of responses ``values`` (blocks, outputs, lines) and forces (blocks, lines) at ``s`` (lines,).
 
-    ``order``: how often the displacement is differentiated; ``pulses`` (blocks, n): the forces at multiples of
-    ``step``, none of frequency responses; ``force_errors`` (blocks,): mean square of the complex error of ``forces``;
-    ``variances`` (outputs, lines): relative, where they are given.
+    ``order``: how often the displacement is differentiated; ``pulses`` (blocks, n): the forces at times ``left`` (n,)
+    before the end of the record, sampled at ``step``; none of frequency responses; ``force_noise``: standard
+    deviation of the samples of the force within the pulses, zero is taken outside; ``variances`` (outputs, lines):
+    relative, where they are given.
     """
 
     s: np.ndarray
@@ -77,8 +77,9 @@ class Spectra:
     forces: np.ndarray
     order: int
     pulses: np.ndarray
+    left: np.ndarray
     step: float
-    force_errors: np.ndarray
+    force_noise: float
     variances: np.ndarray | None = None
 
     @staticmethod
@@ -91,19 +92,24 @@ class Spectra:
             variances = data.variances
             if variances is not None:
                 variances = uniform_filter1d(variances, NEIGHBOURS)[:, inside]
-            none = np.zeros((1, 0))
-            ones = np.ones((1, s.size), complex)
-            return Spectra(s, data.values[None, :, inside], ones, order, none, 1.0, np.zeros(1), variances)
+            values, ones, none = data.values[None, :, inside], np.ones((1, s.size), complex), np.zeros((1, 0))
+            return Spectra(s, values, ones, order, none, none[0], 1.0, 0.0, variances)
         hammer, n, step = touched(data.forces), data.forces.shape[1], data.step
         pulses = force_windowed(data).forces
-        errors = np.zeros(len(pulses))
-        if hammer is not None:
-            errors = np.count_nonzero(hammer, axis=1) * np.var(data.forces[~hammer]) * step**2
+        noise = 0.0 if hammer is None else float(np.std(data.forces[~hammer]))
         frequencies = np.fft.rfftfreq(n, step)
         inside = (frequencies >= low) & (frequencies <= high) & (frequencies > 0) & (frequencies < 0.5 / step)
         unwindowed = data.responses * np.exp(data.window * step * np.arange(n))
         values, forces = (step * np.fft.rfft(part)[..., inside] for part in (unwindowed, pulses))
-        return Spectra(2j * np.pi * frequencies[inside], values, forces, order, pulses, step, errors)
+        acts = np.any(pulses != 0.0, axis=0)
+        left = step * np.arange(n, 0, -1)[acts]
+        return Spectra(2j * np.pi * frequencies[inside], values, forces, order, pulses[:, acts], left, step, noise)
+
+    def force_errors(self, rates: np.ndarray) -> np.ndarray:
+        """Return variances (blocks, m) of the relative error of the forces' spectra, in phase, at ``rates`` (m,)."""
+        waves = np.exp(1j * rates[:, None] * self.left)
+        relative = waves / (self.pulses @ waves.T)[..., None]
+        return np.asarray(self.force_noise**2 * np.sum((self.pulses != 0.0)[:, None] * relative.real**2, axis=-1))
 
     def free(self, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return spectra (m, lines) of sampled free motions ``exp(pole t)`` without end, and their slopes by pole."""
@@ -115,9 +121,8 @@ class Spectra:
 
         The motion after the end of the record, free from ``x(T) = sum f(t) exp(pole (T - t)) step``, is taken off.
         """
-        d, n = self.order, self.pulses.shape[1]
+        d, left = self.order, self.left
         motion = (self.s**d * self.forces)[:, None] / (self.s - poles[:, None])
-        left = self.step * np.arange(n, 0, -1)
         waves = np.exp(poles[:, None] * left)
         end = self.step * self.pulses @ waves.T
         end_slope = poles**d * (self.step * self.pulses @ (left * waves).T) + d * poles ** max(d - 1, 0) * end
@@ -141,23 +146,25 @@ def stacked(values: np.ndarray) -> np.ndarray:
 class SpectralFit:
     """Modes of ``poles`` (m,) beside spectra, with the other factors of least squares.
 
-    ``noise`` (outputs, lines): mean square of the complex error; ``moving``: records do not start from rest.
+    The mean square of the complex error is ``colour`` (1 or outputs, lines) times ``level`` (outputs,); ``moving``:
+    records do not start from rest.
     """
 
     spectra: Spectra
-    noise: np.ndarray
+    colour: np.ndarray
+    level: np.ndarray
     poles: np.ndarray
     moving: bool = False
 
     @staticmethod
     def empty(spectra: Spectra) -> SpectralFit:
         """Return the fit of the residual terms alone."""
-        fit = SpectralFit(spectra, np.ones(spectra.values.shape[1:]), np.zeros(0, complex))
-        return replace(fit, noise=fit.noise_of_residuals())
+        outputs, lines = spectra.values.shape[1:]
+        return SpectralFit(spectra, np.ones((1, lines)), np.ones(outputs), np.zeros(0, complex)).with_noise()
 
     def whitened(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows (blocks, outputs or 1, k, lines) in standard deviations: (blocks, outputs, 2 lines, k)."""
-        return np.swapaxes(stacked(rows * np.sqrt(2.0 / self.noise)[:, None]), -1, -2)
+        """Return rows (blocks, outputs or 1, k, lines) with white noise of ``level``: (blocks, outputs, 2 lines, k)."""
+        return np.swapaxes(stacked(rows * np.sqrt(2.0 / self.colour)[:, None]), -1, -2)
 
     @cached_property
     def functions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +194,7 @@ class SpectralFit:
 
     @cached_property
     def projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """Orthonormal columns and triangle of the whitened basis, of each block and output."""
+        """Orthonormal columns and triangle of the whitened basis, of each block and colour."""
         q, r = np.linalg.qr(self.whitened(self.basis[:, None]))
         return q, r
 
@@ -231,26 +238,28 @@ class SpectralFit:
     @property
     def criterion(self) -> float:
         """The Bayesian information criterion with the best noise of these residuals."""
-        blocks, _, lines = self.spectra.values.shape
-        noise = self.noise_of_residuals() * self.degrees / (2 * blocks * lines)
-        return float(2 * blocks * np.sum(np.log(noise)) + self.unknowns * np.log(2 * blocks * lines))
+        blocks, outputs, lines = self.spectra.values.shape
+        count, fit = 2 * blocks * lines, self.with_noise()
+        logarithms = np.sum(np.log(fit.colour)) * outputs / len(fit.colour) + lines * np.sum(np.log(fit.level))
+        return float(
+            2 * blocks * logarithms + count * outputs * np.log(self.degrees / count) + self.unknowns * np.log(count)
+        )
 
-    def noise_of_residuals(self) -> np.ndarray:
-        """Return the mean square of the complex error: smooth over frequency, or as given, with the residuals' size.
+    def with_noise(self) -> SpectralFit:
+        """Return the fit with noise as the residuals have it: of a smooth colour for all outputs, or the given ones.
 
-        The logarithm of residuals' squares is a robust measure of the shape: the few lines of a mode that is still
-        missing hardly count. The mean over n blocks of squares has the expected logarithm ``digamma(n) - ln n``.
+        The logarithm of residuals' squares is a robust measure of the colour: the few lines of a mode that is still
+        missing hardly count.
         """
         spectra, blocks = self.spectra, len(self.spectra.values)
         floor = ROUNDING**2 * np.mean(np.abs(spectra.values) ** 2, axis=(0, 2))[:, None] + 1e-300
         squares = np.mean(np.abs(self.residuals) ** 2, axis=0) + floor
-        shape = spectra.variances
-        if shape is None:
+        colour = spectra.variances
+        if colour is None:
             x = np.log(np.abs(spectra.s))
             powers = np.vander((x - np.mean(x)) / (np.ptp(x) or 1.0), COLOUR + 1)
-            logarithms = np.log(squares).T - digamma(blocks) + np.log(blocks)
-            shape = np.exp(powers @ np.linalg.lstsq(powers, logarithms)[0]).T
-        return np.asarray(shape * np.sum(squares / shape, axis=1, keepdims=True) * 2.0 * blocks / self.degrees)
+            colour = np.exp(powers @ np.linalg.lstsq(powers, np.mean(np.log(squares), axis=0))[0])[None]
+        return replace(self, colour=colour, level=2.0 * blocks * np.sum(squares / colour, axis=1) / self.degrees)
 
     def refined(self, iterations: int = ITERATIONS) -> SpectralFit:
         """Return the fit of all poles, searched for from these, with the noise as it is."""
@@ -264,6 +273,7 @@ class SpectralFit:
             q, slopes = fit.projection[0], fit.slopes
             left = fit.whitened(fit.residuals[:, :, None])
             slopes = q @ (np.swapaxes(q, -1, -2) @ slopes) - slopes
+            left, slopes = (part / np.sqrt(self.level)[:, None, None] for part in (left, slopes))
             x = np.concatenate([real, imaginary])[None]
             return Linearisation.of(x, left.reshape(1, -1), slopes.reshape(1, -1, 2 * m))
 
@@ -275,7 +285,7 @@ class SpectralFit:
         """Return the fit with noise and poles to each other's liking."""
         fit = self.refined()
         for _ in range(2):
-            fit = replace(fit, noise=fit.noise_of_residuals()).refined()
+            fit = fit.with_noise().refined()
         return fit
 
     def longer(self) -> SpectralFit:
@@ -284,9 +294,8 @@ class SpectralFit:
         A mode that is still missing may pass for coloured noise, so white noise is tried as well. Blows may start from
         rest or not.
         """
-        white = replace(
-            self, noise=np.mean(np.abs(self.residuals) ** 2, axis=(0, 2))[:, None] * np.ones_like(self.noise)
-        )
+        level = np.mean(np.abs(self.residuals) ** 2, axis=(0, 2))
+        white = replace(self, colour=np.ones_like(self.colour[:1]), level=level)
         starts = [replace(fit, poles=np.append(self.poles, fit.largest())) for fit in (white, self)]
         for i, pole in enumerate(self.poles):
             apart = 1j * max(-pole.real, np.ptp(np.abs(self.spectra.s)) / self.spectra.s.size)
@@ -294,15 +303,18 @@ class SpectralFit:
         best = min((start.refined(FIRST) for start in starts), key=lambda fit: fit.criterion).settled()
         if self.spectra.pulses.shape[1] == 0:
             return best
-        return min(best, replace(best, moving=not best.moving).settled(), key=lambda fit: fit.criterion)
+        other = replace(best, moving=not best.moving).refined(FIRST)
+        return other.settled() if other.criterion < best.criterion else best
 
     def largest(self) -> complex:
         """Return the pole that explains most of the whitened residuals, on a grid of matched filters."""
         omega = np.abs(self.spectra.s)
         even = np.linspace(omega[0], omega[-1], omega.size)
         spacing = even[1] - even[0]
-        force = (self.spectra.forces * self.spectra.s**self.spectra.order)[:, None] / np.sqrt(self.noise)
-        products = np.stack([np.interp(even, omega, row) for row in self._rows(force)])
+        noise = np.sqrt(self.colour * self.level[:, None])
+        force = (self.spectra.forces * self.spectra.s**self.spectra.order)[:, None] / noise
+        rows = (np.conj(force) * self.residuals / noise).reshape(-1, omega.size)
+        products = np.stack([np.interp(even, omega, row) for row in rows])
         weights = np.interp(even, omega, np.sum(np.abs(force) ** 2, axis=(0, 1)))
         best, most = 0j, -1.0
         for rate in np.geomspace(0.5 * spacing, np.ptp(omega) / 8.0, DECAYS):
@@ -314,10 +326,6 @@ class SpectralFit:
                 most, best = float(np.max(gain)), complex(-rate, even[int(np.argmax(gain))])
         return best
 
-    def _rows(self, force: np.ndarray) -> np.ndarray:
-        rows = np.conj(force) * self.residuals / np.sqrt(self.noise)
-        return rows.reshape(-1, rows.shape[-1])
-
     def modes(self) -> tuple[Mode, ...]:
         """Return the modes in order of frequency, with standard errors from the Fisher information.
 
@@ -327,15 +335,14 @@ class SpectralFit:
         m, spectra = self.poles.size, self.spectra
         (q, r), slopes, size = self.projection, self.slopes, self.functions[0].shape[2]
         along = np.swapaxes(q, -1, -2) @ slopes
-        across = (slopes - q @ along).reshape(-1, 2 * m)
+        across = ((slopes - q @ along) / np.sqrt(self.level)[:, None, None]).reshape(-1, 2 * m)
         covariance = np.linalg.pinv(across.T @ across, hermitian=True)
         inverse = np.linalg.pinv(r)
         places = np.array([np.arange(m), size + np.arange(m)])
-        own = np.mean(np.sum(inverse**2, axis=-1)[..., places], axis=-2)
+        own = np.mean(np.sum(inverse**2, axis=-1)[..., places], axis=-2) * self.level[:, None]
         by_pole = (inverse @ along)[..., places, :]
         residues = self.residues[..., :m]
-        lines = np.argmin(np.abs(np.abs(spectra.s)[:, None] - self.poles.imag), axis=0)
-        force_part = spectra.force_errors[:, None] / (2.0 * np.abs(spectra.forces[:, lines]) ** 2)
+        force_part = spectra.force_errors(self.poles.imag)
         first = np.sum(residues / own, axis=0) / np.sum(1.0 / own, axis=0)
         blow = own + np.abs(first) ** 2 * force_part[:, None]
         weights = 1.0 / blow / np.sum(1.0 / blow, axis=0)
