@@ -17,7 +17,16 @@ from itertools import pairwise
 import numpy as np
 
 from bench.contract.estimate import Status
-from bench.contract.modal import DERIVATIVES, Blows, FreeDecays, ModalEstimate, ModalIdentifier, ModalProblem, Mode
+from bench.contract.modal import (
+    DERIVATIVES,
+    MOST_MODES,
+    Blows,
+    FreeDecays,
+    ModalEstimate,
+    ModalIdentifier,
+    ModalProblem,
+    Mode,
+)
 from bench.entrants.modal import make_modal
 from bench.likelihood.autoregression import even_times
 from bench.modal.averages import averages
@@ -25,7 +34,6 @@ from bench.records.colour import autocorrelation
 from bench.records.diagnostics import MOST_LEFT, SECOND_MODE, WIDE
 from bench.records.modal_data import ModalRecord
 from bench.records.modes import LINE_LEVEL, OfferedMode
-from bench.records.reading.units import MEASURES
 from bench.records.request import ModalRequest
 from bench.records.response import A_CYCLE, FEWEST, MOST, ChannelResiduals, ChannelResponse, Response
 from bench.records.saturation import at_limit
@@ -164,7 +172,7 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
 
 
 def _named(*modes: Mode) -> str:
-    return f"{' and '.join(f'{mode.frequency:.4g}' for mode in modes)} Hz"
+    return f"{', '.join(f'{mode.frequency:.4g}' for mode in modes)} Hz"
 
 
 # ------------------------------------------------------------------------------- what is left of the record
@@ -210,6 +218,11 @@ def _reasons(
     record: ModalRecord, modes: Sequence[Mode], comparison: Comparison, problem: ModalProblem
 ) -> Iterator[Reason]:
     """Yield reasons for caution."""
+    if problem.count is None and len(modes) == MOST_MODES:
+        said = (
+            f"{MOST_MODES} modes are as many as are sought: what is there is no sum of modes, or too much for one fit"
+        )
+        yield Reason(Trust.NO, f"{said}; leave a start-up out by from=, choose a band= or a number of modes=")
     data, power, left = record.data, comparison.power, float(np.sqrt(np.sum(comparison.power)))
     if noise := [mode for mode in modes if _chance_of_noise(mode, power.size) > NOISE_CHANCE]:
         yield Reason(Trust.NO if len(noise) == len(modes) else Trust.CAUTION, f"may be noise: {_named(*noise)}")
@@ -282,6 +295,8 @@ def _shaped(mode: Mode, quantile: float, record: ModalRecord) -> ShapedMode:
         parts.append(
             Component(channel, part.real if in_line else abs(part), quantile * error, 0.0 if in_line else phase)
         )
+    if not isinstance(record.data, FreeDecays):
+        size = math.nan
     return ShapedMode(
         f, f - half, f + half, ratio, ratio - ratio_half, ratio + ratio_half, mode.share, False,
         size, size - size_half, size + size_half, record.units[largest], tuple(parts),
@@ -313,5 +328,5 @@ def modal_response(finding: ModalFinding) -> Response | None:
         n = int(np.clip(A_CYCLE * modes[-1].frequency * np.ptp(times), FEWEST, MOST))
         even = np.linspace(times[0], times[-1], n)
         fit = ChannelResponse(even, motion(data, modes, even)[0] + residuals.offset, residuals)
-    frequency, measures = strongest_frequency(times, values), MEASURES[record.channels[0][0]]
-    return Response(finding.method, finding.trust, measures, record.units[0], times, values, frequency, fit)
+    frequency = strongest_frequency(times, values)
+    return Response(finding.method, finding.trust, record.channels[0], record.units[0], times, values, frequency, fit)

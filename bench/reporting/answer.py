@@ -63,7 +63,7 @@ def uncertain_text(interval: Interval) -> str:
     value, low, high = (interval[end] for end in ("value", "low", "high"))
     text, places, half = rounded(value, low, high)[0], decimals(low, high), 0.5 * (high - low)
     if math.isnan(half):
-        return text
+        return f"{value + 0.0:.4g}"  # adding zero: no -0
     if places is None or "e" in text or round(abs(high + low - 2 * value) * 10.0**places) > 1:
         return f"{text} ({ends_text(interval)})"
     return f"{text} ± {half:.{max(places, 0)}f}"
@@ -142,11 +142,12 @@ def modes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
     for mode in modes:
         share = "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"
         rows.append([*map(uncertain_text, _mode_intervals(mode)), share])
-        if "amplitude" in mode:
+        if math.isfinite(mode.get("amplitude", math.nan)):
             rows[-1].append(_plus_minus(mode["amplitude"], mode["amplitude_high"] - mode["amplitude"]))
-    units = ", ".join(dict.fromkeys(mode["amplitude_unit"] for mode in modes if "amplitude" in mode))
-    headers = ("Mode (Hz), 95 %", "Damping ratio (%), 95 %", "Share", f"Amplitude ({units}), 95 %")
-    return Grid(headers if units else headers[:-1], rows)
+    sized = [mode["amplitude_unit"] for mode in modes if math.isfinite(mode.get("amplitude", math.nan))]
+    units = ", ".join(filter(None, dict.fromkeys(sized)))
+    headers = ("Mode (Hz), 95 %", "Damping ratio (%), 95 %", "Share", f"Amplitude{units and f' ({units})'}, 95 %")
+    return Grid(headers if sized else headers[:-1], rows)
 
 
 def shapes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:

@@ -178,6 +178,8 @@ class _Columns:
     def _only_one(self, usable: Sequence[int], time: int | None) -> dict[str, int]:
         """Return the single column there is, where units= names the one role it can have."""
         asked = [role for role in self.options.units if role != "t"]
+        if len(usable) == 1 and self.options.sensors and not asked:
+            return {"x": usable[0]}
         if len(usable) == 1 and len(asked) == 1 and not self[usable[0]].label:
             return {asked[0]: usable[0]}
         for i in usable:
@@ -228,7 +230,7 @@ class _Columns:
         Its label is then the SI unit. A label that is no known unit is kept only where columns= names the column.
         """
         column, quantity, given = self[i], LETTERS[role[0]], self.options.unit(role)
-        keeps = bool(self.options.columns) and quantity != "time"
+        keeps = bool(self.options.columns or self.options.sensors) and quantity != "time"
         said = column.unit.measures if column.unit else column.says
         if said in LETTER_OF and said != quantity:
             remedy = f"column {self.shown(i)} measures {said}, not {quantity}; take it as {LETTER_OF[said]}"
@@ -244,7 +246,7 @@ class _Columns:
             notes.append(f"{role} is taken in {given}, as units= says; its header says {column.label}")
         label = given or column.label
         if unit is None:
-            return replace(column, label=label) if label and keeps else None
+            return replace(column, label=label) if keeps and (label or self.options.sensors) else None
         size = 1.0 if quantity == "time" else unit.size
         return replace(column, values=column.values * size, unit=unit, label=unit.symbol, written=label)
 

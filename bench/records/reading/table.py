@@ -35,7 +35,7 @@ class ReadOptions:
         end: keep up to here
         decimate: keep every n-th sample, after a low-pass filter
         detrend: take the drift of the sensors away; by default where it is significant
-        sensors: several columns of one quantity are sensors of one motion, and not to be chosen from
+        sensors: several columns of one quantity are sensors of one motion, and in any unit or none
 
     Raises:
         InputError: a role that does not exist or is given twice, or a number that cannot be meant.

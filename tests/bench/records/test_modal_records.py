@@ -144,3 +144,9 @@ def test_what_makes_no_sense_is_said_in_a_line(
     assert main(["data=one.csv", *fields]) == 2
     assert said in (error := capsys.readouterr().err)
     assert error.count("\n") == 1
+
+
+def test_one_channel_in_any_unit_needs_no_words() -> None:
+    write("sound.csv", wave(*FIRST, 3.0) + noise(0.02, 5), heads="mic [Pa]")
+    (mode,) = bench.identify("sound.csv", modes="auto").modes
+    assert (mode.amplitude_unit, mode.shape) == ("Pa", ())
