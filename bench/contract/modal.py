@@ -97,6 +97,16 @@ class Mode:
     shape_sd: np.ndarray
     share: float = float("nan")
 
+    @staticmethod
+    def of_pole(
+        pole: complex, covariance: np.ndarray, shape: np.ndarray, shape_sd: np.ndarray, share: float = float("nan")
+    ) -> Mode:
+        """Return the mode of a pole (1/s) whose real and imaginary parts have this covariance, shape (2, 2)."""
+        real, imaginary, rate = float(pole.real), float(pole.imag), float(abs(pole))
+        by = np.array([[real / rate, imaginary / rate], [-(imaginary**2) / rate**3, real * imaginary / rate**3]])
+        rate_sd, ratio_sd = (float(sd) for sd in np.sqrt(np.diag(by @ covariance @ by.T)))
+        return Mode(rate / (2 * np.pi), -real / rate, rate_sd / (2 * np.pi), ratio_sd, shape, shape_sd, share)
+
     @property
     def pole(self) -> complex:
         """Pole (1/s) in the upper half plane."""

@@ -353,17 +353,11 @@ class SpectralFit:
         whole = np.linalg.norm(spectra.values) or 1.0
         modes = []
         for i, pole in enumerate(self.poles):
-            rate = abs(pole)
-            by = np.array([[pole.real / rate, pole.imag / rate], [-(pole.imag**2), pole.real * pole.imag] / rate**3])
-            sds = np.sqrt(np.diag(by @ covariance[np.ix_([i, m + i], [i, m + i])] @ by.T))
             motion = residues[..., i, None] * self.functions[0][0][:, None, i]
             motion = motion + residues[..., i, None].conj() * self.functions[0][1][:, None, i]
-            modes.append(
-                Mode(
-                    rate / (2 * np.pi), float(-pole.real / rate), float(sds[0]) / (2 * np.pi), float(sds[1]),
-                    shapes[:, i], shape_sd[:, i], float(np.linalg.norm(motion) / whole),
-                )
-            )  # fmt: skip
+            share = float(np.linalg.norm(motion) / whole)
+            pair = np.ix_([i, m + i], [i, m + i])
+            modes.append(Mode.of_pole(pole, covariance[pair], shapes[:, i], shape_sd[:, i], share))
         return tuple(sorted(modes, key=lambda mode: mode.frequency))
 
 

@@ -12,7 +12,7 @@ then the number is judged with the noise's coefficients counted, so that a hump 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,18 @@ ITERATIONS, FIRST_ITERATIONS = 60, 12
 """Steps of a search at most, and of one whose outcome is only compared with others."""
 ROUNDING = 1e-7
 """Least noise, over the size of a channel: less is rounding of the numbers."""
+MOST_GROWTH = 3.0
+"""Largest exponent of a wave: a search may try more on its way."""
+POWERS = (1, 2, -1)
+"""Powers of the amplitude by which frequency and damping may change: those of a spring, a drag and dry friction."""
+CLEAR = 10.0
+"""Difference of the criterion that is very strong evidence (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773,
+1995): by so much two modes must be better than one whose frequency and damping change with its amplitude."""
+HARMONICS, HARMONIC = (2, 3), 0.05
+"""Multiples of a changing frequency, and distance from one, relative, within which a wave is its harmonic."""
+RESOLVED, BESIDE = 0.25, 0.25
+"""Least distance of two modes, in cycles over the record; and least distance from a bent one, over its frequency."""
+
 DECAYS = 8
 """Decay rates of the search for a further mode, in equal ratios."""
 
@@ -34,13 +46,17 @@ DECAYS = 8
 class WaveFit:
     """Damped waves beside samples ``values`` (channels, n) at ``times`` (n,) from 0 on, with shapes of least squares.
 
-    ``noises``: by which the misfit is whitened, one a channel; ``poles`` (m,): complex, in 1/s.
+    ``noises``: by which the misfit is whitened, one a channel; ``poles`` (m,): complex, in 1/s. One mode may be
+    ``bent``, its frequency and damping changing with its amplitude: the exponent has the terms ``bends`` (2,) beside.
     """
 
     times: np.ndarray
     values: np.ndarray
     noises: tuple[Autoregression, ...]
     poles: np.ndarray
+    bent: int | None = None
+    bends: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+    curves: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @staticmethod
     def empty(times: np.ndarray, values: np.ndarray) -> WaveFit:
@@ -56,7 +72,10 @@ class WaveFit:
     @cached_property
     def waves(self) -> np.ndarray:
         """``exp(pole t)``, shape (m, n)."""
-        return np.exp(self.poles[:, None] * self.times)
+        exponents = self.poles[:, None] * self.times
+        if self.bent is not None:
+            exponents[self.bent] += self.bends @ self.curves
+        return np.exp(np.minimum(exponents.real, MOST_GROWTH) + 1j * exponents.imag)
 
     @cached_property
     def basis(self) -> np.ndarray:
@@ -89,18 +108,20 @@ class WaveFit:
 
     @property
     def slopes(self) -> np.ndarray:
-        """Whitened derivatives (channels, n, 2 m) of the motion by real and imaginary parts of the poles."""
-        moving = self.shapes[:, :, None] * (self.times * self.waves)
+        """Whitened derivatives (channels, n, size) of the motion by real and imaginary parts of poles and bends."""
+        waves = self.shapes[:, :, None] * self.waves
+        moving = waves * self.times
+        if self.bent is not None:
+            moving = np.concatenate([moving, waves[:, self.bent, None] * self.curves], axis=1)
         return np.swapaxes(self.whitened(np.concatenate([moving.real, -moving.imag], axis=1)), 1, 2)
 
     def criterion(self, coloured: bool = True) -> float:
         """Return the Bayesian information criterion with the best noise of these residuals."""
-        n, m = self.times.size, self.poles.size
+        n = self.times.size
         floors = (ROUNDING * np.std(self.values, axis=1)) ** 2 + 1e-300
         noises = self._noises(used=False) if coloured else self.white().noises
         sizes = [n * np.log(noise.variance + floor) for noise, floor in zip(noises, floors, strict=True)]
-        unknowns = 2 * m + self.values.shape[0] * (2 * m + 1) + sum(noise.order for noise in noises)
-        return float(sum(sizes) + unknowns * np.log(n))
+        return float(sum(sizes) + (self.unknowns + sum(noise.order for noise in noises)) * np.log(n))
 
     def _noises(self, used: bool = True) -> tuple[Autoregression, ...]:
         """Return the noises of the residuals; ``used``: they are smaller than the noise by what the fit has spent."""
@@ -119,19 +140,26 @@ class WaveFit:
         fastest = np.pi * (self.times.size - 1) / self.times[-1]
         slowest = 0.5 * np.pi / self.times[-1]
 
+        count = m + self.bends.size
+
         def evaluate(_: np.ndarray, unknowns: np.ndarray) -> Linearisation:
-            real, imaginary = unknowns[0, :m], unknowns[0, m:]
-            poles = np.clip(real, -fastest, 0.0) + 1j * np.clip(imaginary, slowest, fastest)
-            fit = replace(self, poles=poles)
+            real, imaginary = unknowns[0].reshape(2, count)
+            poles = np.clip(real[:m], -fastest, 0.0) + 1j * np.clip(imaginary[:m], slowest, fastest)
+            fit = replace(self, poles=poles, bends=real[m:] + 1j * imaginary[m:])
             q, slopes = fit.projection[0], fit.slopes
             left = fit.whitened(fit.residuals[:, None])[:, 0]
             slopes = q @ (np.swapaxes(q, 1, 2) @ slopes) - slopes
-            x = np.concatenate([poles.real, poles.imag])[None]
-            return Linearisation.of(x, left.reshape(1, -1), slopes.reshape(1, -1, 2 * m))
+            x = np.concatenate([poles.real, real[m:], poles.imag, imaginary[m:]])[None]
+            return Linearisation.of(x, left.reshape(1, -1), slopes.reshape(1, -1, 2 * count))
 
-        start = evaluate(np.zeros(1), np.concatenate([self.poles.real, self.poles.imag])[None])
-        x = minimise(evaluate, start, iterations).at.unknowns[0]
-        return replace(self, poles=x[:m] + 1j * x[m:])
+        first = np.append(self.poles, self.bends)
+        start = evaluate(np.zeros(1), np.concatenate([first.real, first.imag])[None])
+        real, imaginary = minimise(evaluate, start, iterations).at.unknowns[0].reshape(2, count)
+        return replace(
+            self,
+            poles=real[:m] + 1j * imaginary[:m],
+            bends=real[m:] + 1j * imaginary[m:],
+        )
 
     def settled(self) -> WaveFit:
         """Return the fit with noise and poles to each other's liking."""
@@ -151,13 +179,40 @@ class WaveFit:
         leaves no line beside it.
         """
         fit = self if coloured else self.white()
-        starts = [np.append(self.poles, fit.largest_wave())]
+        starts = [replace(fit, poles=np.append(self.poles, fit.largest_wave()))]
         for i, pole in enumerate(self.poles):
-            apart = 1j * max(-pole.real, 2.0 / self.times[-1])
-            starts.append(np.append(np.delete(self.poles, i), [pole - apart, pole + apart]))
-        fits = (replace(fit, poles=poles).refined(FIRST_ITERATIONS) for poles in starts)
-        best = min(fits, key=lambda fit: fit.criterion(coloured))
+            if i != self.bent:
+                apart = 1j * max(-pole.real, 2.0 / self.times[-1])
+                poles = np.append(self.poles, pole + apart)
+                poles[i] = pole - apart
+                starts.append(replace(fit, poles=poles))
+        if self.bent is None and self.poles.size:
+            starts.append(fit.with_bend())
+        fits = [start.refined(FIRST_ITERATIONS) for start in starts]
+        best = min(fits, key=lambda fit: (not fit.plausible, fit.criterion(coloured) - (fit.bent is not None) * CLEAR))
         return best.settled() if coloured else best.refined()
+
+    @property
+    def plausible(self) -> bool:
+        """Return whether no two modes are at one frequency, as friction would show them, nor one beside a bent one."""
+        rates = self.poles.imag
+        apart = np.abs(rates[:, None] - rates) + np.diag(np.full(rates.size, np.inf))
+        beside = np.inf if self.bent is None else np.min(apart[self.bent]) / rates[self.bent]
+        return bool(np.min(apart, initial=np.inf) > 2 * np.pi * RESOLVED / self.times[-1] and beside > BESIDE)
+
+    def with_bend(self) -> WaveFit:
+        """Return the fit with its strongest mode bent.
+
+        Where frequency and damping change a little with the amplitude ``a = exp(-rate t)``, averaging gives terms of
+        the exponent in powers of it (A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, section 2.3).
+        They are taken about their line of least squares, so that the pole stays that of the mean.
+        """
+        size = np.sum(np.linalg.norm(self.shapes[:, :, None] * self.waves, axis=2), axis=0)
+        bent = int(np.argmax(size))
+        decays = np.minimum(max(-self.poles[bent].real, 1.0 / self.times[-1]) * self.times, MOST_GROWTH * 2)
+        curves = [np.exp(-power * decays) for power in POWERS]
+        lines = [np.polynomial.Polynomial.fit(self.times, curve, 1, w=np.exp(-decays))(self.times) for curve in curves]
+        return replace(self, bent=bent, bends=np.zeros(len(POWERS), complex), curves=np.array(curves) - lines)
 
     def largest_wave(self) -> complex:
         """Return the pole of the wave that explains most of the whitened residuals, on a grid of matched filters."""
@@ -176,12 +231,13 @@ class WaveFit:
 
     @property
     def unknowns(self) -> int:
-        return 2 * self.poles.size + self.values.shape[0] * (2 * self.poles.size + 1)
+        return 2 * (self.bends.size + self.poles.size) + self.values.shape[0] * (2 * self.poles.size + 1)
 
     def modes(self) -> tuple[Mode, ...]:
         """Return the modes in order of frequency, with standard errors from the Fisher information."""
         m = self.poles.size
         (q, r), slopes = self.projection, self.slopes
+        half = slopes.shape[2] // 2
         along = np.swapaxes(q, 1, 2) @ slopes
         across = slopes - q @ along
         covariance = np.linalg.pinv(np.einsum("cni,cnj->ij", across, across), hermitian=True)
@@ -192,16 +248,9 @@ class WaveFit:
         size = np.linalg.norm(self.values - np.mean(self.values, axis=1, keepdims=True)) or 1.0
         modes = []
         for i, pole in enumerate(self.poles):
-            rate, places = abs(pole), [i, m + i]
-            by = np.array([[pole.real / rate, pole.imag / rate], [-(pole.imag**2), pole.real * pole.imag] / rate**3])
-            sds = np.sqrt(np.diag(by @ covariance[np.ix_(places, places)] @ by.T))
-            share = np.linalg.norm((self.shapes[:, i, None] * self.waves[i]).real) / size
-            modes.append(
-                Mode(
-                    rate / (2 * np.pi), float(-pole.real / rate), float(sds[0]) / (2 * np.pi), float(sds[1]),
-                    self.shapes[:, i], shape_sd[:, i], float(share),
-                )
-            )  # fmt: skip
+            share = float(np.linalg.norm((self.shapes[:, i, None] * self.waves[i]).real) / size)
+            places = np.ix_([i, half + i], [i, half + i])
+            modes.append(Mode.of_pole(pole, covariance[places], self.shapes[:, i], shape_sd[:, i], share))
         return tuple(sorted(modes, key=lambda mode: mode.frequency))
 
 
@@ -224,9 +273,10 @@ class Waves(ModalIdentifier):
         fit = WaveFit.empty(data.times, np.atleast_2d(data.values))
         most = problem.count or MOST_MODES
         fits = [fit]
-        while len(fits) <= most and fit.times.size > 4 * fits[-1].unknowns:
+        while fits[-1].poles.size < most and fit.times.size > 4 * fits[-1].unknowns:
             longer = fits[-1].longer(coloured=False)
-            if problem.count is None and longer.criterion(False) >= fits[-1].criterion(False):
+            gain = fits[-1].criterion(False) - longer.criterion(False)
+            if problem.count is None and not (gain > 0 and longer.plausible):
                 break
             fits.append(longer)
         fit, decided = fits.pop().settled(), ""
@@ -236,13 +286,21 @@ class Waves(ModalIdentifier):
             while fit.poles.size < MOST_MODES:
                 longer = fit.longer(coloured=True)
                 gain = fit.criterion() - longer.criterion()
-                if gain <= 0:
+                if not (gain > 0 and longer.plausible):
                     decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
                     break
                 fit = longer
         low, high = problem.band or (0.0, np.inf)
         modes = tuple(mode for mode in fit.modes() if low <= mode.frequency <= high)
+        changes = ""
+        if fit.bent is not None:
+            bent = float(abs(fit.poles[fit.bent])) / (2 * np.pi)
+            changes = f"; frequency or damping of the mode at {bent:.4g} Hz change with its amplitude"
+            if problem.count is None:
+                linear = [m for m in modes if all(abs(m.frequency / bent / k - 1) > HARMONIC for k in HARMONICS)]
+                changes += ", and its harmonics are left out" if len(linear) < len(modes) else ""
+                modes = tuple(linear)
         if not modes:
-            return ModalEstimate((), status=Status.DIVERGED, message="no mode there")
-        message = f"{len(modes)} modes{decided or ', as asked'}"
+            return ModalEstimate((), status=Status.DIVERGED, message="no mode stands out of the noise there")
+        message = f"{len(modes)} mode{'s'[: len(modes) - 1]}{decided or ', as asked'}{changes}"
         return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message=message)

@@ -11,7 +11,7 @@ from bench.likelihood.autoregression import even_times
 from bench.records.colour import autocorrelation
 from bench.records.intervals import StatedInterval
 from bench.records.linearised import Linearised
-from bench.records.modes import OfferedMode, alias_of, line, modes_of
+from bench.records.modes import OfferedMode, alias_of, modes_of
 from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
@@ -38,9 +38,13 @@ MOST_OUTLIERS = 0.05
 OUTLIERS = "samples are far off"
 SECOND_MODE = 0.05
 """Root mean square of a line in the residuals over the fitted motion that is said: below it the values move little."""
+LINE_LEVEL = 1e-6
+"""Chance that white noise has such a line: far below that of a false alarm in a life of records."""
+BEGINNINGS, LEAST_BEGINNING = (1, 4, 16), 100
+"""Parts of the record in whose beginning lines are sought, and the least samples there."""
 SAME_LINE = 0.15
 """Distance of a line from the natural frequency, relative, within which it is what the decay law leaves out."""
-HARMONIC = 0.005
+HARMONIC = 0.01
 """Distance of a ratio of two frequencies from a whole number, relative, within which the second is a harmonic."""
 SLOW = 0.5
 """Frequency of a line over the natural one below which it is a drift."""
@@ -199,13 +203,16 @@ def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Offer
         return reasons, ()
     if is_mode:
         modes = modes_of(channel.times, channel.values)
-        if len(modes) < 2:
+        pair = modes_of(channel.times, channel.values, count=2)
+        if len(pair) < 2:
             return reasons, ()
-        first, second = modes[:2]
+        first, second = pair
         ratio = max(first.frequency / second.frequency, second.frequency / first.frequency)
-        if abs(ratio / round(ratio) - 1.0) < HARMONIC:
+        if round(ratio) > 1 and abs(ratio / round(ratio) - 1.0) < HARMONIC:
             said = f"{second.share:.0%} of the signal is a harmonic at {ratio:.3g} times the natural frequency"
             return [Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear")], ()
+        if len(modes) < 2:
+            return reasons, ()
         names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
         said = f"the record holds modes at {names}: add modes={len(modes)}; {reasons[0].text}"
         return [Reason(reasons[0].verdict, said)], modes
@@ -213,7 +220,7 @@ def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Offer
     rate = (channel.n - 1) / float(np.ptp(channel.times))
     if not rate / FEW_SAMPLES < frequency < rate or channel.n < 12:
         return reasons, ()
-    modes = modes_of(channel.times, channel.values, most=1)
+    modes = modes_of(channel.times, channel.values, count=1)
     alias = alias_of(modes[0], channel.times) if modes else None
     if alias is None:
         return reasons, ()
@@ -240,6 +247,29 @@ def _line(fit: Linearised) -> tuple[list[Reason], bool]:
     return [], False
 
 
+def line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Return frequency (1/time) and root mean square, over that of the values, of a significant line; 0 if none is.
+
+    By the test of R. A. Fisher, Proc. R. Soc. A 125:54, 1929.
+
+    It is sought in the whole record and in its beginning, where a mode that soon dies out is seen better.
+    """
+    parts = [slice(0, times.size // part) for part in BEGINNINGS if times.size // part >= LEAST_BEGINNING or part == 1]
+    return max((_part_line(times[part], residuals[part], values[part]) for part in parts), key=lambda line: line[1])
+
+
+def _part_line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    even = np.interp(np.linspace(times[0], times[-1], times.size), times, residuals)
+    power = np.abs(np.fft.rfft(even - np.mean(even))[1:]) ** 2
+    total, size = float(np.sum(power)), float(np.std(values))
+    if not (total > 0 and size > 0):
+        return 0.0, 0.0
+    largest = float(np.max(power)) / total
+    frequency = (int(np.argmax(power)) + 1) / float(np.ptp(times))
+    chance = power.size * (1.0 - largest) ** (power.size - 1)
+    return (frequency, float(np.std(residuals)) * np.sqrt(largest) / size) if chance < LINE_LEVEL else (frequency, 0.0)
+
+
 def steady_sine(problem: Problem, left: float | None = None) -> str:
     """Describe force and motion where both are one settled sine: two numbers, from which m, c and k do not follow.
 
@@ -257,7 +287,7 @@ def steady_sine(problem: Problem, left: float | None = None) -> str:
     if len(record.forces) != 1 or record.channels[0].n < 8 or record.forces[0].times.size < 8:
         return ""
     force, channel = record.forces[0], record.channels[0]
-    modes = modes_of(force.times, force.values, most=1)
+    modes = modes_of(force.times, force.values, count=1)
     if not modes:
         return ""
     frequency = modes[0].frequency

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.records.modes import modal_fits
+from bench.modal.waves import WaveFit
 from bench.records.strongest import strongest_frequency
 
 REACH = 2.0
@@ -148,11 +148,11 @@ def _jump(times: np.ndarray, values: np.ndarray, time: float, near: float) -> fl
 
 def _second_mode(motion: EvenMotion, first: int, last: int) -> bool:
     """Return whether a faster mode beside a lightly damped one leaves little of what one mode leaves of a stretch."""
-    fits = modal_fits(motion.times[first:last], motion.values[first:last], 2)
-    if len(fits) < 2:
-        return False
-    (decay, slow), (_, fast) = sorted(fits[1].poles.T, key=lambda pole: float(pole[1]))
-    return bool(fits[1].misfit < MODE * fits[0].misfit and fast > FASTER * slow and decay < LIGHT * slow)
+    one = WaveFit.empty(motion.times[first:last], motion.values[None, first:last]).longer(coloured=False)
+    two = one.longer(coloured=False)
+    slow, fast = sorted(two.poles, key=lambda pole: float(pole.imag))
+    leaves_little = np.sum(two.residuals**2) < MODE * np.sum(one.residuals**2)
+    return bool(leaves_little and fast.imag > FASTER * slow.imag and -slow.real < LIGHT * slow.imag)
 
 
 def drift(times: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:

@@ -49,7 +49,7 @@ def test_one_mode_in_noise_is_one_mode() -> None:
 
 def test_the_alias_gives_the_same_samples() -> None:
     times = np.arange(0.0, 12.0, 1 / 3)
-    (mode,) = modes_of(times, decay(times, 1.9, 0.01), most=1)
+    (mode,) = modes_of(times, decay(times, 1.9, 0.01), count=1)
     alias = alias_of(mode, times)
     assert alias is not None
     assert alias.frequency == pytest.approx(1.9, rel=1e-4)
@@ -58,5 +58,5 @@ def test_the_alias_gives_the_same_samples() -> None:
 
 def test_uneven_samples_have_no_alias() -> None:
     times = np.sort(np.random.default_rng(0).uniform(0.0, 12.0, 60))
-    (mode,) = modes_of(times, decay(times, 1.1, 0.02), most=1)
+    (mode,) = modes_of(times, decay(times, 1.1, 0.02), count=1)
     assert alias_of(mode, times) is None
