@@ -31,9 +31,9 @@ from bench.entrants.modal import make_modal
 from bench.likelihood.autoregression import even_times
 from bench.modal.averages import averages
 from bench.records.colour import autocorrelation
-from bench.records.diagnostics import MOST_LEFT, SECOND_MODE, WIDE
+from bench.records.diagnostics import LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE
 from bench.records.modal_data import ModalRecord
-from bench.records.modes import LINE_LEVEL, OfferedMode
+from bench.records.modes import OfferedMode
 from bench.records.request import ModalRequest
 from bench.records.response import A_CYCLE, FEWEST, MOST, ChannelResiduals, ChannelResponse, Response
 from bench.records.saturation import at_limit
