@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from bench.twin.session import Display
 
 
-def limits_of(text: str) -> tuple[float, float]:
-    """Read the range of a sensor, lo:hi."""
+def range_of(text: str) -> tuple[float, float]:
+    """Read a range, lo:hi."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
@@ -52,8 +52,13 @@ def track(
     sensors: Annotated[tuple[str, ...], "displacement:0,acceleration:1 [displacement of every DOF]"] = (),
     forced: Annotated[tuple[str, ...], "DOFs whose force is in the lines, e.g. 0 [none]"] = (),
     ambient: Annotated[tuple[str, ...], "DOFs under an unmeasured force [none]"] = (),
-    limits: Annotated[tuple[float, float] | None, Parsed(limits_of), "lo:hi, the range of the sensors"] = None,
+    limits: Annotated[tuple[float, float] | None, Parsed(range_of), "lo:hi, the range of the sensors"] = None,
     rate: Annotated[float | None, Within(ge=1e-9, le=1e9), "sampling rate (1/s) [of the first lines]"] = None,
+    columns: Annotated[str | None, "which column is what: t:0,x:3 [by the header, else in order]"] = None,
+    units: Annotated[str | None, "t:ms,x:mm [of the header, else SI]"] = None,
+    decimate: Annotated[int | None, Within(ge=1, le=100_000), "every n-th sample after a low-pass filter [1, or for a "
+                        "fast record what leaves 10 samples a cycle; it is said]"] = None,
+    band: Annotated[tuple[float, float] | None, Parsed(range_of), "lo:hi (Hz), a band-pass before the method"] = None,
     from_: Annotated[str, "file or named pipe; - is standard input"] = "-",
     follow: Annotated[bool, "wait for more lines at the end of a file"] = False,
     out: Annotated[str, "destination of the JSON lines: a file, - or none"] = "-",
@@ -69,24 +74,31 @@ def track(
 ) -> int:  # fmt: skip
     """Track the parameters of a system in a stream of samples.
 
-    Reads samples as lines and writes the estimates after each as a line of JSON. A line holds the time (s), a value per
-    sensor, and a force (N) per forced DOF, separated by commas, semicolons, tabs or blanks; an empty field or nan is a
-    missing value. It ends with the stream or with Ctrl-C, and keeps its state where state= says.
+    Reads samples as lines and writes the estimates after each as a line of JSON. A line holds the time, a value per
+    sensor, and a force per forced DOF, separated by commas, semicolons, tabs or blanks. A header names columns and
+    units as in files; without one they are in this order and in SI. An empty field or nan is a missing value. It ends
+    with the stream or with Ctrl-C, and keeps its state where state= says.
     """
+    from itertools import chain, islice
+
     from bench.contract.online import Layout
     from bench.entrants.online import first_online, make_online
     from bench.isolation.machine import compiled_single_threaded
+    from bench.records.reading.table import ReadOptions
+    from bench.records.request import pairs
     from bench.reporting.whole_file import check_file, is_special
-    from bench.twin.lines import Form, lines, opened
-    from bench.twin.pressure import Intake
-    from bench.twin.session import Output, Session, first_samples, interval_of
+    from bench.twin.filtering import Filter, look, spare_decimation
+    from bench.twin.lines import ENOUGH, FEW, form_of, head_of, lines_of, opened
+    from bench.twin.pressure import Intake, report
+    from bench.twin.session import Output, Session, interval_of
     from bench.twin.state import read, resumed
 
     compiled_single_threaded()
     name = method or first_online()
     identifier = make_online(name, settings_of(settings).get("method", {}))
     equations = _equations(system)
-    measured, n = _sensors(sensors, equations, limits), equations.n_dof
+    options = ReadOptions(pairs("columns", columns), pairs("units", units))
+    measured, n = _sensors(sensors, equations, limits, options.columns), equations.n_dof
     driven = _dofs("forced", forced, n), _dofs("ambient", ambient, n)
 
     def layout(interval: float) -> Layout:
@@ -96,6 +108,7 @@ def track(
     if objection:
         raise InputError("method", name, objection)
     path = Path(os.path.expanduser(out))
+    _check_apart(from_, path if out not in ("-", "none") else None, state)
     if out not in ("-", "none") and not is_special(path):  # a pipe or a device is not tried
         check_file(path)
     if state is not None:
@@ -105,21 +118,46 @@ def track(
     if resume and state is None:
         raise InputError("resume", "true", "with state=<file>")
     kept = read(file("state", state, "a state file of this command")) if resume and state else {}
-    form = Form(len(measured), len(driven[0]))
-    intake = Intake(lines(opened(from_), from_, follow), form, policy, queue)
-    first = [] if kept or rate else first_samples(intake)
-    interval = kept["interval"] if kept else 1.0 / rate if rate else interval_of(first, form.columns)
+    source = lines_of(opened(from_), from_, follow)
+    above, lines = head_of(source, FEW if kept or rate else ENOUGH)
+    roles = ["t", *(f"{s.measures[0] if s.measures != 'displacement' else 'x'}{s.dof + 1}" for s in measured)]
+    form = form_of(above, lines, [*roles, *(f"f{dof + 1}" for dof in driven[0])], options)
+    interval = kept["interval"] if kept else 1.0 / rate if rate else interval_of(map(form.sample, lines), str(form))
+    thinned = decimate or kept.get("decimate")
+    if thinned is None:
+        lines += islice(source, max(look(interval) - len(lines), 0))
+        thinned, frequency = spare_decimation([s for line in lines if (s := form.sample(line))], interval)
+        if thinned > 1:
+            report(
+                f"{1 / interval:,.0f} samples a second for a motion of {frequency:.3g} Hz: decimate={thinned} is taken"
+            )
+    filtered = Filter(interval, thinned, band, measured)
+    if filtered.sections is not None:
+        report(f"the answers are those of {filtered.delay:.3g} s before, the delay of the filter")
+    interval *= thinned
     tracker = identifier.start(layout(interval))
     if state is not None and kept:
-        tracker = resumed(state, kept, identifier, layout(interval))
+        tracker = resumed(state, kept, identifier, layout(interval), filtered)
     tracker.prepare()
     displays = _displays(tracker.layout, view, page, port)
-    session = Session(identifier, tracker, intake, first, alarm, state, save_every, displays)
+    intake = Intake(chain(lines, source), form, policy, queue)
+    session = Session(identifier, tracker, intake, filtered, alarm, state, save_every, displays)
     with Output(out, path, tracker.samples if resume else None) as output:
         session.follow(output)
-    if not tracker.samples and intake.unreadable:
-        raise InputError("stream", f"{intake.unreadable} line(s)", f"lines that read {form.columns}")
     return 0
+
+
+def _check_apart(source: str, out: Path | None, state: Path | None) -> None:
+    """Raise InputError where two of the stream, the answers and the state are the same file."""
+    places = [("from", None if source == "-" else Path(os.path.expanduser(source))), ("out", out), ("state", state)]
+    given = [(field, place) for field, place in places if place is not None and str(place) != os.devnull]
+    for i, (field, place) in enumerate(given):
+        for other, earlier in given[:i]:
+            same = place.exists() and earlier.exists() and place.samefile(earlier)
+            if same or os.path.realpath(place) == os.path.realpath(earlier):
+                raise InputError(field, place, f"{other}= is the same file and would be lost; name another")
+    if source == "-" and out is not None and out.exists() and os.path.samestat(os.fstat(0), out.stat()):
+        raise InputError("out", out, "it is what standard input reads, and would be lost; name another")
 
 
 def _equations(name: str) -> System:
@@ -131,13 +169,18 @@ def _equations(name: str) -> System:
     return make_system(content["kind"], content.get("options", {}))
 
 
-def _sensors(names: Sequence[str], system: System, limits: tuple[float, float] | None) -> tuple[Sensor, ...]:
-    """Return the sensors of a stream; raises InputError."""
+def _sensors(
+    names: Sequence[str], system: System, limits: tuple[float, float] | None, columns: Iterable[str]
+) -> tuple[Sensor, ...]:
+    """Return the sensors of a stream, by default those of the columns that are named; raises InputError."""
     from bench.contract.online import Sensor
+    from bench.records.reading.table import slot
+    from bench.records.reading.units import MEASURES
     from bench.systems import MEASURED
 
+    named = [f"{MEASURES[letter]}:{dof}" for letter, dof in map(slot, columns) if letter not in "tf"]
     sensors = []
-    for text in names or [f"displacement:{dof}" for dof in range(system.n_dof)]:
+    for text in names or named or [f"displacement:{dof}" for dof in range(system.n_dof)]:
         kind, _, dof = text.partition(":")
         if kind not in MEASURED or (dof or "0") not in map(str, range(system.n_dof)):
             wanted = f"<{', '.join(MEASURED)}>:<DOF>, of DOFs 0 to {system.n_dof - 1}, several with commas"

@@ -135,8 +135,8 @@ def _joined(overrides: Overrides) -> dict[str, list[Any]]:
 
 def _options(config: Config) -> ReadOptions:
     return ReadOptions(
-        _pairs("columns", config.columns),
-        _pairs("units", config.units),
+        pairs("columns", config.columns),
+        pairs("units", config.units),
         config.rate,
         config.from_,
         config.to,
@@ -189,7 +189,7 @@ def _of_configuration(system: str) -> bool:
     return True
 
 
-def _pairs(field: str, text: str | None) -> dict[str, Any]:
+def pairs(field: str, text: str | None) -> dict[str, Any]:
     """``t:0,x:3`` as a mapping; a whole number is one."""
     found: dict[str, Any] = {}
     for part in (text or "").split(",") if text else []:

@@ -2,61 +2,131 @@
 
 from __future__ import annotations
 
+import io
 import os
-import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
 from bench.contract.online import Sample
 from bench.errors import InputError
+from bench.records.reading.columns import Columns
+from bench.records.reading.grid import shape_of
+from bench.records.reading.table import ReadOptions, slot
+from bench.records.reading.text import FORMATS, Format, format_of, read_text
+from bench.records.reading.units import LETTERS
 
 LOOK_S = 0.02
 """Time until a file that has not grown is looked at again (s)."""
 LONGEST = 65_536
 """Characters of a line."""
-MISSING = ("", "nan", "na", "null", "none")
+FEW, ENOUGH = 3, 20
+"""Rows of numbers that show the columns of a stream, and its sampling interval as well."""
+MOST_ABOVE = 1000
+"""Lines above the first row of numbers."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """The columns of a line: time (s), so many values, so many forces."""
+    """How a line is cut, how many fields it has, and the field and unit (in SI) of each role: time, values, forces."""
 
-    values: int
-    forces: int
+    format: Format
+    width: int
+    fields: tuple[int, ...]
+    sizes: tuple[float, ...]
+    roles: tuple[str, ...]
 
-    @property
-    def columns(self) -> str:
-        """The columns in words."""
-        return ", ".join(["t", *(f"y{i + 1}" for i in range(self.values)), *(f"f{i + 1}" for i in range(self.forces))])
+    def __str__(self) -> str:
+        return ", ".join(self.roles)
 
     def sample(self, text: str) -> Sample | None:
         """Return the sample of a line, NaN for an empty field; None for another line (a header, a comment)."""
-        fields = re.split(r"\s*[,;\t]\s*", text.strip(" \r\n")) if re.search(r"[,;\t]", text) else text.split()
-        try:
-            time_s, *numbers = [float("nan" if field.lower() in MISSING else field) for field in fields]
-        except ValueError:
+        cells = self.format.row(0, text.strip("\r\n")).cells
+        if len(cells) != self.width:
             return None
-        if len(numbers) != self.values + self.forces:
-            return None
-        return Sample(time_s, tuple(numbers[: self.values]), tuple(numbers[self.values :]))
+        with suppress(ValueError):
+            time_s, *numbers = [float(cells[i]) * size for i, size in zip(self.fields, self.sizes, strict=True)]
+            values = sum(role[0] != "f" for role in self.roles) - 1
+            return Sample(time_s, tuple(numbers[:values]), tuple(numbers[values:]))
+        return None
+
+
+def head_of(source: Iterator[str], n: int) -> tuple[list[str], list[str]]:
+    """Return the lines above the first row of numbers, and lines from it on until ``n`` rows have come."""
+    above, lines, rows = list[str](), list[str](), 0
+    for line in source:
+        numbers = line.strip() and any("w" not in form.row(0, line.strip("\r\n")).kinds for form in FORMATS)
+        rows += bool(numbers)
+        (lines if rows else above).append(line)
+        if rows == n or len(above) > MOST_ABOVE:
+            break
+    return above, lines
+
+
+def form_of(above: Sequence[str], lines: Sequence[str], roles: Sequence[str], options: ReadOptions) -> Form:
+    """Return the form of a stream from its first lines; raises InputError where a column is not certain.
+
+    A column's role is what ``columns=`` says, else what the header says, else by order. A number without a unit is in
+    SI. Rows unlike most, such as half a line of a serial port, do not count.
+    """
+    if not lines:
+        raise InputError("stream", f"{len(above)} line(s)", f"lines that read {', '.join(roles)}")
+    cut = format_of(list(enumerate(lines)))
+    rows = [cut.row(0, line.strip("\r\n")) for line in lines]
+    shape = shape_of(rows)
+    fitting = [line for line, row in zip(lines, rows, strict=True) if row.kinds in shape.fitting]
+    try:
+        table = read_text("".join([*above, *fitting]).encode(errors="replace"), "its first lines")
+    except InputError as error:
+        raise InputError("stream", error.value, error.remedy) from None
+    columns, fields, sizes = Columns(table, options, "the stream"), [], []
+    for k, role in enumerate(roles):
+        fields.append(_field(role, k, columns, len(roles)))
+        column = columns.in_unit(role, fields[-1], [])
+        sizes.append(1.0 if column is None or column.unit is None else column.unit.size)
+    columns.check_units(dict(zip(roles, fields, strict=True)))
+    return Form(cut, len(shape.kinds), tuple(fields), tuple(sizes), tuple(roles))
+
+
+def _field(role: str, k: int, columns: Columns, n: int) -> int:
+    """Return the number of the column of a role, the k-th of n; raises InputError."""
+    table, given = columns.table.columns, {slot(name): key for name, key in columns.options.columns.items()}
+    if given:
+        if slot(role) not in given:
+            raise InputError("columns", role, f"it has no column; name one by {role}:<number>, or leave columns= out")
+        return columns.number(role, given[slot(role)])
+    letters, dof = LETTERS[role[0]], slot(role)[1]
+    alike = [
+        i for i, c in enumerate(table)
+        if not c.flaw and (c.certain or c.named) == letters and (c.number or ("", dof + 1))[1] == dof + 1
+    ]  # fmt: skip
+    if len(alike) == 1:
+        return alike[0]
+    if len(table) == n:
+        return k
+    raise InputError(
+        "stream", role, f"no column is certain to be {role}; it has {columns.table.listing()}; say columns="
+    )
 
 
 def opened(place: str) -> TextIO:
     """Return standard input for ``-``, else a file or a named pipe; raises InputError."""
     if place == "-":
+        if isinstance(sys.stdin, io.TextIOWrapper):
+            sys.stdin.reconfigure(errors="replace")
         return sys.stdin
     try:
-        return open(os.path.expanduser(place), encoding="utf-8", errors="replace")
+        return open(os.path.expanduser(place), encoding="utf-8-sig", errors="replace")
     except FileNotFoundError:
         raise InputError("from", place, "there is no such file or pipe; - is standard input") from None
     except OSError as error:
         raise InputError("from", place, f"cannot be read: {error.strerror}") from None
 
 
-def lines(source: TextIO, place: str, follow: bool) -> Iterator[str]:
+def lines_of(source: TextIO, place: str, follow: bool) -> Iterator[str]:
     """Return the lines as they come; with ``follow`` a file is waited on for more.
 
     A line without its end is half a line: the rest is waited for, or it is the last of the stream.

@@ -1,8 +1,9 @@
 """The page of a twin, served to this machine alone: the motion, each quantity with its band, alarms, as they come.
 
 A server on 127.0.0.1, and nowhere else, has five files and one stream of server-sent events. It shows the last
-:data:`KEPT` samples. Curves are drawn by uPlot (L. Sun, MIT licence), which travels with the package; the page may load
-nothing from elsewhere.
+:data:`KEPT` samples. It answers to the names of this machine alone, so that a page from elsewhere whose name is bound
+to 127.0.0.1 anew (DNS rebinding) reads nothing. Curves are drawn by uPlot (L. Sun, MIT licence), which travels with the
+package; the page may load nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from bench.contract.online import Layout
 from bench.errors import InputError
 
 HOST = "127.0.0.1"
+NAMES = (HOST, "localhost", "[::1]")
+MOST_THREADS, IDLE_S = 64, 30.0
+"""Of the process, beyond which a connection is closed at once; and time after which one that does nothing is."""
 KEPT = 2000
 SEND_S = 0.05
 """Time between two messages (s): samples that came meanwhile go together."""
@@ -72,11 +76,23 @@ class PageServer:
 class _Server(ThreadingHTTPServer):
     page: PageServer
 
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Take no more connections than a few people need."""
+        return threading.active_count() < MOST_THREADS
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print nothing: what is no request ends its connection."""
+
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
+    timeout = IDLE_S
 
     def do_GET(self) -> None:
+        known = [f"{name}:{self.server.server_port}" for name in NAMES]
+        host, origin = self.headers.get("Host"), self.headers.get("Origin")
+        if host not in known or origin not in (None, *(f"http://{name}" for name in known)):
+            return self.send_error(403, "for pages of this machine alone")
         name = self.path.removeprefix("/") or "page.html"
         if name == "events":
             self._events(self.server.page)
@@ -112,5 +128,5 @@ class _Handler(BaseHTTPRequestHandler):
                     self.wfile.write(b"event: end\ndata: 0\n\n")
                     return
                 time.sleep(SEND_S)
-        except ConnectionError:
+        except OSError:  # gone, or nothing is read there
             return

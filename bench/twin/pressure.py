@@ -74,21 +74,21 @@ class Intake:
         if self.policy == "decimate":
             if part > FULL and self.thinned < MOST_THINNED:
                 self.thinned *= 2
-                _report(f"samples come faster than the method: one sample in {self.thinned} is taken (policy=decimate)")
+                report(f"samples come faster than the method: one sample in {self.thinned} is taken (policy=decimate)")
             elif part < EMPTY and self.thinned > 1:
                 self.thinned //= 2
-                _report(f"one sample in {self.thinned} is taken")
+                report(f"one sample in {self.thinned} is taken")
         elif part > FULL and not self._late:
             self._late = True
-            _report(f"samples come faster than the method: {self.waiting} wait, none is left out (policy=lag)")
+            report(f"samples come faster than the method: {self.waiting} wait, none is left out (policy=lag)")
 
     def _count_unreadable(self, text: str) -> None:
         if text.strip() and not text.lstrip().startswith("#"):
             self.unreadable += 1
             if str(self.unreadable).strip("0") == "1":  # 1, 10, 100, ...
-                columns = self.form.columns
-                _report(f"{self.unreadable} line(s) left out that do not read {columns}: {text.strip()[:60]!r}")
+                report(f"{self.unreadable} line(s) left out that do not read {self.form}: {text.strip()[:60]!r}")
 
 
-def _report(sentence: str) -> None:
+def report(sentence: str) -> None:
+    """Print a sentence to the error stream."""
     print(f"bench track: {sentence}", file=sys.stderr, flush=True)

@@ -16,11 +16,10 @@ from bench.contract.online import OnlineIdentifier, Sample, Standing, Tracker
 from bench.errors import InputError
 from bench.online.follow import moments
 from bench.online.score import Z95
+from bench.twin.filtering import Filter
 from bench.twin.pressure import Intake
 from bench.twin.state import save
 
-FIRST_LINES = 20
-"""Number of samples from which the sampling interval is taken."""
 WIDEST = 20.0
 """Standard deviation of a logarithm from which on an estimate is not shown."""
 
@@ -32,15 +31,7 @@ class Display(Protocol):
     def close(self) -> None: ...
 
 
-def first_samples(intake: Intake) -> list[Sample | None]:
-    """Read the first samples, fewer where the stream ends, whose None is then the last."""
-    samples: list[Sample | None] = []
-    while len(samples) < FIRST_LINES and (not samples or samples[-1] is not None):
-        samples.append(intake.get())
-    return samples
-
-
-def interval_of(samples: Sequence[Sample | None], columns: str) -> float:
+def interval_of(samples: Iterable[Sample | None], columns: str) -> float:
     """Return the median interval (s) of samples; raises InputError, which names the columns, where there is none."""
     times = sorted({sample.time for sample in samples if sample is not None})
     steps = sorted(b - a for a, b in itertools.pairwise(times))
@@ -56,7 +47,7 @@ class Session:
     method: OnlineIdentifier
     tracker: Tracker
     intake: Intake
-    first: list[Sample | None]
+    filter: Filter
     alarm: float | None
     state: Path | None
     save_every: int
@@ -64,21 +55,24 @@ class Session:
 
     def follow(self, output: Output) -> None:
         """Take samples until the stream ends, or this is interrupted; a sample seen before is counted once."""
-        tracker, last, again = self.tracker, self.tracker.last, 0
+        tracker, last, again = self.tracker, self.filter.last or self.tracker.last, 0
         try:
-            while (sample := self.first.pop(0) if self.first else self.intake.get()) is not None:
+            while (sample := self.intake.get()) is not None:
                 if last is not None and sample.time <= last:
                     again += 1
                     continue
-                report = self.report(sample, tracker.update(sample))
+                taken = sample if tracker.is_far(sample.time) else self.filter.take(sample)
+                if taken is None:
+                    continue
+                report = self.report(taken, tracker.update(taken))
                 output.write(json.dumps(report, allow_nan=False, separators=(",", ":")))
                 for display in self.displays:
                     display.add(report)
                 if self.state and tracker.samples % self.save_every == 0:
-                    save(self.state, self.method, tracker)
+                    save(self.state, self.method, tracker, self.filter)
         finally:
             if self.state:
-                save(self.state, self.method, tracker)
+                save(self.state, self.method, tracker, self.filter)
             for display in self.displays:
                 display.close()
             if again:

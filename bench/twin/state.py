@@ -16,17 +16,20 @@ import numpy as np
 from bench.contract.online import Layout, OnlineIdentifier, Tracker
 from bench.errors import InputError
 from bench.files import write_whole
+from bench.twin.filtering import Filter
 
 
-def digest(method: OnlineIdentifier, layout: Layout) -> str:
+def digest(method: OnlineIdentifier, layout: Layout, filtered: Filter) -> str:
     """Return the digest of what a state belongs to."""
-    return hashlib.sha256(f"{method!r} {layout!r}".encode()).hexdigest()[:20]
+    return hashlib.sha256(f"{method!r} {layout!r} {filtered.band}".encode()).hexdigest()[:20]
 
 
-def save(path: Path, method: OnlineIdentifier, tracker: Tracker) -> None:
+def save(path: Path, method: OnlineIdentifier, tracker: Tracker, filtered: Filter) -> None:
     """Write the state; the file is there whole or as it was. Raises InputError where it cannot be written."""
     content = {
-        "of": digest(method, tracker.layout), "interval": tracker.layout.interval, "samples": tracker.samples,
+        "of": digest(method, tracker.layout, filtered), "samples": tracker.samples,
+        "interval": filtered.interval, "decimate": filtered.decimate,
+        "filter": {name: plain(value) for name, value in filtered.saved().items()},
         "tracker": {name: plain(value) for name, value in tracker.saved().items()},
     }  # fmt: skip
     try:
@@ -40,7 +43,9 @@ def read(path: Path) -> dict[str, Any]:
     """Return the content of a state file; raises InputError."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if isinstance(content["tracker"], dict) and 0 < float(content["interval"]) < float("inf"):
+        told = [content["tracker"], content["filter"]]
+        if all(isinstance(part, dict) for part in told) and 0 < content["interval"] < float("inf"):
+            int(content["decimate"])
             return dict(content)
     except FileNotFoundError:
         raise InputError("state", path, "there is no such file; leave resume out to begin") from None
@@ -49,11 +54,13 @@ def read(path: Path) -> dict[str, Any]:
     raise InputError("state", path, "it is not a state file of this command")
 
 
-def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout) -> Tracker:
-    """Return the tracker of a state; raises InputError for a state of another method or layout."""
-    if content.get("of") != digest(method, layout):
+def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout, filtered: Filter) -> Tracker:
+    """Return the tracker of a state and put the filter into it; raises InputError for another method or layout."""
+    if content.get("of") != digest(method, layout, filtered):
         raise InputError("state", path, "it belongs to another method, setting or layout; give those, or another file")
     try:
+        for name in filtered.saved():
+            setattr(filtered, name, restored(content["filter"][name]))
         return method.start(layout).restored({name: restored(value) for name, value in content["tracker"].items()})
     except (KeyError, TypeError, ValueError):
         raise InputError("state", path, "it is not a state file of this command") from None

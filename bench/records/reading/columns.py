@@ -24,7 +24,7 @@ def columns_by_role(table: Table, options: ReadOptions, source: str) -> tuple[di
     Raises:
         InputError: a role or a unit is not certain; it says what to add.
     """
-    columns = _Columns(table, options, source)
+    columns = Columns(table, options, source)
     roles, notes = (columns.named_roles(), []) if options.columns else columns.roles_said()
     columns.check_times(roles)
     columns.check_units(roles)
@@ -40,7 +40,7 @@ def columns_by_role(table: Table, options: ReadOptions, source: str) -> tuple[di
 
 
 @dataclass(frozen=True)
-class _Columns:
+class Columns:
     """The columns of a table, of which roles are to be found; InputError is raised where one is not certain."""
 
     table: Table
@@ -90,7 +90,7 @@ class _Columns:
         """Return the number of the column that columns= names for each role."""
         roles: dict[str, int] = {}
         for role, key in self.options.columns.items():
-            i = self._number(role, key)
+            i = self.number(role, key)
             flaw = self[i].flaw and f"cannot be taken: {self[i].flaw}"
             if flaw or i in roles.values():
                 remedy = f"column {self.shown(i)} {flaw or 'has another role; give one to each'}"
@@ -98,7 +98,7 @@ class _Columns:
             roles[role] = i
         return roles
 
-    def _number(self, role: str, key: int | str) -> int:
+    def number(self, role: str, key: int | str) -> int:
         """Return the number of a column by its header, by its name without the unit, or by the number itself."""
         written = " ".join(str(key).split())
         headers = [i for i, column in enumerate(self.table.columns) if written == column.header]

@@ -72,7 +72,7 @@ def read_text(data: bytes, source: object) -> Table:
     if not body:
         raise InputError("data", source, "the file is empty; a table of times and values is needed")
     check_size(len(body) - PREAMBLE, source)
-    form = _format(body)
+    form = format_of(body)
     rows = [form.row(*line) for line in body]
     shape = shape_of(rows)
     if form.separator is None and shape.n < len(rows):
@@ -119,7 +119,7 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(COMMENTS)
 
 
-def _format(body: Lines) -> Format:
+def format_of(body: Lines) -> Format:
     """Return the separator and decimal mark under which most rows are alike, of those with the fewest words in them.
 
     A single column with decimal commas is not among them: its commas may as well separate two.

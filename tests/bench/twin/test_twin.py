@@ -1,11 +1,16 @@
 """The live twin: lines in, JSON out, state, back-pressure, the page; with a tracker that compiles nothing."""
 
+import http.client
 import io
 import json
+import re
 import signal
+import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import urlopen
@@ -13,12 +18,16 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from conftest import REPOSITORY
+from scipy.signal import decimate, lsim
 
 from bench import InputError, Layout, Sample, Sensor
 from bench.commands.main import main
 from bench.entrants.online import make_online
+from bench.records.reading.table import ReadOptions
+from bench.records.strongest import strongest_frequency
 from bench.systems import make_system
-from bench.twin.lines import Form, lines
+from bench.twin.filtering import Filter
+from bench.twin.lines import Form, form_of, head_of, lines_of
 from bench.twin.pressure import Intake
 from bench.twin.state import plain, read, restored, resumed, save
 
@@ -31,32 +40,54 @@ RLS = ["method=rls", "forced=0"]
 
 
 @pytest.mark.parametrize(
-    ("text", "values"),
+    ("head", "text", "values"),
     [
-        ("0.1,2,3\n", (0.1, 2.0, 3.0)),
-        ("0.1\t2\t3", (0.1, 2.0, 3.0)),
-        ("1e-3 -2 4", (0.001, -2.0, 4.0)),
-        ("0.5,,2", (0.5, np.nan, 2.0)),  # an empty field is a missing value
-        ("0.5, NaN; 2", (0.5, np.nan, 2.0)),
-        ("0.5,1", None),
-        ("t,x,f", None),
-        ("# 1,2", None),
-        ("", None),
+        ("0,1,2\n", "0.1,2,3\n", (0.1, 2.0, 3.0)),
+        ("t\tx\tf\n0\t1\t2\n", "0.1\t2\t3", (0.1, 2.0, 3.0)),
+        ("0 1 2\n", "1e-3 -2 4", (0.001, -2.0, 4.0)),
+        ("0,1,2\n", "0.5,,2", (0.5, np.nan, 2.0)),  # an empty field is a missing value
+        ("# a comment\nt;x;f\n0;1,5;2,5\n", "0,5; NaN; 2", (0.5, np.nan, 2.0)),
+        ("f (kN), t (ms), x1 (mm)\n0,1,2\n", "3,20,5\n", (0.02, 0.005, 3000.0)),  # names and units as in files
+        ("0,1,2\n", "0.5,1", None),
+        ("0,1,2\n", "t,x,f", None),
+        ("0,1,2\n", "# 1,2", None),
+        ("0,1,2\n", "", None),
     ],
 )
-def test_the_sample_of_a_line(text, values) -> None:
-    sample = Form(1, 1).sample(text)
+def test_the_sample_of_a_line(head, text, values) -> None:
+    sample = form(head).sample(text)
     if values is None:
         assert sample is None
     else:
         np.testing.assert_array_equal([sample.time, *sample.values, *sample.forces], values)
 
 
+def form(head: str, roles: tuple[str, ...] = ("t", "x1", "f1"), **options) -> Form:
+    return form_of(*head_of(iter(head.splitlines(keepends=True)), 3), roles, ReadOptions(**options))
+
+
+def test_columns_of_a_stream_are_those_of_files() -> None:
+    raw = "test0.txt\nRate - 5000\nLow G\tAccel\tPin\tTime\nVolt\tVolt\tVolt\tSec\n0.0 0.0 0\t\t0.0 0.0 0\t\n\n"
+    read = form(raw + "0.5\t6\t1\t0\n0.25\t7\t1\t2E-4\n", ("t", "a1"), columns={"t": 3, "a": "Low G"})
+    assert read.sample("0.125\t7\t1\t4E-4\n").values == (0.125,)
+    assert (read.fields, read.sizes) == ((3, 0), (1.0, 1.0))
+    assert form("0,1,2\n", units={"x": "mm"}).sizes == (1.0, 1e-3, 1.0)
+    for head, options, said in (
+        ("t,x,f\n0,1,2\n", {"columns": {"t": 0, "x": 1}}, "columns=f1: it has no column"),
+        ("t,y (m/s),f\n0,1,2\n", {}, "measures velocity, not displacement"),
+        ("0,1,2,3\n", {}, "no column is certain to be t; it has columns 0 to 3"),
+        ("0,1,2\n", {"units": {"v": "mm/s"}}, "no column is known to be v"),
+        ("one\ntwo\n", {}, "lines that read t, x1, f1"),
+    ):
+        with pytest.raises(InputError, match=re.escape(said)):
+            form(head, **options)
+
+
 def test_a_file_that_grows_is_followed_half_lines_included(tmp_path) -> None:
     place = tmp_path / "stream.csv"
     place.write_text("0,1\n0.1,")
     with place.open() as source:
-        found = lines(source, str(place), follow=True)
+        found = lines_of(source, str(place), follow=True)
         assert next(found) == "0,1\n"
         with place.open("a") as writer:
             writer.write("2\n")
@@ -75,15 +106,95 @@ def test_a_line_of_json_comes_out_for_each_sample() -> None:
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert [one["sample"] for one in found] == list(range(1, 401))
     assert found[-1]["t"] == pytest.approx(0.05 * 399)
-    assert "do not read t, y1, f1" in done.stderr
+    assert "do not read t, x1, f1" in done.stderr
     for one in found[-1]["quantities"].values():
         assert one["low"] < one["value"] < one["high"]
+
+
+@pytest.mark.parametrize("field", ["out", "state"])
+@pytest.mark.parametrize("alias", ["{0}/log.csv", "{0}/link.csv", "{0}/more/../log.csv"])
+def test_a_recording_is_not_overwritten(field, alias, tmp_path, capsys) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text(RECORD)
+    (tmp_path / "more").mkdir()
+    (tmp_path / "link.csv").symlink_to(log)
+    assert main(["track", *RLS, f"from={log}", f"{field}={alias.format(tmp_path)}"]) == 2
+    assert "from= is the same file" in capsys.readouterr().err
+    assert main(["track", *RLS, f"from={log}", f"out={tmp_path}/new", f"state={tmp_path}/more/../new"]) == 2
+    assert "out= is the same file" in capsys.readouterr().err
+    assert log.read_text() == RECORD
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_time_from_far_away_is_left_out_until_another_follows() -> None:
+    rows = RECORD.splitlines()
+    text = "\n".join(
+        [*rows[:100], "1e308,0,0", "1e18,0,0", *rows[100:200], *(f"{1e6 + 0.05 * i},1,0" for i in range(3))]
+    )
+    for more, delay in ([], 0), (["band=0.1:8"], 1):  # a sample for the force
+        found = [json.loads(line) for line in run([*RLS, "rate=20", *more], text).stdout.splitlines()]
+        far = [i for i, one in enumerate(found) if "far after the one before" in one["message"]]
+        assert far == [100 - delay, 101 - delay, 202 - delay]
+        assert [found[i]["t"] for i in far] == [1e308, 1e18, 1e6]
+        assert [one["sample"] for one in found if one["t"] < 10] == list(range(1, 201 - delay))
+        assert found[-1]["sample"] == 202 - 2 * delay
+
+
+def test_a_fast_record_is_decimated_and_the_user_told() -> None:
+    rng = np.random.default_rng(3)
+    times = np.arange(8000) / 5000
+    x = np.exp(-1.5 * times) * np.sin(2 * np.pi * 28 * times) + 0.01 * rng.standard_normal(8000)
+    done = run(["method=rls"], "\n".join(f"{t:.4f},{y:.6f}" for t, y in zip(times, x, strict=True)))
+    assert "5,000 samples a second for a motion of 28 Hz: decimate=17 is taken" in done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(found) == 8000 // 17
+    at, measured = np.array([one["t"] for one in found]), np.array([one["measured"][0] for one in found])
+    assert strongest_frequency(at, measured) == pytest.approx(28, rel=0.01)
+    assert np.max(np.abs(measured)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_decimation_is_that_of_scipy_and_a_force_is_not_delayed_against_the_motion() -> None:
+    n, step, slow = 20_000, 1e-3, 20
+    times = step * np.arange(n)
+    force = np.sin(3.0 * times) + np.sin(7.0 * times)
+    _, motion, _ = lsim(([1.0], [2.0, 0.5, 40.0]), force, times, interp=False)
+    rows = np.column_stack([motion, force])
+    filtered = Filter(step, slow, sensors=(Sensor(),))
+    got = [s for t, row in zip(times, rows, strict=True) if (s := filtered.take(Sample(t, (row[0],), (row[1],))))]
+    np.testing.assert_allclose(
+        [s.values[0] for s in got[50:]], decimate(motion[slow - 1 :], slow, 7, zero_phase=False)[50:-1], atol=2e-4
+    )
+    again, held = [got[0].values[0]], np.array([s.forces[0] for s in got])
+    at = slow * step * np.arange(len(got))
+    _, again, _ = lsim(([1.0], [2.0, 0.5, 40.0]), held, at, interp=False)
+    half = len(got) // 2  # the start is forgotten by then
+    error = again[half:] - np.array([s.values[0] for s in got[half:]])
+    assert np.std(error) < 0.01 * np.std(again[half:])
+
+
+def test_a_filter_fills_a_short_gap_and_says_what_is_missing() -> None:
+    filtered = Filter(0.01, 4, sensors=(Sensor(limits=(-1.0, 1.0)),))
+    times = [0.01 * i for i in range(40) if not 8 <= i < 12] + [5.0 + 0.01 * i for i in range(8)]
+    values = [5.0 if 15 < t / 0.01 < 20 else 0.5 for t in times]
+    got = [s for t, y in zip(times, values, strict=True) if (s := filtered.take(Sample(t, (y,))))]
+    np.testing.assert_allclose([s.values[0] for s in got if np.isfinite(s.values[0])], 0.5)
+    assert sum(np.isnan(s.values[0]) for s in got) >= 1
+    assert all(a.time < b.time for a, b in pairwise(got))
+    assert filtered.take(Sample(5.07, (0.5,))) is None  # seen before
+    with pytest.raises(InputError, match="below half the rate"):
+        Filter(0.01, band=(10.0, 60.0))
+
+
+def test_a_line_of_ten_million_letters_is_refused_in_a_line() -> None:
+    done = run(["method=rls", "forced=0"], "1" * 10_000_000)
+    assert done.returncode == 2
+    assert done.stderr.strip() == "bench: from=-: a line of more than 65536 letters holds no sample"
 
 
 def test_a_stream_without_a_readable_line_is_refused() -> None:
     done = run(["method=rls", "forced=0", "rate=20"], "one two\nthree\n")
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].endswith("lines that read t, y1, f1")
+    assert done.stderr.splitlines()[-1].endswith("lines that read t, x1, f1")
 
 
 def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
@@ -98,6 +209,9 @@ def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
     [
         (["method=efk"], "did you mean ekf"),
         (["from=nowhere.csv"], "there is no such file"),
+        (["method=rls", "rate=0"], "rate=0: input should be greater than or equal to"),
+        (["method=rls", "rate=nan"], "rate=nan: input should be a finite number"),
+        (["method=rls", "columns=t"], "write role:value"),
         (["resume=true"], "with state=<file>"),
         (["rate=fast", "method=rls"], "rate=fast: input should be a valid number"),
         (["method=rls", "ambient=0"], "the force is not known"),
@@ -121,33 +235,35 @@ def test_the_state_is_numbers_and_comes_back_whole(tmp_path) -> None:
     method, place = make_online("rls"), tmp_path / "state.json"
     tracker = method.start(LAYOUT)
     tracker.update(Sample(0.0, (1.0,), (0.5,)))
-    save(place, method, tracker)
-    assert resumed(place, read(place), method, LAYOUT).samples == 1
-    with pytest.raises(InputError, match="another method"):
-        resumed(place, read(place), make_online("rls", {"factor": 0.9}), LAYOUT)
+    save(place, method, tracker, Filter(0.05))
+    assert resumed(place, read(place), method, LAYOUT, Filter(0.05)).samples == 1
+    for other, filtered in (({"factor": 0.9}, Filter(0.05)), ({}, Filter(0.05, band=(1.0, 2.0)))):
+        with pytest.raises(InputError, match="another method"):
+            resumed(place, read(place), make_online("rls", other), LAYOUT, filtered)
     place.write_text("{}")
     with pytest.raises(InputError, match="not a state file"):
         read(place)
 
 
-def test_a_killed_run_goes_on_and_counts_nothing_twice(tmp_path) -> None:
+@pytest.mark.parametrize("more", [[], ["decimate=2", "band=0.1:8"]])
+def test_a_killed_run_goes_on_and_counts_nothing_twice(more, tmp_path) -> None:
     out, state = tmp_path / "o.jsonl", tmp_path / "s.json"
-    given = [*RLS, f"out={out}", f"state={state}", "save_every=50", "rate=20"]
-    whole = run([*RLS, "rate=20"], RECORD)
+    given = [*RLS, *more, f"out={out}", f"state={state}", "save_every=50", "rate=20"]
+    whole, n = run([*RLS, *more, "rate=20"], RECORD), 84 if more else 170
     killed = subprocess.Popen([sys.executable, "-m", "bench", "track", *given], stdin=subprocess.PIPE, text=True,
                               cwd=REPOSITORY)  # fmt: skip
     killed.stdin.write("\n".join(RECORD.splitlines()[:170]) + "\n")
     killed.stdin.flush()
     until = time.monotonic() + 60
-    while not (out.is_file() and len(out.read_text().splitlines()) >= 170) and time.monotonic() < until:
+    while not (out.is_file() and len(out.read_text().splitlines()) >= n) and time.monotonic() < until:
         time.sleep(0.05)
     killed.send_signal(signal.SIGKILL)
     killed.wait()
     killed.stdin.close()
-    assert read(state)["samples"] == 150
+    assert read(state)["samples"] == n // 50 * 50
     again = run([*given, "resume=true"], RECORD)
     assert again.returncode == 0, again.stderr
-    assert "150 sample(s) had been seen before" in again.stderr
+    assert f"{102 if more else 150} sample(s) had been seen before" in again.stderr
     one, other = ([json.loads(line) for line in text.splitlines()] for text in (whole.stdout, out.read_text()))
     for each in (*one, *other):
         each.pop("waiting")
@@ -155,7 +271,7 @@ def test_a_killed_run_goes_on_and_counts_nothing_twice(tmp_path) -> None:
 
 
 def test_lag_keeps_every_sample_and_says_so(capsys) -> None:
-    intake = Intake((f"{i},1,0\n" for i in range(100)), Form(1, 1), "lag", 20)
+    intake = Intake((f"{i},1,0\n" for i in range(100)), form("0,1,0\n"), "lag", 20)
     time.sleep(0.2)
     found = []
     while (sample := intake.get()) is not None:
@@ -165,7 +281,7 @@ def test_lag_keeps_every_sample_and_says_so(capsys) -> None:
 
 
 def test_decimation_leaves_out_what_it_counts_and_says_so(capsys) -> None:
-    intake, found = Intake((f"{i},1,0\n" for i in range(300)), Form(1, 1), "decimate", 20), []
+    intake, found = Intake((f"{i},1,0\n" for i in range(300)), form("0,1,0\n"), "decimate", 20), []
     while (sample := intake.get()) is not None:
         found.append(sample.time)
         time.sleep(0.001)
@@ -200,6 +316,46 @@ def test_the_page_is_on_the_loopback_interface_and_may_load_nothing_from_elsewhe
     assert "//" not in text.replace("</", "")
     with pytest.raises(HTTPError, match="404"):
         urlopen(page.url + "secrets")
+
+
+def test_the_page_answers_this_machine_alone_and_survives_what_is_no_request(page, capfd) -> None:
+    address = ("127.0.0.1", page._server.server_port)
+    ours = f"localhost:{address[1]}"
+
+    def status(host: str, origin: dict[str, str]) -> int:
+        connection = http.client.HTTPConnection(*address, timeout=10)
+        connection.request("GET", "/", headers={"Host": host, **origin})
+        return connection.getresponse().status
+
+    asked = [
+        (ours, {}),
+        (f"[::1]:{address[1]}", {"Origin": f"http://{ours}"}),
+        ("elsewhere.org:80", {}),
+        ("localhost", {}),
+    ]
+    assert [status(*each) for each in asked] == [200, 200, 403, 403]
+    assert status(ours, {"Origin": "http://elsewhere.org"}) == 403
+    odd = [
+        b"GET / HTTP/9.\xb2\r\n\r\n",
+        b"GET / HTTP/1.x\r\n\r\n",
+        b"\0\xff" * 99 + b"\r\n\r\n",
+        b"GET",
+        b"POST / HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nX: " + b"y" * 200_000 + b"\r\n\r\n",
+        b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 2000,
+    ]
+    sockets = [socket.create_connection(address, timeout=10) for _ in range(100)]
+    for connection in sockets:
+        connection.close()
+    for text in odd:
+        with socket.create_connection(address, timeout=10) as connection, suppress(OSError):
+            connection.sendall(text)
+            connection.shutdown(socket.SHUT_WR)
+            while connection.recv(65_536):
+                pass
+    page.add(answer(1))
+    assert status(ours, {}) == 200
+    assert capfd.readouterr().err == ""
 
 
 def test_a_page_opened_late_is_sent_what_is_kept(page) -> None:
