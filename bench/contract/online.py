@@ -169,7 +169,7 @@ class Tracker(ABC):
         self.owed = 0
         self.skipped = list[list[float]]()
         self.last: float | None = None
-        self.far: float | None = None
+        self.stray: float | None = None
         self.forces = list[float]()
         self._standing: Standing | None = None
         n = len(layout.sensors)
@@ -204,7 +204,7 @@ class Tracker(ABC):
         if not isfinite(sample.time):
             return self._unread(sample, SampleStatus.REPEATED, "its time is not a finite number; left out")
         if self.is_far(sample.time):
-            self.far = sample.time
+            self.stray = sample.time
             return self._unread(sample, SampleStatus.GAP, FAR)
         steps = 0 if self.last is None else round((sample.time - self.last) / self.layout.interval)
         if self.last is not None and steps <= 0:
@@ -230,7 +230,7 @@ class Tracker(ABC):
     def is_far(self, time: float) -> bool:
         """Whether a time is so far behind the sample before that only another sample near it makes it believed."""
         reach = LONGEST_GAP * self.layout.interval
-        followed = self.far is not None and 0 < time - self.far <= reach
+        followed = self.stray is not None and 0 < time - self.stray <= reach
         return self.last is not None and time - self.last > reach and not followed
 
     def _stepped(self, sample: Sample, steps: int) -> Standing:
@@ -304,7 +304,7 @@ def _copied(value: Any) -> Any:
     return np.array(value) if hasattr(value, "__array__") else value
 
 
-CLOCK = ("samples", "owed", "skipped", "last", "far", "forces", "repeats", "lowest", "highest")
+CLOCK = ("samples", "owed", "skipped", "last", "stray", "forces", "repeats", "lowest", "highest")
 """What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
 
 FAR = "its time is far after the one before; left out, unless the next sample follows it"

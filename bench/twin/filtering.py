@@ -11,17 +11,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, cheby1, sosfilt, sosfilt_zi, sosfreqz
 
 from bench.contract.online import Sample, Sensor
 from bench.errors import InputError
-from bench.records.problem import CYCLE_SAMPLES
 from bench.records.strongest import strongest_frequency
 
 LOOK_S, LOOK_LEAST, LOOK_MOST = 0.5, 250, 20_000
 """Length of a stream (s), and number of its samples, in which the frequency of the motion is looked for."""
 PASSED = 0.8
-"""Part of the new Nyquist frequency that the low-pass leaves as it is; Chebyshev as in ``scipy.signal.decimate``, of odd order, so that a constant passes."""
+"""Part of the new Nyquist frequency that the low-pass leaves as it is; of the kind of ``scipy.signal.decimate``, but of
+odd order, so that a constant passes."""
 LONGEST_FILLED = 100
 """Missing samples that are filled with the one before; behind a longer gap the filter begins anew."""
 
@@ -45,8 +44,12 @@ class Filter:
     before: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        rate = 1.0 / self.interval
-        sections = []
+        self.sections: np.ndarray | None = None
+        if self.band is None and self.decimate == 1:
+            return
+        from scipy.signal import butter, cheby1  # slow to import, and few streams need it
+
+        rate, sections = 1.0 / self.interval, []
         if self.band is not None:
             if not 0 < self.band[0] < self.band[1] < rate / 2:
                 raise InputError(
@@ -55,11 +58,13 @@ class Filter:
             sections.append(butter(2, self.band, "bandpass", fs=rate, output="sos"))
         if self.decimate > 1:
             sections.append(cheby1(7, 0.05, PASSED / self.decimate, output="sos"))
-        self.sections = np.vstack(sections) if sections else None
+        self.sections = np.vstack(sections)
 
     @property
     def delay(self) -> float:
         """The group delay (s) at the middle of the band, or at low frequency."""
+        from scipy.signal import sosfreqz
+
         if self.sections is None:
             return 0.0
         middle = np.sqrt(self.band[0] * self.band[1]) if self.band else 0.1 / self.decimate / self.interval
@@ -95,6 +100,8 @@ class Filter:
         A force is held from a sample to the next. So that this delays it by nothing, it is the mean over that time, and
         the motion is that of the beginning.
         """
+        from scipy.signal import sosfilt, sosfilt_zi
+
         missing = np.all(np.isnan(rows[-self.decimate :, :n]), axis=0)
         for row, before in zip(rows, [np.array(self.held or [0.0] * rows.shape[1]), *rows], strict=False):
             np.copyto(row, before, where=~np.isfinite(row))
@@ -129,6 +136,8 @@ def spare_decimation(samples: Sequence[Sample], interval: float) -> tuple[int, f
     """Return by how much the first samples of a stream can be decimated, and the frequency (Hz) of their motion."""
     if len(samples) < LOOK_LEAST:
         return 1, 0.0
+    from bench.records.problem import CYCLE_SAMPLES
+
     times = interval * np.arange(len(samples))
     values = np.array([sample.values for sample in samples])
     values = np.where(np.isfinite(values), values, np.nanmean(values, axis=0))

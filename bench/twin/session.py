@@ -24,6 +24,9 @@ WIDEST = 20.0
 """Standard deviation of a logarithm from which on an estimate is not shown."""
 
 
+LINE = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+
+
 class Display(Protocol):
     """Shows each report of a session, on the terminal or as a page."""
 
@@ -65,10 +68,11 @@ class Session:
                 if taken is None:
                     continue
                 report = self.report(taken, tracker.update(taken))
-                output.write(json.dumps(report, allow_nan=False, separators=(",", ":")))
+                output.write(LINE.encode(report), at_once=not self.intake.waiting)
                 for display in self.displays:
                     display.add(report)
                 if self.state and tracker.samples % self.save_every == 0:
+                    output.flush()
                     save(self.state, self.method, tracker, self.filter)
         finally:
             if self.state:
@@ -134,16 +138,23 @@ class Output:
             except OSError as error:
                 raise InputError("out", place, f"cannot be written: {error.strerror}") from None
 
-    def write(self, text: str) -> None:
-        """Write a line at once."""
+    def write(self, text: str, at_once: bool = True) -> None:
+        """Write a line."""
         if self.file is not None:
             self.file.write(text + "\n")
+            if at_once:
+                self.file.flush()
+
+    def flush(self) -> None:
+        """Have all lines in the file."""
+        if self.file is not None:
             self.file.flush()
 
     def __enter__(self) -> Output:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.flush()
         if self.closes and self.file is not None:
             self.file.close()
 

@@ -6,7 +6,6 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 
 IMMATERIAL = 1e-3
 """Rounding by less than this part of a step is left as it is."""
@@ -163,6 +162,8 @@ def _bounded(
     def ends(slope: float) -> tuple[float, float]:
         """Return the largest of the lower bounds of the start, and the least of its upper ones, in steps."""
         return float(np.max(off - half - slope * x)), float(np.min(off + half - slope * x))
+
+    from scipy.optimize import brentq, minimize_scalar  # slow to import, and few need it
 
     def lacking(slope: float) -> float:
         """Return by how much the bounds of the start contradict each other, a convex function."""
