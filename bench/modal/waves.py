@@ -172,7 +172,7 @@ class WaveFit:
         """Return the same poles with noise that is white."""
         return replace(self, noises=WaveFit.empty(self.times, self.residuals).noises)
 
-    def longer(self, coloured: bool) -> WaveFit:
+    def longer(self, coloured: bool, bend: bool = False) -> WaveFit:
         """Return the best fit with one more mode.
 
         It starts at the largest wave in the residuals, or from one mode split in two, as a line between two close ones
@@ -186,7 +186,7 @@ class WaveFit:
                 poles = np.append(self.poles, pole + apart)
                 poles[i] = pole - apart
                 starts.append(replace(fit, poles=poles))
-        if self.bent is None and self.poles.size:
+        if bend and self.bent is None and self.poles.size:
             starts.append(fit.with_bend())
         fits = [start.refined(FIRST_ITERATIONS) for start in starts]
         best = min(fits, key=lambda fit: (not fit.plausible, fit.criterion(coloured) - (fit.bent is not None) * CLEAR))
@@ -269,38 +269,47 @@ class Waves(ModalIdentifier):
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
         """Fit one mode, two and so on; answer those in the band."""
         assert isinstance(problem.data, FreeDecays)
-        data = problem.data
-        fit = WaveFit.empty(data.times, np.atleast_2d(data.values))
-        most = problem.count or MOST_MODES
-        fits = [fit]
-        while fits[-1].poles.size < most and fit.times.size > 4 * fits[-1].unknowns:
-            longer = fits[-1].longer(coloured=False)
-            gain = fits[-1].criterion(False) - longer.criterion(False)
-            if problem.count is None and not (gain > 0 and longer.plausible):
+        data, auto = problem.data, problem.count is None
+        low, high = problem.band or (0.0, np.inf)
+
+        def inside(fit: WaveFit) -> int:
+            rates = np.abs(fit.poles) / (2 * np.pi)
+            return int(np.count_nonzero((low <= rates) & (rates <= high)))
+
+        def may_grow(fit: WaveFit) -> bool:
+            full = fit.poles.size == MOST_MODES or inside(fit) == problem.count
+            return not full and data.values.size > 4 * fit.unknowns
+
+        fits, decided = [WaveFit.empty(data.times, np.atleast_2d(data.values))], "as asked"
+        while may_grow(fits[-1]):
+            longer = fits[-1].longer(coloured=False, bend=auto)
+            if auto and not (longer.plausible and longer.criterion(False) < fits[-1].criterion(False)):
                 break
             fits.append(longer)
-        fit, decided = fits.pop().settled(), ""
-        if problem.count is None:
-            while len(fits) > 1 and (fewer := fits.pop().settled()).criterion() < fit.criterion():
-                fit = fewer
-            while fit.poles.size < MOST_MODES:
-                longer = fit.longer(coloured=True)
+        fit = fits[-1].settled()
+        if auto:
+            fit = min((fit, *(fewer.settled() for fewer in fits[:-1])), key=lambda fit: fit.criterion())
+            decided = "as many as are sought: what is there may be no sum of modes"
+            while may_grow(fit):
+                longer = fit.longer(coloured=True, bend=True)
                 gain = fit.criterion() - longer.criterion()
-                if not (gain > 0 and longer.plausible):
-                    decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
+                if not longer.plausible:
+                    decided = "a further one would only split one that does not decay as a mode"
+                    break
+                if gain <= 0:
+                    decided = f"a further one would raise the Bayesian information criterion by {-gain:.2g}"
                     break
                 fit = longer
-        low, high = problem.band or (0.0, np.inf)
         modes = tuple(mode for mode in fit.modes() if low <= mode.frequency <= high)
         changes = ""
         if fit.bent is not None:
             bent = float(abs(fit.poles[fit.bent])) / (2 * np.pi)
             changes = f"; frequency or damping of the mode at {bent:.4g} Hz change with its amplitude"
-            if problem.count is None:
+            if auto:
                 linear = [m for m in modes if all(abs(m.frequency / bent / k - 1) > HARMONIC for k in HARMONICS)]
                 changes += ", and its harmonics are left out" if len(linear) < len(modes) else ""
                 modes = tuple(linear)
         if not modes:
             return ModalEstimate((), status=Status.DIVERGED, message="no mode stands out of the noise there")
-        message = f"{len(modes)} mode{'s'[: len(modes) - 1]}{decided or ', as asked'}{changes}"
+        message = f"{len(modes)} mode{'s'[: len(modes) - 1]}: {decided}{changes}"
         return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message=message)
