@@ -34,7 +34,6 @@ from typing import ClassVar
 import numpy as np
 
 from bench import (
-    Autoregression,
     FreeDecays,
     InputError,
     ModalCard,
@@ -54,6 +53,7 @@ MOST_SAMPLES = 1200
 LEAST_SAMPLES = 20
 LEAST_A_CYCLE = 4
 TIME_CONSTANTS = 5.0
+STAYS = 5
 FREQUENCY_STAYS, DAMPING_STAYS, SHAPE_STAYS = 0.01, 0.1, 0.95
 LINE_CHANCE = 1e-3
 """Of a line as high as one that counts, in noise alone."""
@@ -75,14 +75,14 @@ class Realised:
     residuals: np.ndarray
 
     @property
-    def oscillates(self) -> np.ndarray:
-        """Which are vibrations, rather than decays or alternations."""
-        return np.asarray(self.z.imag > 0)
+    def degrees(self) -> int:
+        """Samples less unknowns."""
+        return max(self.residuals.size - 2 * self.z.size * (1 + len(self.shapes)) - len(self.shapes), 1)
 
     @staticmethod
     def fitted(z: np.ndarray, values: np.ndarray) -> Realised:
         """Fit amplitudes and a constant of each channel by least squares to values (channels, n)."""
-        z = z[(z.imag >= 0) & (np.abs(z) < 1)]
+        z = z[(z.imag >= 0) & (values.shape[1] * np.log(np.abs(z)) < 1)]  # what grows more is noise
         powers = np.exp(np.log(z) * np.arange(values.shape[1])[:, None])
         columns = np.column_stack([powers.real, -powers.imag, np.ones(len(powers))])
         inverse = np.linalg.pinv(columns, rcond=1e-12)
@@ -117,58 +117,48 @@ class _StabilisedModes(ModalIdentifier):
         return unevenness(problem.data.times)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
-        """Realise the whole record, then as much of it as the slowest mode lasts."""
+        """Realise the whole record; then as much of it as the slowest mode lasts, with its noise made white."""
         assert isinstance(problem.data, FreeDecays)
-        step, values = step_of(problem.data.times), problem.data.values
-        scale, length = np.std(values, axis=1), values.shape[1]
+        step, size = step_of(problem.data.times), np.std(problem.data.values, axis=1, keepdims=True)
+        values = problem.data.values / np.where(size > 0, size, 1.0)
+        n, whole = values.shape
+        length = whole
         for _ in range(2):
-            scale = np.where(scale > 0, scale, 1.0)
-            scaled = values[:, :length] / scale[:, None]
-            thin = thinning(scaled)
+            thin = thinning(values[:, :length])
             length = min(length // thin, MOST_SAMPLES)
-            means = np.mean(scaled[:, : length * thin].reshape(len(values), length, thin), axis=2)
+            means = np.mean(values[:, : length * thin].reshape(n, length, thin), axis=2)
             band = 2.0 * np.pi * step * thin * np.array(problem.band or (0.0, np.inf))
-            waves, chosen, said = stable(self._orders(means), problem.count, band)
+            waves, chosen, _ = stable(self._orders(means), problem.count, band)
             if not chosen.size:
                 return ModalEstimate((), status=Status.DIVERGED, message=NO_MODE)
-            lasts = TIME_CONSTANTS * thin / -np.log(np.max(np.abs(waves.z[chosen])))
-            length = int(np.clip(lasts, LEAST_SAMPLES, values.shape[1]))
-            used, scale = scale, scale * np.maximum(np.std(waves.residuals, axis=1), 1e-9)
-        return self._answer(waves, chosen, step * thin, thin, used, values, said)
-
-    def _answer(
-        self,
-        waves: Realised,
-        chosen: np.ndarray,
-        step: float,
-        thin: int,
-        scale: np.ndarray,
-        values: np.ndarray,
-        said: str,
-    ) -> ModalEstimate:
-        """Answer with the chosen waves, at a ``step``: of means of ``thin`` samples of values over scale."""
-        n, samples = waves.residuals.shape
-        rates = np.log(waves.z[chosen]) / step
-        sds, shape_sds = self._deviations(waves, chosen, step)
-        # the first mean stands for samples 0 to thin - 1
-        gains = np.mean(np.exp(rates[:, None] * step / thin * np.arange(thin)), axis=1)
-        shapes = scale[:, None] * waves.shapes[:, chosen] / gains
-        shape_sds = scale[:, None] * shape_sds / np.abs(gains)
-        motion = np.exp(rates * step / thin * np.arange(values.shape[1])[:, None])
-        sizes = np.linalg.norm((shapes[:, None] * motion).real, axis=(0, 1))
-        shares = sizes / np.linalg.norm(values - np.mean(values, axis=1, keepdims=True))
+            decay = max(-np.log(np.max(np.abs(waves.z[chosen]))), TIME_CONSTANTS / MOST_SAMPLES)
+            length = int(np.clip(TIME_CONSTANTS * thin / decay, LEAST_SAMPLES, whole))
+        filters = whitening(waves.residuals)
+        white = np.array([np.convolve(*pair, "valid") for pair in zip(means, filters, strict=True)])
+        waves, chosen, said = stable(self._orders(white), problem.count, band)
+        if not chosen.size:
+            return ModalEstimate((), status=Status.DIVERGED, message=NO_MODE)
+        z = waves.z[chosen]
+        poles, shape_sds = self._deviations(waves, chosen)
+        poles[:, 0] /= 2.0 * np.pi * step * thin
+        # of the means of the first samples, and of their filter, which begins where it has all it needs
+        gains = np.mean(z[:, None] ** (np.arange(thin) / thin), axis=1)
+        gains = gains * (filters @ z ** np.arange(filters.shape[1])[::-1, None]) / size
+        shapes, shape_sds = waves.shapes[:, chosen] / gains, shape_sds / np.abs(gains)
+        motion = z ** (np.arange(whole)[:, None] / thin)
+        shares = np.linalg.norm((shapes[:, None] * motion).real, axis=(0, 1)) / (np.linalg.norm(size) * whole**0.5)
+        rates = np.log(z)
         modes = [
             Mode(
-                float(abs(rate)) / (2 * np.pi), float(-rate.real / abs(rate)), float(sds[i, 0]), float(sds[i, 1]),
-                shapes[:, i], shape_sds[:, i], float(shares[i]),
+                float(abs(rate)) / (2 * np.pi * step * thin), float(-rate.real / abs(rate)), float(poles[i, 0]),
+                float(poles[i, 1]), shapes[:, i], shape_sds[:, i], float(shares[i]),
             )
             for i, rate in enumerate(rates)
         ]  # fmt: skip
-        degrees = n * samples - 2 * waves.z.size * (n + 1) - n
-        return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), max(degrees, 1), message=said)
+        return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), waves.degrees, message=said)
 
-    def _deviations(self, waves: Realised, chosen: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors (modes, 2) of frequency (Hz) and damping ratio, and (channels, modes) of the shapes."""
+    def _deviations(self, waves: Realised, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard errors (modes, 2) of natural rate (1/sample) and damping ratio, and (channels, modes) of shapes."""
         n, samples = waves.residuals.shape
         upper = waves.z.imag > 0
         z = np.concatenate([waves.z, waves.z[upper].conj()])
@@ -177,19 +167,20 @@ class _StabilisedModes(ModalIdentifier):
         moved = pole_slopes(z, parts, self._rows(samples), samples, self.below_each_other)
         rate = np.log(z[chosen])[:, None, None]
         slope = moved[chosen] / z[chosen][:, None, None]
-        size = np.abs(rate)
-        sizes = (rate.conj() * slope).real / size
-        ratios = (-slope.real + rate.real / size * sizes) / size
+        sizes = (rate.conj() * slope).real / np.abs(rate)
+        ratios = (-slope.real + rate.real / np.abs(rate) * sizes) / np.abs(rate)
         powers = z ** np.arange(samples)[:, None]
         inverse = np.linalg.pinv(np.column_stack([powers, np.ones(samples)]))[:-1]
         turned = (inverse @ (np.arange(samples)[:, None] * powers / z))[chosen]
         shapes = -np.einsum("ml,cl,ldt->cmdt", turned, parts, moved)
         shapes[np.arange(n), :, np.arange(n)] += inverse[chosen]
-        used = 2.0 * waves.z.size * (n + 1) / n + 1.0
-        noises = [autoregression(residuals, used) for residuals in waves.residuals]
-        poles = np.sqrt(np.stack([variance(sizes, noises) / (2 * np.pi * step) ** 2, variance(ratios, noises)], axis=1))
-        both = 0.5 * (variance(2.0 * shapes.real, noises) + variance(2.0 * shapes.imag, noises))
-        return poles, np.sqrt(both)
+        noise = np.sqrt(n * np.sum(waves.residuals**2, axis=1) / waves.degrees)
+
+        def deviation(slopes: np.ndarray) -> np.ndarray:
+            return np.asarray(np.linalg.norm(slopes * noise[:, None], axis=(-2, -1)))
+
+        # real and imaginary part of 2 c, their mean square
+        return np.stack([deviation(sizes), deviation(ratios)], axis=1), 2.0**0.5 * deviation(np.abs(shapes))
 
     def _orders(self, values: np.ndarray) -> list[Realised]:
         """Realise values (channels, n) at rising orders."""
@@ -255,53 +246,62 @@ def thinning(values: np.ndarray) -> int:
 
 def stable(orders: list[Realised], count: int | None, band: np.ndarray) -> tuple[Realised, np.ndarray, str]:
     """Choose an order and the waves that are modes there, with natural rates (1/sample) in a band; say why so many."""
-    chains: list[list[tuple[int, int]]] = []
-    before: dict[int, list[tuple[int, int]]] = {}
-    for order, waves in enumerate(orders):
-        now = {}
-        stays = staying(orders[order - 1], waves) if order else np.full(waves.z.size, -1)
-        for index in np.flatnonzero(waves.oscillates):
-            chain = before.get(int(stays[index]))
-            if chain is None:
-                chain = []
-                chains.append(chain)
-            chain.append((order, int(index)))
-            now[int(index)] = chain
-        before = now
-    unknowns = 2 * (1 + len(orders[0].shapes))
-    cost = unknowns * np.log(orders[0].residuals.size)
-    clear = {i: float(np.median([orders[o].wald[k] for o, k in chain])) for i, chain in enumerate(chains)}
-    inside = [
-        i for i, chain in enumerate(chains) if band[0] <= abs(np.log(orders[chain[-1][0]].z[chain[-1][1]])) <= band[1]
-    ]
-    modes = [i for i in inside if 2 * len(chains[i]) >= len(orders) and clear[i] > cost]
-    if count is None:
-        chosen = sorted(modes, key=lambda i: -clear[i])[:MOST_MODES]
-        said = f"{len(chosen)} poles stay over half of the orders 2 to {2 * len(orders)}"
-    else:
-        chosen = sorted(inside, key=lambda i: (-2 * len(chains[i]) < -len(orders), clear[i]), reverse=True)[:count]
-        said = f"{count} modes told, of {len(modes)} that stay over half of the orders 2 to {2 * len(orders)}"
-    members = [[k for i in chosen for o, k in chains[i] if o == order] for order in range(len(orders))]
-    best = max(range(len(orders)), key=lambda order: (len(members[order]), -order))
+    rates = [np.log(waves.z) for waves in orders]
+    chains = linked(rates, [waves.shapes for waves in orders], orders[0].residuals.shape[1])
+    cost = 2 * (1 + len(orders[0].shapes)) * np.log(orders[0].residuals.size)
+    clear = [float(np.median([orders[order].wald[i] for order, i in chain])) for chain in chains]
+    inside = [i for i, chain in enumerate(chains) if band[0] <= abs(rates[chain[-1][0]][chain[-1][1]]) <= band[1]]
+    modes = {i for i in inside if len(chains[i]) >= min(STAYS, len(orders) / 2) and clear[i] > cost}
+    said = f"{len(modes)} poles stay over {STAYS} of the orders 2 to {2 * len(orders)} and lower the criterion"
+    chosen = sorted(modes if count is None else inside, key=lambda i: (i in modes, clear[i]), reverse=True)
+    chosen = chosen[: count or MOST_MODES]
+    members = [[i for chain in chosen for at, i in chains[chain] if at == order] for order in range(len(orders))]
+
+    def merit(order: int) -> tuple[int, float]:
+        return len(members[order]), float(np.sum(np.log(orders[order].wald[members[order]])))
+
+    best = max(range(len(orders)), key=merit)
     return orders[best], np.array(members[best], int), said
 
 
-def staying(before: Realised, now: Realised) -> np.ndarray:
-    """Number of the wave in the order before that each wave of this one continues, -1 for none."""
-    a, b = np.log(now.z)[:, None], np.log(before.z)[None]
-    with np.errstate(all="ignore"):
-        frequency = np.abs(np.abs(a) / np.abs(b) - 1.0) < FREQUENCY_STAYS
-        damping = np.abs((a.real / np.abs(a)) / (b.real / np.abs(b)) - 1.0) < DAMPING_STAYS
-        overlap = np.abs(now.shapes.conj().T @ before.shapes) ** 2
-        sizes = np.sum(np.abs(now.shapes) ** 2, axis=0)[:, None] * np.sum(np.abs(before.shapes) ** 2, axis=0)
-        distance = np.where(
-            frequency & damping & (overlap > SHAPE_STAYS * sizes) & before.oscillates, np.abs(a - b), np.inf
-        )
-    if not distance.size:
-        return np.full(now.z.size, -1)
-    nearest = np.argmin(distance, axis=1)
-    mutual = np.argmin(distance, axis=0)[nearest] == np.arange(now.z.size)
-    return np.where(mutual & np.isfinite(np.min(distance, axis=1)), nearest, -1)
+def linked(
+    orders: Sequence[np.ndarray],
+    shapes: Sequence[np.ndarray],
+    samples: float,
+    frequency: float = FREQUENCY_STAYS,
+    damping: float = DAMPING_STAYS,
+) -> list[list[tuple[int, int]]]:
+    """Link poles (1/sample) that stay from one order to the next: order and index of each.
+
+    Only those of decaying vibrations are; ``shapes`` (channels, k) of each order. A damping ratio is compared to no
+    less than one decay over all ``samples``.
+    """
+    chains: list[list[tuple[int, int]]] = []
+    before: dict[int, list[tuple[int, int]]] = {}
+    for order, (poles, forms) in enumerate(zip(orders, shapes, strict=True)):
+        now: dict[int, list[tuple[int, int]]] = {}
+        places = list(before)
+        vibrations = np.flatnonzero((poles.imag > 0) & (poles.real < 0))
+        distance = np.full((vibrations.size, len(places)), np.inf)
+        if places and vibrations.size:
+            a, b = poles[vibrations][:, None], orders[order - 1][places]
+            x, y = forms[:, vibrations], shapes[order - 1][:, places]
+            stays = np.abs(np.abs(a) - np.abs(b)) < frequency * np.abs(b)
+            ratio = np.maximum(-b.real, 1.0 / samples) / np.abs(b)
+            stays &= np.abs(a.real / np.abs(a) - b.real / np.abs(b)) < damping * ratio
+            norms = np.sum(np.abs(x) ** 2, axis=0)[:, None] * np.sum(np.abs(y) ** 2, axis=0)
+            stays &= np.abs(x.conj().T @ y) ** 2 > SHAPE_STAYS * norms
+            distance = np.where(stays, np.abs(a - b), np.inf)
+        for i, row in zip(vibrations.tolist(), distance, strict=True):
+            nearest = int(np.argmin(row)) if row.size else 0
+            if row.size and np.isfinite(row[nearest]) and row[nearest] == np.min(distance[:, nearest]):
+                now[i] = before[places[nearest]]
+            else:
+                now[i] = []
+                chains.append(now[i])
+            now[i].append((order, i))
+        before = now
+    return chains
 
 
 def pole_slopes(z: np.ndarray, parts: np.ndarray, rows: int, samples: int, below_each_other: bool) -> np.ndarray:
@@ -321,10 +321,10 @@ def pole_slopes(z: np.ndarray, parts: np.ndarray, rows: int, samples: int, below
     return np.asarray(np.roll(product, 1, axis=2) - z[:, None, None] * product)
 
 
-def variance(slopes: np.ndarray, noises: Sequence[Autoregression]) -> np.ndarray:
-    """Variance (...) of what moves by ``slopes`` (..., channels, samples) with noise of these colours."""
-    samples = slopes.shape[-1]
-    length = 4 * samples
-    power = np.abs(np.fft.rfft(slopes, length)) ** 2
-    power[..., 1:-1] *= 2.0
-    return np.asarray(sum(power[..., i, :] @ noise.spectrum(length) for i, noise in enumerate(noises)) / length)
+def whitening(residuals: np.ndarray) -> np.ndarray:
+    """Filters (channels, length) that make noise as in these residuals white and of size 1."""
+    noises = [autoregression(channel) for channel in residuals]
+    filters = np.zeros((len(noises), 1 + max(noise.order for noise in noises)))
+    for taps, noise in zip(filters, noises, strict=True):
+        taps[: 1 + noise.order] = np.append(1.0, -noise.coefficients) / max(noise.variance**0.5, 1e-9)
+    return filters
