@@ -47,7 +47,7 @@ from bench.dynamics.simulate import SimulatedMotion, SimulatedResponse, fitted_s
 from bench.dynamics.stepper import compiled_path, rk4, rk4_path, rk4_scan, rk4_step
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
-from bench.likelihood.autoregression import Autoregression, autoregression, whitened
+from bench.likelihood.autoregression import autoregression, whitened
 from bench.likelihood.batching import batches, layout
 from bench.likelihood.least_squares import (
     FIRST_DAMPING,
@@ -72,7 +72,6 @@ __all__ = [
     "LOG_LIMIT",
     "SDOF",
     "SIGMA_FLOOR",
-    "Autoregression",
     "Belief",
     "Blows",
     "Card",

@@ -139,48 +139,40 @@ class _StabilisedModes(ModalIdentifier):
         if not chosen.size:
             return ModalEstimate((), status=Status.DIVERGED, message=NO_MODE)
         z = waves.z[chosen]
-        poles, shape_sds = self._deviations(waves, chosen)
-        poles[:, 0] /= 2.0 * np.pi * step * thin
+        covariances, shape_sds = self._deviations(waves, chosen)
         # of the means of the first samples, and of their filter, which begins where it has all it needs
         gains = np.mean(z[:, None] ** (np.arange(thin) / thin), axis=1)
         gains = gains * (filters @ z ** np.arange(filters.shape[1])[::-1, None]) / size
         shapes, shape_sds = waves.shapes[:, chosen] / gains, shape_sds / np.abs(gains)
         motion = z ** (np.arange(whole)[:, None] / thin)
         shares = np.linalg.norm((shapes[:, None] * motion).real, axis=(0, 1)) / (np.linalg.norm(size) * whole**0.5)
-        rates = np.log(z)
+        span = step * thin
         modes = [
-            Mode(
-                float(abs(rate)) / (2 * np.pi * step * thin), float(-rate.real / abs(rate)), float(poles[i, 0]),
-                float(poles[i, 1]), shapes[:, i], shape_sds[:, i], float(shares[i]),
+            Mode.of_pole(pole, covariance, shape, shape_sd, float(share))
+            for pole, covariance, shape, shape_sd, share in zip(
+                np.log(z) / span, covariances / span**2, shapes.T, shape_sds.T, shares, strict=True
             )
-            for i, rate in enumerate(rates)
-        ]  # fmt: skip
+        ]
         return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), waves.degrees, message=said)
 
     def _deviations(self, waves: Realised, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors (modes, 2) of natural rate (1/sample) and damping ratio, and (channels, modes) of shapes."""
+        """Covariances (modes, 2, 2) of log z, real and imaginary, and standard errors (channels, modes) of shapes."""
         n, samples = waves.residuals.shape
         upper = waves.z.imag > 0
         z = np.concatenate([waves.z, waves.z[upper].conj()])
         parts = np.concatenate([waves.shapes, waves.shapes[:, upper].conj()], axis=1)
         parts = np.where(z.imag == 0, parts, 0.5 * parts)
         moved = pole_slopes(z, parts, self._rows(samples), samples, self.below_each_other)
-        rate = np.log(z[chosen])[:, None, None]
-        slope = moved[chosen] / z[chosen][:, None, None]
-        sizes = (rate.conj() * slope).real / np.abs(rate)
-        ratios = (-slope.real + rate.real / np.abs(rate) * sizes) / np.abs(rate)
         powers = z ** np.arange(samples)[:, None]
         inverse = np.linalg.pinv(np.column_stack([powers, np.ones(samples)]))[:-1]
         turned = (inverse @ (np.arange(samples)[:, None] * powers / z))[chosen]
         shapes = -np.einsum("ml,cl,ldt->cmdt", turned, parts, moved)
         shapes[np.arange(n), :, np.arange(n)] += inverse[chosen]
-        noise = np.sqrt(n * np.sum(waves.residuals**2, axis=1) / waves.degrees)
-
-        def deviation(slopes: np.ndarray) -> np.ndarray:
-            return np.asarray(np.linalg.norm(slopes * noise[:, None], axis=(-2, -1)))
-
-        # real and imaginary part of 2 c, their mean square
-        return np.stack([deviation(sizes), deviation(ratios)], axis=1), 2.0**0.5 * deviation(np.abs(shapes))
+        noise = np.sqrt(n * np.sum(waves.residuals**2, axis=1) / waves.degrees)[:, None]
+        rates = (noise * moved[chosen] / z[chosen][:, None, None]).reshape(chosen.size, -1)
+        both = np.stack([rates.real, rates.imag], axis=1)
+        # the mean square of real and imaginary part of 2 c
+        return both @ both.swapaxes(1, 2), 2.0**0.5 * np.linalg.norm(noise * np.abs(shapes), axis=(-2, -1))
 
     def _orders(self, values: np.ndarray) -> list[Realised]:
         """Realise values (channels, n) at rising orders."""

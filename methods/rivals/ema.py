@@ -1,15 +1,15 @@
-"""sdypy-EMA 0.31 (MIT, https://github.com/sdypy/sdypy-EMA) on frequency responses, its defaults; averages by pyFRF 1.5.
+"""sdypy-EMA 0.31 (MIT, https://github.com/sdypy/sdypy-EMA) on frequency responses; averages by pyFRF 1.5.
 
-Poles are those of its least-squares complex frequency method (LSCF), orders 1 to 60 as in its introduction; shapes those
-of its least-squares frequency domain method (LSFD), with residuals below and above. Poles are picked off its chart by
-a person; here whatever stays, within its own tolerances (frequency 0.1 %, damping 5 %), through half of the orders, and of
-it the pole with the median damping. It does not search for ``select_closest_poles``, which takes known frequencies
-and averages within 25 Hz of these.
+Poles are those of its least-squares complex frequency method (LSCF), orders 1 to 60 as in its introduction; shapes are
+those of its least-squares frequency domain method (LSFD), with residuals below and above. A person picks poles off its
+chart; here whatever stays, within its own tolerances (frequency 0.1 %, damping 5 %), through half of the orders, and of
+it the pole with the median damping. Its ``select_closest_poles`` is not used: it takes frequencies that are known
+before, and averages within 25 Hz of these.
 
-Blows are averaged to H1 by pyFRF (MIT, https://github.com/ladisk/pyFRF) as by a person with a hammer: force window up to
-the end of the pulse, and an exponential window down to 1 % where the response has not ended by itself, whose damping is
-taken off. Both are put on here: its own windows scale the response by their mean, and shapes with it. It states no
-uncertainty.
+Blows are averaged to H1 by pyFRF (MIT, https://github.com/ladisk/pyFRF) as by a person with a hammer: a force window
+up to the end of the pulse, and an exponential window down to 1 % where the response has not ended by itself, whose
+damping is taken off. Both are put on here: its own windows scale the response by their mean, and shapes with it. No
+uncertainty is stated.
 """
 
 from __future__ import annotations
@@ -20,8 +20,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Blows, FrequencyResponses, InputError, ModalCard, ModalEstimate, ModalIdentifier, ModalProblem, Mode
-from bench import Status
+from bench import (
+    Blows,
+    FrequencyResponses,
+    InputError,
+    ModalCard,
+    ModalEstimate,
+    ModalIdentifier,
+    ModalProblem,
+    Mode,
+    Status,
+)  # fmt: skip
 from methods.modal.stabilisation import linked
 from methods.starts.reach import unevenness
 
@@ -30,7 +39,7 @@ FREQUENCY_STAYS, DAMPING_STAYS = 0.001, 0.05
 PULSE = 0.02
 """Of a force's peak: above it is the pulse."""
 ENDED = 0.01
-"""Of a response's peak: below it a record has ended; what the exponential window leaves at the end of one that has not."""
+"""Of a response's peak, below which a record has ended; and what an exponential window leaves at the end."""
 DERIVATIVES = {"receptance": "d", "mobility": "v", "accelerance": "a"}
 
 
@@ -64,7 +73,8 @@ class EMA(ModalIdentifier):
         """Average, fit poles of all orders, pick those that stay, and fit their shapes."""
         from sdypy.EMA import Model
 
-        data = problem.data if isinstance(problem.data, FrequencyResponses) else averaged(problem.data)
+        data = averaged(problem.data) if isinstance(problem.data, Blows) else problem.data
+        assert isinstance(data, FrequencyResponses)
         lines = data.frequencies
         low, high = problem.band or (lines[lines > 0][0], lines[-1])
         order = min(self.order, int(np.sum((lines >= low) & (lines <= high))) // 2)
@@ -87,9 +97,8 @@ class EMA(ModalIdentifier):
         parts *= s ** list(DERIVATIVES).index(data.response)
         shares = np.linalg.norm(parts, axis=(0, 1)) / np.linalg.norm(model.frf)
         strongest = np.argsort(-shares)[: problem.count or len(poles)]
-        nothing = np.full((2, 2), np.nan)
-        unknown = np.full(len(residues), np.nan)
-        modes = [_mode(poles[i] + data.window, residues[:, i], float(shares[i])) for i in strongest]
+        nothing, unknown = np.full((2, 2), np.nan), np.full(len(residues), np.nan)
+        modes = [Mode.of_pole(poles[i] + data.window, nothing, residues[:, i], unknown, shares[i]) for i in strongest]
         said = f"{len(poles)} poles stay through half of the orders 1 to {order}"
         return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), message=said)
 
@@ -109,17 +118,12 @@ def averaged(blows: Blows) -> FrequencyResponses:
     last = np.sqrt(np.mean(blows.responses[..., -samples // 10 :] ** 2, axis=2))
     ended = np.all(last < ENDED * np.max(np.abs(blows.responses), axis=2))
     rate = 0.0 if ended else -np.log(ENDED) / (samples * blows.step)
-    window = np.exp(-rate * blows.step * np.arange(samples))
+    window, inside = (np.exp(-decay * blows.step * np.arange(samples)) for decay in (rate, blows.window))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # it takes whole numbers of Hz only: one a sample here
-        forces, responses = blows.forces * pulse * window, blows.responses * window
+        forces, responses = blows.forces * pulse * window * inside, blows.responses * window
         average = FRF(1, forces[:, None], responses, "f", DERIVATIVES[blows.response])
         values = average.get_FRF(frf_form=blows.response)[:, 0]
     values[:, 0] = 0.0  # of motion without vibration: zero by zero
     return FrequencyResponses(average.get_f_axis() / blows.step, values, blows.response, window=blows.window + rate)
-
-
-def _mode(pole: complex, shape: np.ndarray, share: float) -> Mode:
-    unknown = np.full(shape.size, np.nan)
-    return Mode(abs(pole) / (2 * np.pi), -pole.real / abs(pole), np.nan, np.nan, shape, unknown, share)
