@@ -10,9 +10,9 @@ singular vectors shift as the poles z do (:mod:`methods.modal.realisation`). Two
 
 **Modes.** The one decomposition is read at orders 2, 4, ... :data:`MOST_ORDER`. A pole stays from one order to the next
 where frequency, damping ratio and shape (modal assurance criterion) agree within 1 %, 10 % and 0.95 (usual values: B.
-Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999). What stays through half of the orders, and lowers the
+Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999). What stays over :data:`STAYS` orders, and lowers the
 misfit by more than its unknowns cost in Schwarz's information criterion (Ann. Stat. 6:461, 1978), is a mode; a number
-that is told takes so many, the clearest first. The answer is the lowest order that has them all.
+that is told takes so many, the clearest first. The answer is the order that has most of them, and has them clearest.
 
 **Length.** First the whole record, then :data:`TIME_CONSTANTS` of the slowest mode: to first order that is within 2 %
 of the bound for one mode, while what comes later adds noise to the matrix. Records above :data:`MOST_SAMPLES` are
@@ -22,7 +22,8 @@ thinned to means of neighbours, which leaves exponentials what they are and whit
 **Standard errors** follow to first order. With ``Y = O X`` (columns and rows of powers of the poles), p the rows of the
 pseudoinverse of O without its last block and q the columns of that of X, a small change moves a pole by
 ``δz = p (δY₂ - z δY₁) q``, Y₁ and Y₂ being Y without its last and first block (Hua, Sarkar, 1990), and the amplitudes
-of least squares with it. The noise is that of the residuals, an autoregression in each channel.
+of least squares with it. Coloured noise is made white before: an autoregression of each channel's residuals filters the
+samples, which leaves exponentials what they are; as many samples as its order has are lost.
 """
 
 from __future__ import annotations
