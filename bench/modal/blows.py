@@ -24,6 +24,8 @@ PRE_TRIGGER = 0.02
 """Time before a blow that belongs to its record, over the mean time between blows; three times the pulse at least."""
 FEWEST_SAMPLES = 64
 """Of a record."""
+FEWEST_BLOWS = 2
+"""Single blows beside which double hits are left out."""
 SHORT = 0.5
 """Length of a record over their median below which it is left out, so that the others need not be as short."""
 FLAT = 3
@@ -32,17 +34,23 @@ FLAT = 3
 
 @dataclass(frozen=True, eq=False)
 class ForcedRecord:
-    """A record of one or more blows, or of a shaker, as it was measured: ``force`` (n,), ``responses`` (outputs, n)."""
+    """A record of one or more blows, or of a shaker, as it was measured: ``force`` (n,), ``responses`` (outputs, n).
+
+    ``double``: of a blow with which the hammer hits again.
+    """
 
     name: str
     force: np.ndarray
     responses: np.ndarray
+    double: bool = False
 
 
 def blows_of(
     records: Sequence[ForcedRecord], step: float, response: Response, window: float = 0.0
 ) -> tuple[Blows, tuple[str, ...]]:
     """Cut records into one a blow, of equal length, each up to the next blow; a shaker's stays whole.
+
+    A double hit is left out where two others are there: noise within two pulses is not one factor of all lines.
 
     Returns:
         the blows, and in sentences what was done and what is doubtful
@@ -52,6 +60,8 @@ def blows_of(
     """
     notes: list[str] = []
     pieces = [piece for record in records for piece in _pieces(record, step, notes)]
+    if len(single := [piece for piece in pieces if not piece.double]) >= FEWEST_BLOWS:
+        pieces = single
     least = SHORT * float(np.median([piece.force.size for piece in pieces]))
     kept = [piece for piece in pieces if piece.force.size >= least]
     n = min(piece.force.size for piece in kept)
@@ -80,17 +90,19 @@ def _pieces(record: ForcedRecord, step: float, notes: list[str]) -> list[ForcedR
     pieces = []
     for k, (begin, end) in enumerate(zip(begins, [*begins[1:], n], strict=True), 1):
         name = f"{record.name} blow {k}" if len(begins) > 1 else record.name
-        piece = ForcedRecord(name, record.force[begin:end], record.responses[:, begin:end])
         inside = hits[(hits >= begin) & (hits < end)]
-        if inside.size > 1:
+        double = inside.size > 1
+        if double:
             later = ", ".join(f"{1e3 * step * (hit - inside[0]):.3g}" for hit in inside[1:])
-            notes.append(f"{name}: the hammer hits again after {later} ms; the measured force holds both hits")
+            notes.append(
+                f"{name}: the hammer hits again after {later} ms; left out if {FEWEST_BLOWS} single blows are there"
+            )
         peak = size[begin:end] == np.max(size[begin:end])
         if np.any(np.convolve(peak, np.ones(FLAT), "valid") == FLAT):
             notes.append(
                 f"{name}: the force stays at its maximum, so its sensor may be at its limit; do not rely on it"
             )
-        pieces.append(piece)
+        pieces.append(ForcedRecord(name, record.force[begin:end], record.responses[:, begin:end], double))
     return pieces
 
 

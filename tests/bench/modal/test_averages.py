@@ -43,10 +43,10 @@ def hammered(seed: int = 0, force_noise: float = 0.0, response_noise: float = 0.
     return ForcedRecord("five.csv", noisy, responses + sd * rng.standard_normal(responses.shape))
 
 
-def test_a_record_of_five_blows_is_cut_and_a_double_hit_named() -> None:
+def test_a_record_of_five_blows_is_cut_and_a_double_hit_left_out() -> None:
     blows, notes = blows_of([hammered(force_noise=0.5, response_noise=0.01)], STEP, "receptance")
-    np.testing.assert_allclose(np.ptp(blows.forces, axis=1), PEAKS, rtol=0.05)
-    assert 3.6 < blows.forces.shape[1] * STEP < 4.0  # the shortest time between two blows is 3.9 s
+    np.testing.assert_allclose(np.ptp(blows.forces, axis=1), np.delete(PEAKS, 2), rtol=0.05)
+    assert 4.0 < blows.forces.shape[1] * STEP < 4.2  # the shortest time between two blows
     assert np.ptp(np.argmax(blows.forces, axis=1)) <= 1
     (double,) = (note for note in notes if "hits again" in note)
     assert double.startswith("five.csv blow 3: the hammer hits again after 40 ms")
@@ -55,7 +55,7 @@ def test_a_record_of_five_blows_is_cut_and_a_double_hit_named() -> None:
 def test_files_of_a_blow_each_keep_their_length_and_short_ones_are_left_out() -> None:
     record = hammered()
     files = [ForcedRecord(f"{k}.csv", record.force[a:b], record.responses[:, a:b])
-             for k, (a, b) in enumerate([(500, 4500), (4800, 8700), (9000, 10000)])]  # fmt: skip
+             for k, (a, b) in enumerate([(500, 4500), (4800, 8700), (13000, 14000)])]  # fmt: skip
     blows, notes = blows_of(files, STEP, "receptance")
     assert blows.forces.shape == (2, 3900)
     assert any("left out: 2.csv" in note for note in notes)
@@ -112,7 +112,7 @@ def test_h1_is_biased_by_the_noise_of_the_force_as_stated_and_scatters_as_its_va
     bias, stated, square = np.mean(rows, axis=0)
     assert abs(bias - stated) < 3.0 * np.std(rows, axis=0)[0] / np.sqrt(len(rows)) - 0.05 * stated
     assert (stated < -0.02) is not windowed
-    assert 0.5 < square < 1.2  # the median of F(2, 8) is 0.76
+    assert 0.5 < square < 2.5  # of F(2, 6) the median is 0.81, the mean, to which lines that err alike tend, is 1.5
 
 
 def test_a_shakers_record_is_averaged_as_scipy_does() -> None:
