@@ -42,6 +42,7 @@ class SampleStatus(StrEnum):
     OUTLIER = "outlier"
     SENSOR_JUMP = "sensor_jump"
     AT_REST = "at_rest"
+    LOST = "lost"
     FAILED = "failed"
 
 

@@ -42,6 +42,10 @@ class ChangePointTracker(FilterTracker):
         self.kinds = len(layout.free)
         super().__init__(layout, warm_up, np.zeros((max(members, 4 * self.kinds), self.kinds)), 1.0)
         self.born, self.hazard = born, hazard
+        self.afresh()
+
+    def afresh(self) -> None:
+        """No hypothesis but the first."""
         self.ages, self.since = np.full(len(self.walk), OLD), 0
 
     def first_weights(self) -> np.ndarray:

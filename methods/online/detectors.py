@@ -39,7 +39,11 @@ class _Cusum(FilterTracker):
     def __init__(self, layout: Layout, method: OnlineCUSUM) -> None:
         super().__init__(layout, method.warm_up, np.zeros((1, len(layout.free))), 1.0)
         self.method = method
-        self.up = self.down = np.zeros(len(layout.free))
+        self.afresh()
+
+    def afresh(self) -> None:
+        """Both sums of every parameter at zero."""
+        self.up = self.down = np.zeros(len(self.layout.free))
 
     def judged(self, outcome: Outcome) -> float:
         drift, moves = self.method.allowance, np.clip(outcome["moves"][0], -LARGEST_MOVE, LARGEST_MOVE)
@@ -48,7 +52,7 @@ class _Cusum(FilterTracker):
         if alarm > self.method.threshold:
             # the motion too: filtered with what was wrong, it would draw the parameters off
             self.opened(motion=self.square, logs=CHANGE**2)
-            self.up = self.down = np.zeros(len(self.layout.free))
+            self.afresh()
         return alarm
 
 
@@ -85,6 +89,10 @@ class _Ratio(ChangePointTracker):
     def __init__(self, layout: Layout, method: OnlineGLR) -> None:
         super().__init__(layout, method.warm_up, method.members, method.born)
         self.threshold = method.threshold
+
+    def afresh(self) -> None:
+        """No hypothesis but the first, and no ratio."""
+        super().afresh()
         self.ratios, self.bounded = np.zeros(len(self.walk)), np.zeros(len(self.walk))
 
     def judged(self, outcome: Outcome) -> float:

@@ -18,7 +18,7 @@ been moving. Behind a step that failed it is known.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any, ClassVar
 
@@ -40,13 +40,25 @@ VAGUE = 0.05
 OPEN_ABOVE, OPEN_RATIO, OPEN_DAMPING = 0.7, 0.01, 1.5
 """A log-damping whose standard deviation is above the first is begun at this damping ratio or more, with the last for a
 standard deviation: a few cycles hardly tell a damping, and a filter about a damping of nothing would never learn."""
+NOISE_KNOWN, PUSH_KNOWN = 1.2, 1e3
+"""Factors within which the first samples tell the noise of a sensor and an unknown force."""
+FEWEST = 10
+"""Samples from which predictions are judged."""
+UNMODELLED = 0.01
+"""Of the mean square of what is seen, what an unmodelled part may leave: a tenth of the amplitude."""
+SCATTERED, FORGOTTEN = 2.0, 0.05
+"""Above the first the mean square of sums of normalised moves widens the intervals; what each new sum weighs in it."""
+FAR_OFF = 4.0
+"""Standard deviations of the logarithm of a ratio of mean squares, 2 / sqrt(n), at which predictions are worse."""
 MOST = 8
 REMEMBERED = 0.998
 """Forgetting of the mean square of the motion."""
 HELD = 0.99
 """Forgetting of the largest square that a sensor was expected to show."""
-REST = 0.3
+REST = 0.7
 """Standard deviations of its noise: where every sensor is expected to show less, the samples tell nothing."""
+REST_RATE = 2e-3
+"""Standard deviation that the log-parameters gain a sample at rest, where the force is not told."""
 RESTING = "nothing moves beyond the noise: the belief rests on what was learned before"
 OPENING = "several samples in a row are far off: the sensor's zero or the system has jumped, the belief is opened"
 
@@ -70,7 +82,8 @@ class FilterTracker(Tracker):
     """
 
     holds: ClassVar[tuple[str, ...]] = (
-        "begun", "head_values", "head_forces", "means", "spreads", "weights", "sigma", "push", "memory", "square",
+        "begun", "rows", "count", "searching", "losses", "excess", "levels", "moved", "scatter",
+        "means", "spreads", "weights", "sigma", "push", "memory", "square",
         "before", "far", "width", "moving", "asking",
     )  # fmt: skip
     mixes: ClassVar[bool] = False
@@ -78,15 +91,20 @@ class FilterTracker(Tracker):
     def __init__(self, layout: Layout, warm_up: int, walk: np.ndarray, chain: Any, rule: Rule = "extended") -> None:
         super().__init__(layout)
         self.warm_up, self.walk, self.chain = warm_up, walk, chain
-        self.bank = Bank(layout, len(walk), rule, self.mixes)
+        unforced = not (layout.forced or layout.ambient)
+        driven = replace(layout, ambient=tuple(range(layout.system.n_dof))) if unforced else layout
+        self.bank = Bank(driven, len(walk), rule, self.mixes)
         self.model, (self._step, self._coast) = self.bank.model, self.bank.functions()
         members, d, c = len(walk), self.model.size, len(layout.sensors)
-        self.begun, self.far, self.asking = False, 0, 0
-        self._forget_head()
+        self.begun, self.far, self.asking, self.searching, self.losses = False, 0, 0, False, 0
+        self.moved, self.scatter = np.zeros(len(layout.free)), np.ones(len(layout.free))
+        self.excess, self.levels = 0.0, np.ones(c + len(driven.ambient))
+        self.columns, self.count = c + len(layout.forced), 0
+        self.rows = np.full((MOST * warm_up, self.columns + c), np.nan)
         self.means, self.spreads = np.zeros((members, d)), np.tile(np.eye(d), (members, 1, 1))
         self.weights = np.zeros(members)
         self.sigma, self.width, self.moving = np.ones(c), np.ones(c), np.ones(c)
-        self.push, self.memory = np.zeros(len(layout.ambient)), np.zeros(len(layout.ambient))
+        self.push, self.memory = np.zeros(len(driven.ambient)), np.zeros(len(driven.ambient))
         self.square, self.before = np.zeros(self.model.n_motion), [0.0] * len(layout.forced)
         self.rebuild()
 
@@ -95,7 +113,7 @@ class FilterTracker(Tracker):
         rng = np.random.default_rng(0)
         values = rng.standard_normal((self.warm_up, self.sigma.size))
         forces = rng.standard_normal((self.warm_up, len(self.before)))
-        beginning(Head(self.layout, values, forces))
+        beginning(Head(self.bank.layout, values, forces))
         row = np.concatenate([values[0], np.ones(self.sigma.size), forces[0], self.before])
         state, _ = self._step((self.means, self.spreads, self.weights), row, self.constants)
         self._step(state, row, self.constants)
@@ -112,9 +130,14 @@ class FilterTracker(Tracker):
         self.ungated = (*self.constants[:2], (*self.constants[2][:2], jax.numpy.asarray(np.inf)))
 
     def step(self, sample: Sample, steps: int) -> Standing:
-        """Keep the first samples; then coast over a gap, update, and let the subclass have its say."""
+        """Search until a mode is found; then coast over a gap, update, and let the subclass have its say."""
+        self._kept(sample, steps)
         if not self.begun:
-            return self._collected(sample, steps)
+            missing = self._searched()
+            self.before = list(sample.forces)
+            status = SampleStatus.WARMING_UP if missing else SampleStatus.OK
+            belief = None if missing else self._belief_of_first()
+            return Standing(sample.time, status, belief, message=f"no answer yet: {missing}" if missing else "")
         if steps > 1:
             self._gap(steps - 1)
         there = [isfinite(value) for value in sample.values]
@@ -129,79 +152,124 @@ class FilterTracker(Tracker):
         self.asking = max(self.asking - 1, 0)
         self.before = list(sample.forces)
         if not _finite(outcome):
-            self.begun, self.far = False, 0
-            self._forget_head()
+            self.begun, self.far, self.losses = False, 0, self.losses + 1
             return Standing(sample.time, SampleStatus.FAILED, message="the filter is lost; it begins again")
         motion = outcome["mean"][: self.model.n_motion]
         self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * motion * motion
-        self.moving = np.maximum(HELD * self.moving, outcome["expected"] ** 2)
+        self.moving = np.maximum(HELD * self.moving, (outcome["expected"] - outcome["mean"][self.model.offsets]) ** 2)
         alarm = self.judged(outcome)
         status, message = SampleStatus.OK, ""
         if np.all(self.moving < (REST * self.sigma) ** 2):
             status, message = SampleStatus.AT_REST, RESTING
         if outcome["outlier"].any():
             status, message = self._outlying()
-        elif self.far:
-            self.far -= 1
+        else:
+            self.rows[(self.count - 1) % len(self.rows), self.columns :] = outcome["expected"]
+            self.far = max(self.far - 1, 0)
+        left = np.minimum(np.square(np.subtract(filled, outcome["expected"])) / outcome["variance"], GATE**2)
+        self.moved = self.moved + outcome["moves"][int(np.argmax(self.weights))]
+        self.excess += float(np.mean(np.where(there, left - 1.0, 0.0)))
+        if status is SampleStatus.AT_REST and not self.layout.forced:
+            self.opened(logs=REST_RATE**2)
+        self._judge()
         belief = self.belief(outcome["mean"], outcome["covariance"])
+        if self.searching:
+            status, message = (
+                SampleStatus.LOST,
+                f"the mode is lost ({self.losses} so far); the last samples are searched",
+            )
+            if not self._searched():
+                return Standing(sample.time, SampleStatus.OK, self._belief_of_first())
         expected, sd = outcome["expected"].copy(), np.sqrt(outcome["variance"])
         return Standing(sample.time, status, belief, expected, sd, alarm, message)
 
     def belief(self, mean: np.ndarray, cov: np.ndarray) -> Normal:
         """The log-parameters of a joint belief."""
         logs = self.model.logs
-        return Normal(self.layout.free, mean[logs], cov[logs, logs], log=True)
+        wider = np.sqrt(np.where(self.scatter > SCATTERED, self.scatter, 1.0))
+        widened = OPENED**2 * np.eye(wider.size) if self.searching else 0.0
+        return Normal(self.layout.free, mean[logs], cov[logs, logs] * np.outer(wider, wider) + widened, log=True)
+
+    def _belief_of_first(self) -> Normal:
+        """The belief of a filter that has just begun: that of every member."""
+        return self.belief(np.asarray(self.means)[0], self.bank.form.covariance(np.asarray(self.spreads))[0])
+
+    def afresh(self) -> None:  # noqa: B027 - most hold nothing
+        """Forget what is held of an earlier filter. By default nothing."""
 
     @abstractmethod
     def judged(self, outcome: Outcome) -> float:
         """Do what the method does between samples; the alarm, NaN where it has none."""
 
-    def _forget_head(self) -> None:
-        self.head_values = np.zeros((0, len(self.layout.sensors)))
-        self.head_forces = np.zeros((0, len(self.layout.forced)))
+    def _kept(self, sample: Sample, steps: int) -> None:
+        """Keep a sample; under a known force the motion of a gap is anybody's: begin again behind it."""
+        if steps > 1 and (self.layout.forced or steps > self.warm_up) and len(self.skipped) != steps - 1:
+            self.count = 0
+        for row in range(1 - steps, 1) if self.count else (0,):
+            place, self.count = self.count % len(self.rows), self.count + 1
+            self.rows[place] = np.nan
+        self.rows[place, : self.columns] = *sample.values, *sample.forces
 
-    def _collected(self, sample: Sample, steps: int) -> Standing:
-        def waiting(message: str, status: SampleStatus = SampleStatus.WARMING_UP) -> Standing:
-            return Standing(sample.time, status, message=message)
+    def _latest(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Values, forces and what was expected of the last n samples kept, the oldest first."""
+        rows = self.rows[np.arange(self.count - n, self.count) % len(self.rows)]
+        values, forces, expected = np.split(rows, [self.sigma.size, self.columns], axis=1)
+        return values, forces, expected
 
-        if steps > 1:  # rows without values; under a known force the motion of a gap is anybody's: begin again
-            rows = steps - 1
-            if self.layout.forced or rows > self.warm_up:
-                self._forget_head()
-            else:
-                self._keep(np.full((rows, self.sigma.size), np.nan), np.zeros((rows, 0)))
-        self._keep(np.array([sample.values]), np.array([sample.forces]))
-        n = len(self.head_values)
-        if n not in (self.warm_up << i for i in range(MOST.bit_length())):  # at each doubling
-            return waiting("the first samples are kept")
-        size = float(np.nanmax(np.abs(self.head_values), initial=0.0))
-        if size == 0.0 or np.sum(np.isfinite(self.head_values)) < self.warm_up // 2:
-            self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
-            return waiting("no sensor shows any motion")
-        best = beginning(Head(self.layout, without_spikes(self.head_values), self.head_forces))
+    def _searched(self) -> str:
+        """Search the last samples for a mode, and begin anew where one is; else say why there is none."""
+        n, half = self.count, self.warm_up // 2
+        shortest = self.warm_up if self.layout.forced else half
+        if n < shortest or n % half:
+            return "the first samples are kept"
+        length = shortest if self.begun else min(max(half * (n // half & -(n // half)), shortest), len(self.rows))
+        values, forces, _ = self._latest(length)
+        if np.sum(np.isfinite(values)) < length // 2 or not np.nanmax(np.abs(values)) > 0:
+            return "no sensor shows any motion"
+        values = without_spikes(values)
+        best = beginning(Head(self.bank.layout, values, np.nan_to_num(forces)))
         variances = np.diag(best.covariance)
-        finite = bool(np.all(np.isfinite(best.mean)) and np.all(variances[self.model.logs] > 0))
-        if n < MOST * self.warm_up and not (finite and not self._vague(variances)):
-            return waiting("the first samples do not determine the parameters well enough yet")
-        if not finite:
-            self.head_values, self.head_forces = self.head_values[-1:], self.head_forces[-1:]
-            return waiting("no parameters explain the first samples", SampleStatus.FAILED)
+        if not (np.all(np.isfinite(best.mean)) and np.all(variances[self.model.logs] > 0)):
+            return "no parameters explain the last samples"
+        if not explained(values, best.expected, moving=True):
+            return "the last samples show no mode that explains them"
+        if length < len(self.rows) and self._vague(variances):
+            return "the last samples do not determine the parameters well enough"
         mean, covariance = self._settled(best.mean, best.covariance)
-        members, squares = len(self.walk), self.head_values**2
+        members, squares = len(self.walk), (values - np.nanmean(values, axis=0)) ** 2
         self.means = np.tile(mean, (members, 1))
         self.spreads = np.tile(self.bank.form.spread(covariance), (members, 1, 1))
         self.weights = np.log(self.first_weights())
         self.sigma, self.push, self.memory = best.levels.sigma, best.levels.push, best.levels.memory
         self.moving, self.width = np.nanmax(squares, axis=0), WIDTH * np.sqrt(np.nanmean(squares, axis=0))
         self.square = np.maximum(best.mean**2, variances)[: self.model.n_motion]
-        self.before, self.begun = list(sample.forces), True
+        self.begun, self.searching, self.far, self.excess = True, False, 0, 0.0
+        self.levels = np.concatenate([self.sigma, self.push])
+        self.moved, self.scatter = 0.0 * self.moved, np.ones(self.scatter.size)
+        self.rows[np.arange(n - length, n) % len(self.rows), self.columns :] = best.expected
+        self.afresh()
         self.rebuild()
-        self._forget_head()
-        return Standing(sample.time, SampleStatus.OK, self.belief(mean, covariance))
+        return ""
 
-    def _keep(self, values: np.ndarray, forces: np.ndarray) -> None:
-        self.head_values = np.concatenate([self.head_values, values])
-        self.head_forces = np.concatenate([self.head_forces, forces])
+    def _judge(self) -> None:
+        """Every few samples compare the last predictions with an autoregression's: is the mode lost, or found?"""
+        span = self.warm_up // 2
+        if self.count < span or self.count % max(span // 5, 1):
+            return
+        values, _, expected = self._latest(span)
+        self.scatter = self.scatter + FORGOTTEN * (self.moved**2 / max(span // 5, 1) - self.scatter)
+        self.moved = 0.0 * self.moved
+        if self.push.size:
+            factor, self.excess = np.exp(0.5 * self.excess / span), 0.0
+            sigma, push = np.split(self.levels, [self.sigma.size])
+            self.sigma = np.clip(factor * self.sigma, sigma / NOISE_KNOWN, sigma * NOISE_KNOWN)
+            self.push = np.clip(factor * self.push, push / PUSH_KNOWN, push * PUSH_KNOWN)
+            self.rebuild()
+        if self.searching:
+            self.searching = not explained(values, expected, moving=True)
+        elif not explained(values, expected):
+            self.searching, self.losses = True, self.losses + 1
+            self.opened(motion=self.square, logs=OPENED**2)
 
     def _mended(self, after: Any, outcome: Outcome) -> tuple[np.ndarray, ...]:
         """The state before a step, with members that it took to no number where the weightiest of the others is."""
@@ -276,7 +344,7 @@ class FilterTracker(Tracker):
             self.far = 0
             self.opened(self.square, self.zero_variance(), OPENED**2)
         else:
-            self.opened(offsets=self.zero_variance())
+            self.opened(0.0 if self.layout.forced else self.square, self.zero_variance())
 
     def zero_variance(self) -> np.ndarray:
         """By how much the sensors' zeros are opened: those of displacement. A burst of acceleration is no jump."""
@@ -285,8 +353,8 @@ class FilterTracker(Tracker):
 
     def reset_motion(self) -> None:
         """Behind a long gap the motion is as open as it has been moving; parameters keep their belief."""
+        self.count = 0
         if not self.begun:
-            self._forget_head()
             return
         means = np.array(self.means)
         means[:, : self.model.n_motion] = 0.0
@@ -296,3 +364,25 @@ class FilterTracker(Tracker):
 
 def _finite(outcome: Outcome) -> bool:
     return isfinite(outcome["total"]) and isfinite(outcome["mean"].sum()) and bool(outcome["variance"].min() > 0)
+
+
+def explained(values: np.ndarray, expected: np.ndarray, moving: bool = False) -> bool:
+    """Whether predictions (n, c) are as good as those of an autoregression of order two fitted to the values.
+
+    By an F test of the ratio of the mean squares, averaged over the sensors. With ``moving`` they must also be better
+    than the sensors' means: something moves that is no noise.
+    """
+    against, of_mean = [], []
+    for y, shown in zip(values.T, expected.T, strict=True):
+        columns = np.stack([y[1:-1], y[:-2], np.ones(y.size - 2)], axis=1)
+        there = np.isfinite(columns.sum(axis=1) + y[2:] + shown[2:])
+        n, seen = int(there.sum()), int(np.isfinite(columns.sum(axis=1) + y[2:]).sum())
+        if n < FEWEST or n < seen // 3:  # what was far off stands in no prediction
+            return not moving and seen < FEWEST
+        columns, target, left = columns[there], y[2:][there], (y - shown)[2:][there]
+        rival = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+        square, whole = float(np.mean(left**2)), float(np.var(target)) or 1e-300
+        against.append(square / (float(rival @ rival) / (n - 3) + UNMODELLED * whole))
+        of_mean.append(square / whole)
+    most = float(np.exp(FAR_OFF * 2.0 / np.sqrt(n)))
+    return bool(np.mean(against) < most and (not moving or np.mean(of_mean) < 1.0 / most))

@@ -9,7 +9,8 @@ Theory 11:61, 1965); for a nonlinear system the extended filter's are its approx
 - of each unknown force the logarithm of its standard deviation and what it keeps of itself over an interval,
 
 from a scan: every frequency that the record resolves, several damping ratios and masses, of which the most likely few
-are followed. The motion at first is unknown. Nothing here knows a true value, and no level is set by hand.
+are followed. The motion at first is unknown, and so are the
+sensors' zeros. Nothing here knows a true value, and no level is set by hand.
 """
 
 from __future__ import annotations
@@ -52,8 +53,13 @@ class Head:
 
     @property
     def size(self) -> float:
-        """Root mean square of the values over all sensors."""
-        return float(np.sqrt(np.nanmean(self.values**2))) or 1.0
+        """Root mean square of the values about their means over all sensors."""
+        return float(np.sqrt(np.mean(np.nanvar(self.values, axis=0)))) or 1.0
+
+    def swing(self, omega: float) -> float:
+        """Root mean square of the displacement, where it swings at ``omega``; the first sensor's kind is all's."""
+        power = {"displacement": 0, "velocity": 1, "acceleration": 2}[self.layout.sensors[0].measures]
+        return self.size / omega**power
 
     def frequency(self) -> float:
         """Where the periodogram of the first sensor is largest (rad/s)."""
@@ -62,12 +68,17 @@ class Head:
         top = 1 + int(np.argmax(power[1:]))
         return float(2 * np.pi * np.fft.rfftfreq(y.size, self.layout.interval)[top])
 
-    def first_motion(self, omega: float) -> np.ndarray:
-        """Standard deviations of the motion before any sample, shape (n_motion,)."""
-        system, size = self.layout.system, OPEN * self.size
-        kind = self.layout.sensors[0].measures
-        x = size * {"displacement": 1.0, "velocity": 1.0 / omega, "acceleration": 1.0 / omega**2}[kind]
-        return np.array([x] * system.n_dof + [x * omega] * system.n_dof + [x] * system.n_hidden)
+    def first(self, omega: float) -> np.ndarray:
+        """Standard deviations before any sample of the motion and of the sensors' zeros, (n_motion + n_sensors,).
+
+        The zero of a displacement under a known force is taken to be right: its mean may be that force's.
+        """
+        system, x, told = self.layout.system, OPEN * self.swing(omega), self.layout.scale_told
+        zeros = np.sqrt(np.nanmean(self.values**2, axis=0)).tolist()
+        shown = [
+            0.0 if told and s.measures == "displacement" else z for s, z in zip(self.layout.sensors, zeros, strict=True)
+        ]
+        return np.array([x] * system.n_dof + [x * omega] * system.n_dof + [x] * system.n_hidden + shown)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +92,15 @@ class Levels:
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """What the first samples tell: mean and covariance of the joint state at the last of them, and the levels."""
+    """What the first samples tell: mean and covariance of the joint state at the last of them, and the levels.
+
+    ``expected``, (n, n_sensors): each sample as it was expected before it was seen; NaN for the first.
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
     levels: Levels
+    expected: np.ndarray
 
 
 def beginning(head: Head) -> Beginning:
@@ -118,7 +133,7 @@ def _searched(head: Head) -> Beginning:
     from scipy.optimize import minimize  # slow to import
 
     like = compiled(head.layout)
-    first = head.first_motion(head.frequency())
+    first = head.first(head.frequency())
     starts = _scan(head)
     values = np.asarray(like.many(starts, head.values, head.forces, first))
     values = np.where(np.isfinite(values), values, np.inf)
@@ -133,20 +148,28 @@ def _searched(head: Head) -> Beginning:
 
         limits = _limits(head, starts[i])
         end = minimize(
-            objective, starts[i], jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": ITERATIONS}
+            objective,
+            starts[i],
+            jac=True,
+            method="L-BFGS-B",
+            bounds=limits,
+            options={"maxiter": ITERATIONS, "ftol": 1e-7},
         )
         if end.fun < best:
             best, found = float(end.fun), end.x
-    mean, covariance = like.belief(found, head.values, head.forces, first)
-    return Beginning(np.array(mean), np.array(covariance), Likelihood(head.layout).parts(found)[1])
+    mean, covariance, expected = map(np.array, like.belief(found, head.values, head.forces, first))
+    return Beginning(mean, covariance, Likelihood(head.layout).parts(found)[1], expected)
 
 
 def _limits(head: Head, start: np.ndarray) -> list[tuple[float, float]]:
-    """Of each entry: a factor of 1e4 either way; noise between a part in 1e5 and three times what is seen."""
+    """Of each entry: a factor of 1e4 either way; noise between a part in 1e5 and three times what is seen.
+
+    A force that keeps more than 95 % of itself over an interval would be a drift of the zero.
+    """
     limits = [(s - 9.0, s + 9.0) for s in start]
     n, c, a = (len(part) for part in (head.layout.free, head.layout.sensors, head.layout.ambient))
     limits[n : n + c] = [(np.log(1e-5 * head.size), np.log(3.0 * head.size))] * c
-    limits[n + c + a :] = [(-8.0, 6.0)] * a
+    limits[n + c + a :] = [(-8.0, 3.0)] * a
     return limits
 
 
@@ -177,12 +200,12 @@ def _scan(head: Head) -> np.ndarray:
                 for _ in range(DRAWN)]  # fmt: skip
     drive = float(np.sqrt(np.mean(head.forces**2))) if layout.forced else 1.0
     for omega, ratio, mass, push in grid:
-        size = head.size
+        size = head.swing(omega)
         mass = mass * drive / (size * omega**2) if layout.scale_told else 1.0
         jitter = rng.normal(0.0, 0.5 if layout.system.n_dof > 1 else 0.0, len(layout.free))
         logs = np.log(_sizes(layout, mass, size, omega, ratio)) + jitter
         force = push * mass * size * omega**2
-        levels = [np.log(0.3 * size)] * len(layout.sensors) + [np.log(max(force, 1e-300))] * len(layout.ambient)
+        levels = [np.log(0.3 * head.size)] * len(layout.sensors) + [np.log(max(force, 1e-300))] * len(layout.ambient)
         found.append(np.concatenate([logs, levels, [-1.0] * len(layout.ambient)]))
     return np.array(found)
 
@@ -222,23 +245,22 @@ class Likelihood:
         return self._path(eta, values, forces, first)[0]
 
     def _path(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
-        """The negative log-likelihood, and the filtered motion and force, (n, n_motion + n_ambient)."""
+        """The negative log-likelihood, and the filtered states but for the log-parameters, (n, d - n_free)."""
         import jax
         import jax.numpy as jnp
 
         model, layout = self.model, self.layout
         logs, levels = self.parts(eta)
-        k = model.n_motion + model.n_ambient
-        rest = jnp.concatenate([jnp.zeros(model.n_sensors), logs])
+        k = model.logs.start
 
         def advance(state: Any, force: Any) -> Any:
-            return model.advance(jnp.concatenate([state, rest]), force, layout.interval, levels.memory)[:k]
+            return model.advance(jnp.concatenate([state, logs]), force, layout.interval, levels.memory)[:k]
 
         def observe(state: Any, force: Any) -> Any:
-            return model.observe(jnp.concatenate([state, rest]), force)
+            return model.observe(jnp.concatenate([state, logs]), force)
 
-        belief = jnp.zeros(k), jnp.diag(jnp.concatenate([first**2, levels.push**2]))
-        fresh = jnp.concatenate([jnp.zeros(model.n_motion), levels.push**2 * (1.0 - levels.memory**2)])
+        belief = jnp.zeros(k), jnp.diag(self._first(first, levels)[:k])
+        fresh = jnp.zeros(k).at[model.ambient].set(levels.push**2 * (1.0 - levels.memory**2))
         fixed = None, None
         if layout.system.linear:  # one matrix for all samples
             still = jnp.zeros(len(layout.forced))
@@ -247,27 +269,38 @@ class Likelihood:
         return -total, means
 
     def belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
-        """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.
+        """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters, and the path.
 
-        The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there.
+        The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there. The
+        last is what each sample was expected to be before it was seen, (n, n_sensors), by the filter given ``eta``.
         """
+        import jax
         import jax.numpy as jnp
 
         model, layout = self.model, self.layout
         logs, levels = self.parts(eta)
         path = self._path(eta, values, forces, first)[1]
-        rest = jnp.concatenate([jnp.zeros(model.n_sensors), logs])
-        about = jnp.concatenate([path, jnp.broadcast_to(rest, (len(path), len(rest)))], axis=1)
+        about = jnp.concatenate([path, jnp.broadcast_to(logs, (len(path), len(logs)))], axis=1)
         fresh = jnp.zeros(model.size).at[model.ambient].set(levels.push**2 * (1.0 - levels.memory**2))
-        variances = jnp.zeros(model.size).at[: model.n_motion].set(first**2)
-        variances = variances.at[model.ambient].set(levels.push**2).at[model.logs].set(OPEN_LOG**2)
-        belief = jnp.zeros(model.size).at[model.logs].set(logs), jnp.diag(variances)
+        belief = jnp.zeros(model.size).at[model.logs].set(logs), jnp.diag(self._first(first, levels))
 
         def advance(state: Any, force: Any) -> Any:
             return model.advance(state, force, layout.interval, levels.memory)
 
         _, (means, covs) = _filtered(model.observe, advance, belief, fresh, levels, (values, forces, about))
-        return means[-1], covs[-1]
+        expected = jax.vmap(lambda state, before, now: model.observe(advance(state, before), now))(
+            about[:-1], forces[:-1], forces[1:]
+        )
+        return means[-1], covs[-1], jnp.concatenate([jnp.full((1, model.n_sensors), jnp.nan), expected])
+
+    def _first(self, first: Any, levels: Levels) -> Any:
+        """Variances of the joint state before any sample, (d,)."""
+        import jax.numpy as jnp
+
+        n = self.model.n_motion
+        return jnp.concatenate(
+            [first[:n] ** 2, levels.push**2, first[n:] ** 2, jnp.full(self.model.n_free, OPEN_LOG**2)]
+        )
 
 
 def _filtered(
