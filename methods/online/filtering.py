@@ -1,15 +1,23 @@
 """What the filters of the joint state share: how they begin, what a gap does to them, and samples that are far off.
 
-**Beginning.** The first samples are kept until they determine the parameters well enough (:data:`VAGUE`), at most
-:data:`MOST` times as many as asked for; then the likelihood is maximised (:mod:`methods.online.likelihood`), and from
-there on a sample is an update and nothing is kept.
+**Beginning.** The likelihood of the last samples is maximised (:mod:`methods.online.likelihood`), over longer windows
+by and by, until it determines the parameters (:data:`VAGUE`) and its predictions are as good as an autoregression's and
+better than the mean (:func:`explained`). Until then there is no answer.
+
+**Losing the mode.** The same comparison judges the running filter. Where it fails the mode is lost: counted, said, the
+belief widened, and the last samples searched anew, unless the filter finds back before.
+
+**Unknown force.** Free motion is that under an unknown force, since blows come untold. The force's level follows the
+mean square of the innovations; so does the sensors' noise, within what the first samples leave open. Moves of the
+parameters that add up faster than white noise widen the interval.
 
 **Far-off samples.** A value more than :data:`GATE` standard deviations from what every member expects is left out; a
 member that has just been opened, and would explain any, is not asked. :data:`IN_A_ROW` of them are no spikes: something
-has jumped. The sensor's offset is opened first, and if that explains nothing, parameters and motion too.
+has jumped. The sensor's offset is opened first, and the motion where the force is not known: a blow makes that unknown,
+not the stiffness. If that explains nothing, parameters and motion are opened too.
 
 **Rest.** Where the motion that is expected falls below the noise, the samples say next to nothing of the parameters,
-and the status says so (:data:`REST`).
+and the status says so (:data:`REST`). Where the force is not known the belief then grows wider.
 
 **Gaps.** The belief coasts. A known force is not known in a gap, so behind one the motion is open by as much as it has
 been moving. Behind a step that failed it is known.
@@ -65,9 +73,11 @@ OPENING = "several samples in a row are far off: the sensor's zero or the system
 
 @dataclass(frozen=True)
 class FilterIdentifier(OnlineIdentifier):
-    """``warm_up``: samples before the filters begin."""
+    """``warm_up``: samples before the filters begin; half of them where no force is known."""
 
     warm_up: int = 150
+    version: ClassVar[int] = 2
+    """2: begins when predictions are as good as an autoregression's, and again when they no longer are."""
 
     def __post_init__(self) -> None:
         if self.warm_up < 20:
@@ -82,7 +92,7 @@ class FilterTracker(Tracker):
     """
 
     holds: ClassVar[tuple[str, ...]] = (
-        "begun", "rows", "count", "searching", "losses", "excess", "levels", "moved", "scatter",
+        "begun", "lacking", "rows", "count", "searching", "losses", "excess", "levels", "moved", "scatter",
         "means", "spreads", "weights", "sigma", "push", "memory", "square",
         "before", "far", "width", "moving", "asking",
     )  # fmt: skip
@@ -97,6 +107,7 @@ class FilterTracker(Tracker):
         self.model, (self._step, self._coast) = self.bank.model, self.bank.functions()
         members, d, c = len(walk), self.model.size, len(layout.sensors)
         self.begun, self.far, self.asking, self.searching, self.losses = False, 0, 0, False, 0
+        self.lacking = "the first samples are kept"
         self.moved, self.scatter = np.zeros(len(layout.free)), np.ones(len(layout.free))
         self.excess, self.levels = 0.0, np.ones(c + len(driven.ambient))
         self.columns, self.count = c + len(layout.forced), 0
@@ -111,8 +122,9 @@ class FilterTracker(Tracker):
     def prepare(self) -> None:
         """Compile, by a search in noise and a step from nowhere, neither of which is kept."""
         rng = np.random.default_rng(0)
-        values = rng.standard_normal((self.warm_up, self.sigma.size))
-        forces = rng.standard_normal((self.warm_up, len(self.before)))
+        shortest = self.warm_up if self.layout.forced else self.warm_up // 2
+        values = rng.standard_normal((shortest, self.sigma.size))
+        forces = rng.standard_normal((shortest, len(self.before)))
         beginning(Head(self.bank.layout, values, forces))
         row = np.concatenate([values[0], np.ones(self.sigma.size), forces[0], self.before])
         state, _ = self._step((self.means, self.spreads, self.weights), row, self.constants)
@@ -133,11 +145,11 @@ class FilterTracker(Tracker):
         """Search until a mode is found; then coast over a gap, update, and let the subclass have its say."""
         self._kept(sample, steps)
         if not self.begun:
-            missing = self._searched()
-            self.before = list(sample.forces)
-            status = SampleStatus.WARMING_UP if missing else SampleStatus.OK
-            belief = None if missing else self._belief_of_first()
-            return Standing(sample.time, status, belief, message=f"no answer yet: {missing}" if missing else "")
+            self.before, lacking = list(sample.forces), self._searched()
+            if not lacking:
+                return Standing(sample.time, SampleStatus.OK, self._belief_of_first())
+            self.lacking = lacking
+            return Standing(sample.time, SampleStatus.WARMING_UP, message=f"no answer yet: {lacking}")
         if steps > 1:
             self._gap(steps - 1)
         there = [isfinite(value) for value in sample.values]
@@ -174,10 +186,7 @@ class FilterTracker(Tracker):
         self._judge()
         belief = self.belief(outcome["mean"], outcome["covariance"])
         if self.searching:
-            status, message = (
-                SampleStatus.LOST,
-                f"the mode is lost ({self.losses} so far); the last samples are searched",
-            )
+            status, message = SampleStatus.LOST, f"the mode is lost ({self.losses} so far); the search goes on"
             if not self._searched():
                 return Standing(sample.time, SampleStatus.OK, self._belief_of_first())
         expected, sd = outcome["expected"].copy(), np.sqrt(outcome["variance"])
@@ -194,7 +203,7 @@ class FilterTracker(Tracker):
         """The belief of a filter that has just begun: that of every member."""
         return self.belief(np.asarray(self.means)[0], self.bank.form.covariance(np.asarray(self.spreads))[0])
 
-    def afresh(self) -> None:  # noqa: B027 - most hold nothing
+    def afresh(self) -> None:
         """Forget what is held of an earlier filter. By default nothing."""
 
     @abstractmethod
@@ -205,7 +214,7 @@ class FilterTracker(Tracker):
         """Keep a sample; under a known force the motion of a gap is anybody's: begin again behind it."""
         if steps > 1 and (self.layout.forced or steps > self.warm_up) and len(self.skipped) != steps - 1:
             self.count = 0
-        for row in range(1 - steps, 1) if self.count else (0,):
+        for _ in range(steps if self.count else 1):
             place, self.count = self.count % len(self.rows), self.count + 1
             self.rows[place] = np.nan
         self.rows[place, : self.columns] = *sample.values, *sample.forces
@@ -221,7 +230,7 @@ class FilterTracker(Tracker):
         n, half = self.count, self.warm_up // 2
         shortest = self.warm_up if self.layout.forced else half
         if n < shortest or n % half:
-            return "the first samples are kept"
+            return self.lacking
         length = shortest if self.begun else min(max(half * (n // half & -(n // half)), shortest), len(self.rows))
         values, forces, _ = self._latest(length)
         if np.sum(np.isfinite(values)) < length // 2 or not np.nanmax(np.abs(values)) > 0:

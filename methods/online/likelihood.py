@@ -268,8 +268,8 @@ class Likelihood:
         total, (means, _) = _filtered(observe, advance, belief, fresh, levels, (values, forces, None), fixed)
         return -total, means
 
-    def belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
-        """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters, and the path.
+    def belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any, Any]:
+        """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.
 
         The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there. The
         last is what each sample was expected to be before it was seen, (n, n_sensors), by the filter given ``eta``.

@@ -174,6 +174,46 @@ def test_where_nothing_moves_the_status_says_so() -> None:
     assert set(status[1500:]) == {"at_rest"}
 
 
+def blown(seed: int, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Acceleration at 250 Hz of 4 s at 25 Hz, then of 4 s behind a blow and a factor of the stiffness; frequencies."""
+    rng, frequency = np.random.default_rng(seed), 25.0 * np.repeat([1.0, np.sqrt(factor)], 1000)
+    phase, time = 2.0 * np.pi * np.cumsum(frequency) / 250.0, np.tile(np.arange(1000), 2) / 250.0
+    values = np.repeat([1.0, 1.5], 1000) * np.exp(-0.5 * time) * np.cos(phase + np.repeat([0.0, 1.0], 1000))
+    return values + 0.02 * rng.standard_normal(2000), frequency
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf", "square_root", "imm"])
+def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubles_the_stiffness(name) -> None:
+    values, frequency = blown(3, 2.0)
+    values = values + 9.81  # an accelerometer shows its weight
+    tracker = make_online(name).start(Layout(make_system("sdof", {}), (Sensor("acceleration"),), 1.0 / 250.0))
+    quantity = next(q for q in tracker.layout.quantities if q.name == "k_over_m")
+    standings = [tracker.update(Sample(i / 250.0, (y,))) for i, y in enumerate(values)]
+    first = next(i for i, standing in enumerate(standings) if standing.belief is not None)
+    assert first < 250
+    assert all("no answer yet" in standing.message for standing in standings[:first])
+    held = []
+    for standing, true in zip(standings[first:], frequency[first:], strict=True):
+        low, high = np.sqrt(standing.marginal(quantity).interval(0.95)) / (2.0 * np.pi)
+        held.append(low <= true <= high)
+    assert np.mean(held) > 0.85
+    for place in (first, 990, 1250, 1999):
+        assert np.sqrt(standings[place].marginal(quantity).value) / (2.0 * np.pi) == pytest.approx(
+            frequency[place], 0.03
+        )
+
+
+def test_noise_alone_is_no_mode_and_a_lost_mode_is_counted_and_its_interval_widened() -> None:
+    layout = Layout(make_system("sdof", {}), (Sensor("acceleration"),), 1.0 / 250.0)
+    tracker, noise = make_online("ekf").start(layout), np.random.default_rng(8).standard_normal(450)
+    assert {tracker.update(Sample(i / 250.0, (y,))).belief for i, y in enumerate(noise)} == {None}
+    tracker = make_online("ekf").start(layout)
+    standings = [tracker.update(Sample(i / 250.0, (y,))) for i, y in enumerate(blown(4, 2.0)[0])]
+    lost = next(i for i, standing in enumerate(standings) if standing.status.value == "lost")
+    assert "lost (1" in standings[lost].message
+    assert standings[lost].belief.covariance[1, 1] > 10 * standings[990].belief.covariance[1, 1]
+
+
 @pytest.mark.parametrize("name", ["ekf", "change_points", "cusum", "glr", "rls", "ar", "window_ls"])
 def test_a_restored_tracker_goes_on_to_the_digit(name, constant) -> None:
     _, stream, _ = constant
