@@ -12,12 +12,12 @@ H2, and Hv frequency response functions, IMAC 3, 1985).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import csd
 
-from bench.contract.modal import Blows, FrequencyResponses, Mode, Response
+from bench.contract.modal import Blows, FrequencyResponses, Response
 from bench.modal.blows import force_windowed, touched
 
 SEGMENTS, FEWEST_SAMPLES = 8, 16
@@ -82,7 +82,7 @@ def averages(blows: Blows, decay: float = 0.0, force_window: bool = True) -> Ave
         blows: Records of force and response.
         decay: Rate (1/s) of an exponential window for force and response, exact for a force at any time:
             ``exp(-a t) (h * f) = (exp(-a t) h) * (exp(-a t) f)``. It comes to that of ``blows.window``, which the force
-            does not have yet. :func:`without_window` takes the damping of both off a mode.
+            does not have yet. A pole of these averages is that of the mode less their ``window``.
         force_window: Whether the force of a hammer is set to zero where it does not touch.
     """
     n, hammer = blows.forces.shape[1], touched(blows.forces)
@@ -129,24 +129,3 @@ def decay_needed(blows: Blows) -> float:
     start, end = np.mean(squares[:, : n // 10], axis=1), np.mean(squares[:, -(n // 10) :], axis=1)
     left = np.sqrt(np.max(end[start > 0] / start[start > 0], initial=0.0))
     return float(np.log(max(left / ENDED, 1.0)) / (n * blows.step))
-
-
-def without_window(mode: Mode, rate: float) -> Mode:
-    """Take the damping of an exponential window of this rate (1/s) off a mode: its pole moves by the rate.
-
-    Damped frequency and residue stay; the errors of frequency and damping ratio are taken as independent.
-    """
-    omega, ratio = 2.0 * np.pi * mode.frequency, mode.damping_ratio
-    sigma, damped = ratio * omega - rate, omega * np.sqrt(1.0 - ratio**2)
-    new = float(np.hypot(sigma, damped))
-    cosine, sine = damped / new, sigma / new
-    to_pole = np.array([[ratio, omega], [damped / omega, -(omega**2) * ratio / damped]])
-    change = np.array([[sine, cosine], [cosine**2 / new, -sine * cosine / new]]) @ to_pole
-    sd = np.sqrt(change**2 @ np.array([2.0 * np.pi * mode.frequency_sd, mode.damping_ratio_sd]) ** 2)
-    return replace(
-        mode,
-        frequency=new / (2.0 * np.pi),
-        damping_ratio=float(sine),
-        frequency_sd=float(sd[0]) / (2.0 * np.pi),
-        damping_ratio_sd=float(sd[1]),
-    )
