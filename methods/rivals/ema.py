@@ -36,8 +36,8 @@ from methods.starts.reach import unevenness
 
 FREQUENCY_STAYS, DAMPING_STAYS = 0.001, 0.05
 """Tolerances of the package's chart."""
-PULSE = 0.02
-"""Of a force's peak: above it is the pulse."""
+PULSE = 0.1
+"""Of a force's peak: above it, well out of the noise, is the pulse; the window is open as long again after it."""
 ENDED = 0.01
 """Of a response's peak, below which a record has ended; and what an exponential window leaves at the end."""
 DERIVATIVES = {"receptance": "d", "mobility": "v", "accelerance": "a"}
@@ -114,7 +114,8 @@ def averaged(blows: Blows) -> FrequencyResponses:
 
     samples = blows.forces.shape[1]
     peaks = np.max(np.abs(blows.forces), axis=1, keepdims=True)
-    pulse = np.arange(samples) <= np.flatnonzero(np.any(np.abs(blows.forces) > PULSE * peaks, axis=0))[-1]
+    above = np.flatnonzero(np.any(np.abs(blows.forces) > PULSE * peaks, axis=0))
+    pulse = np.arange(samples) <= 2 * above[-1] - above[0] + 1
     last = np.sqrt(np.mean(blows.responses[..., -samples // 10 :] ** 2, axis=2))
     ended = np.all(last < ENDED * np.max(np.abs(blows.responses), axis=2))
     rate = 0.0 if ended else -np.log(ENDED) / (samples * blows.step)
