@@ -362,6 +362,41 @@ class SpectralFit:
 
 
 @dataclass(frozen=True)
+class ModalParameters:
+    """Modal mass (kg), damping (N s/m) and stiffness (N/m) at a drive point, with standard errors.
+
+    ``phase``: degrees between the residue and that of a real mode; ``note``: what is doubtful, empty if nothing is.
+    """
+
+    m: float
+    c: float
+    k: float
+    m_sd: float
+    c_sd: float
+    k_sd: float
+    phase: float
+    note: str
+
+
+def modal_parameters(mode: Mode, output: int = 0) -> ModalParameters:
+    """Return m, c, k of a mode whose force acts where ``output`` is measured, in N and SI units.
+
+    A real mode has the residue ``1 / (2j m omega_d)`` (D. J. Ewins, 2000, chapter 2). Errors of frequency, damping
+    ratio and residue are taken as independent; those of the last two agree in sign, so that of c is too large.
+    """
+    residue, rate, ratio = complex(mode.shape[output]), 2.0 * np.pi * mode.frequency, mode.damping_ratio
+    m = 1.0 / (2.0 * abs(residue) * rate * np.sqrt(1.0 - ratio**2))
+    size, hertz = float(mode.shape_sd[output]) / abs(residue), mode.frequency_sd / mode.frequency
+    turn = mode.damping_ratio_sd / ratio
+    sds = np.hypot(size, [hertz, turn, hertz])
+    phase = float(np.degrees(np.angle(1j * residue)))
+    off = f"the residue is {phase:.0f} degrees off that of a real mode at a drive point"
+    c, k = 2.0 * ratio * rate * m, rate**2 * m
+    m_sd, c_sd, k_sd = (float(sd) for sd in np.array([m, c, k]) * sds)
+    return ModalParameters(float(m), float(c), float(k), m_sd, c_sd, k_sd, phase, off if abs(phase) > REAL_MODE else "")
+
+
+@dataclass(frozen=True)
 class SpectralLikelihood(ModalIdentifier):
     """Maximum likelihood of modes on spectra of force and response, or on frequency responses."""
 
