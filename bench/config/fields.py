@@ -66,6 +66,10 @@ class Config:
     window: Annotated[
         float, Within(ge=0), "1/s, with modes=: decay rate of an exponential window that is in the data already"
     ] = 0
+    base: Annotated[str | None, "column of the ground's acceleration, which drives the motion; with motion="] = None
+    motion: Annotated[
+        Literal["relative", "absolute"] | None, "with base=: relative to the ground, or of an accelerometer on the mass"
+    ] = None
     detrend: Annotated[bool | None, "remove a straight line from the motion; by default where significant"] = None
     force_gain: Annotated[float, "factor of the column of the force; -1 turns its sign"] = 1
     hold: Annotated[Hold, "how the force runs between its samples"] = "linear"
@@ -88,7 +92,7 @@ SWEPT = (*GROUPS, "snr", "initial_state", "replicates", "seed")
 """Fields of a cell: -m sweeps over their values."""
 RECORD = (
     "columns", "units", "rate", "from", "to", "decimate", "detrend", "force_gain", "hold", "fixed", "nominal", "start",
-    "plot", "picture", "modes", "band", "response", "window",
+    "plot", "picture", "modes", "band", "response", "window", "base", "motion",
 )  # fmt: skip
 """Fields of a measured record, which need ``data``."""
 MODAL = (

@@ -113,6 +113,8 @@ def identify(
     columns: Mapping[str, int | str] | None = None,
     units: Mapping[str, str] | None = None,
     rate: float | None = None,
+    base: int | str | None = None,
+    motion: str | None = None,
     span: tuple[float, float] | None = None,
     decimate: int | None = None,
     detrend: bool | None = None,
@@ -140,6 +142,8 @@ def identify(
         columns: which column is what, where a file does not say: ``{"t": 0, "x": 3}``.
         units: in which unit, where a file does not say: ``{"t": "ms", "x": "mm"}``.
         rate: samples a second, where no column is the time.
+        base: column of the ground's acceleration, which drives the motion.
+        motion: with ``base``: ``relative`` to the ground, or ``absolute`` of an accelerometer on the mass.
         span: first and last time (s) to use, on the file's own clock.
         decimate: every n-th sample is kept, after a low-pass filter.
         detrend: whether the drift of a sensor is taken away; by default where it is significant.
@@ -179,7 +183,7 @@ def identify(
         "method": method if modes is None else None, "modes": None if modes is None else str(modes),
         "band": None if band is None else ":".join(map(str, band)), "prior": prior, "nominal": nominal, "seed": seed,
         "timeout_s": timeout_s, "memory_mb": memory_mb, "rate": rate, "fixed": fixed, "decimate": decimate,
-        "detrend": detrend,
+        "detrend": detrend, "base": None if base is None else str(base), "motion": motion,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
     of_file: dict[str, Any] = {

@@ -14,6 +14,7 @@ from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
 from bench.records.decimation import decimated
 from bench.records.models import ClassComparison, smoothing_velocity
+from bench.records.moving_ground import on_moving_ground
 from bench.records.prepare import prepare
 from bench.records.reading import Recording, read_recordings
 from bench.records.request import AUTO, Request
@@ -62,7 +63,9 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     """Make the problem of a request from its files, or from what was read of them before; raises InputError."""
     if not recordings:
         recordings = [recording for path in request.files for recording in read_recordings(path, request.options)]
-    job, start, n_dof = request.job, _start(request.job), _system(request, recordings[0]).n_dof
+    job, start = request.job, _start(request.job)
+    recordings = [on_moving_ground(recording, job.config.motion) for recording in recordings]
+    n_dof = _system(request, recordings[0]).n_dof
     recordings = prepare(recordings, request.options, known_state=start is not None, n_dof=n_dof)
     system = _system(request, recordings[0])
     records = tuple(_record(recording, system, start, job) for recording in recordings)

@@ -134,8 +134,15 @@ def _joined(overrides: Overrides) -> dict[str, list[Any]]:
 
 
 def _options(config: Config) -> ReadOptions:
+    columns = pairs("columns", config.columns)
+    if config.base is not None and not columns:
+        raise InputError("base", config.base, "name the motion, too, as columns=t:0,a:1")
+    if config.motion is not None and config.base is None and "b" not in columns:
+        raise InputError("motion", config.motion, "with base=, the column of the ground's acceleration")
+    if config.base is not None:
+        columns |= {"b": int(config.base) if config.base.isdigit() else config.base}
     return ReadOptions(
-        pairs("columns", config.columns),
+        columns,
         pairs("units", config.units),
         config.rate,
         config.from_,

@@ -11,10 +11,10 @@ from bench.errors import InputError
 from bench.records.reading.headings import Column
 from bench.records.reading.table import ReadOptions, Table, slot
 from bench.records.reading.times import increments_summed
-from bench.records.reading.units import KNOWN, LETTERS, unit_of
+from bench.records.reading.units import KNOWN, LETTERS, MEASURED_BY, unit_of
 
 LETTER_OF: dict[str, str] = {quantity: letter for letter, quantity in LETTERS.items()}
-EXAMPLES: dict[str, str] = {"t": "s", "x": "mm", "v": "m/s", "a": "g", "f": "N"}
+EXAMPLES: dict[str, str] = {"t": "s", "x": "mm", "v": "m/s", "a": "g", "f": "N", "b": "g"}
 """Units that an error suggests."""
 
 
@@ -229,7 +229,7 @@ class Columns:
 
         Its label is then the SI unit. A label that is no known unit is kept only where columns= names the column.
         """
-        column, quantity, given = self[i], LETTERS[role[0]], self.options.unit(role)
+        column, quantity, given = self[i], {**LETTERS, **MEASURED_BY}[role[0]], self.options.unit(role)
         keeps = bool(self.options.columns or self.options.sensors) and quantity != "time"
         said = column.unit.measures if column.unit else column.says
         if said in LETTER_OF and said != quantity:

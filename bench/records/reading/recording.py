@@ -17,7 +17,7 @@ from bench.records.reading.files import read_file
 from bench.records.reading.headings import Column, column_of
 from bench.records.reading.table import ReadOptions, Recording, Signal, Table, check_size, slot
 from bench.records.reading.times import UNDETERMINED, increments_summed, rebuilt
-from bench.records.reading.units import MEASURES
+from bench.records.reading.units import MEASURED_BY
 
 NO_OPTIONS = ReadOptions()
 Clocked = tuple[np.ndarray, np.ndarray, float]
@@ -207,7 +207,7 @@ class _Run:
             there = self._there(role, column.values[samples])
             values, times = column.values[samples][there], times[there]
             size = 1.0 if column.unit is None else column.unit.size
-            measures, dof = MEASURES[role[0]], slot(role)[1]
+            measures, dof = MEASURED_BY[role[0]], slot(role)[1]
             signals.append(Signal(role, measures, dof, values, column.label, times, column.written, size))
             rate_error = max(rate_error, error)
         start = min(float(signal.times[0]) for signal in signals)

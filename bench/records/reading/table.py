@@ -19,8 +19,8 @@ PREAMBLE = 10_000
 """Rows of a text or a sheet that need not be of the table."""
 LISTED = 24
 """Columns that an error names."""
-ROLE = re.compile(r"t|[xvaf](?:[1-9]\d?)?")
-ROLES = "t, x, v, a, f and x1, x2, …, v1, … with the number of a DOF"
+ROLE = re.compile(r"t|b|[xvaf](?:[1-9]\d?)?")
+ROLES = "t, x, v, a, f, b (the base) and x1, x2, …, v1, … with the number of a DOF"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ Quantity = Literal["time", "displacement", "velocity", "acceleration", "force"]
 MEASURES: dict[str, Measures] = {"x": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
 LETTERS: dict[str, Quantity] = {"t": "time", **MEASURES}
 """Roles of columns; all but the time's may have the number of a DOF."""
+MEASURED_BY: dict[str, Measures] = {**MEASURES, "b": "acceleration"}
+"""With that of the base, on moving ground, which a column has only where the user says so."""
 
 
 class Unit(NamedTuple):
