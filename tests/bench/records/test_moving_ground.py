@@ -59,7 +59,7 @@ def test_stiffness_and_damping_over_the_mass_come_from_the_ground_and_either_mot
 def test_what_is_not_said_of_moving_ground_is_asked_for(shaken: Path, settings: dict[str, Any], said: str) -> None:
     units = {"t": "s", "x": "m"} | ({"b": "g"} if "base" in settings else {})
     with pytest.raises(InputError, match=said):
-        identify(shaken, columns={"t": 0, "x": 1}, units=units, **settings)
+        identify(shaken, method="ls", columns={"t": 0, "x": 1}, units=units, **settings)
 
 
 def test_a_force_beside_the_moving_ground_is_refused(shaken: Path) -> None:
