@@ -68,8 +68,10 @@ def _fits(scenarios: Iterable[ModalScenario], names: Sequence[str], count: int, 
         title = name
         try:
             method = make_modal(name)
-            title = method.card.title
-            objection = method.objection(of.draw(seed, 0)[0])
+            problem, title = of.draw(seed, 0)[0], method.card.title
+            objection = method.objection(problem)
+            if not names and not isinstance(problem.data, method.serves):
+                continue  # a method of the other kind of data
         except InputError as error:
             if names:
                 raise

@@ -29,7 +29,8 @@ from bench.contract.modal import (
 )
 from bench.entrants.modal import make_modal
 from bench.likelihood.autoregression import even_times
-from bench.modal.averages import averages
+from bench.modal.averages import averages, decay_needed
+from bench.modal.spectra import modal_parameters
 from bench.records.colour import autocorrelation
 from bench.records.diagnostics import LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE
 from bench.records.modal_data import ModalRecord
@@ -72,14 +73,28 @@ class Component:
 
 
 @dataclass(frozen=True)
+class ModalParameter:
+    """Modal mass, damping or stiffness where the only sensor is at the force; ``half`` of the 95 % interval."""
+
+    name: str
+    value: float
+    half: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class ShapedMode(OfferedMode):
-    """A mode with its amplitude at the first sample, of the sensor where it is largest, and its shape if several."""
+    """A mode with its amplitude at the first sample, of the sensor where it is largest, and its shape if several.
+
+    Of a force and one sensor it has ``parameters`` in place of an amplitude.
+    """
 
     amplitude: float = math.nan
     amplitude_low: float = math.nan
     amplitude_high: float = math.nan
     amplitude_unit: str = ""
     shape: tuple[Component, ...] = ()
+    parameters: tuple[ModalParameter, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,8 +202,8 @@ def motion(data: FreeDecays, modes: Sequence[Mode], times: np.ndarray) -> np.nda
 def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float] | None) -> Comparison:
     """Return the spectra of a record, about its mean, and of the modes; of forced motion its frequency responses.
 
-    These have besides, as fitted to them, what modes below and above the band leave in it, ``a / s² + b`` (D. J. Ewins,
-    Modal Testing, 2nd ed., section 4.4).
+    To these the poles are fitted with any residues, as noise of a blow's force scales them, and with what modes below
+    and above the band leave in it, ``a / s² + b`` (D. J. Ewins, Modal Testing, 2nd ed., section 4.4).
     """
     data, (low, high) = record.data, band or (0.0, math.inf)
     if isinstance(data, FreeDecays):
@@ -199,19 +214,17 @@ def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float
         frequencies = np.fft.rfftfreq(n, (even[-1] - even[0]) / (n - 1))
         measured, fitted = (np.fft.rfft(channels) * 2.0 / n for channels in rows)
     else:
-        data = averages(data).frequency_responses() if isinstance(data, Blows) else data
+        data = averages(data, decay_needed(data)).frequency_responses() if isinstance(data, Blows) else data
         frequencies, measured = data.frequencies, data.values
     inside = (frequencies > 0) & (frequencies >= low) & (frequencies <= high)
     frequencies, measured = frequencies[inside], measured[:, inside]
     if isinstance(data, FreeDecays):
         return Comparison(frequencies, measured, fitted[:, inside])
-    s, shapes = 2j * np.pi * frequencies + data.window, np.stack([mode.shape for mode in modes], axis=1)
-    poles = np.array([mode.pole for mode in modes])[:, None]
-    derivative = s ** DERIVATIVES[data.response]
-    fitted = derivative * (shapes @ (1.0 / (s - poles)) + shapes.conj() @ (1.0 / (s - poles.conj())))
-    rest = np.stack([derivative / s**2, derivative], axis=1)
-    rest = rest / np.linalg.norm(rest, axis=0)
-    return Comparison(frequencies, measured, fitted + (rest @ np.linalg.lstsq(rest, (measured - fitted).T)[0]).T)
+    s, poles = 2j * np.pi * frequencies + data.window, np.array([mode.pole for mode in modes])
+    parts = [1.0 / (s - pole) for pole in (*poles, *poles.conj())]
+    basis = s ** DERIVATIVES[data.response] * np.stack([*parts, s**-2, np.ones_like(s)])
+    basis = (basis / np.linalg.norm(basis, axis=1, keepdims=True)).T
+    return Comparison(frequencies, measured, (basis @ np.linalg.lstsq(basis, measured.T)[0]).T)
 
 
 def _reasons(
@@ -300,7 +313,17 @@ def _shaped(mode: Mode, quantile: float, record: ModalRecord) -> ShapedMode:
     return ShapedMode(
         f, f - half, f + half, ratio, ratio - ratio_half, ratio + ratio_half, mode.share, False,
         size, size - size_half, size + size_half, record.units[largest], tuple(parts),
+        _parameters(mode, quantile, record),
     )  # fmt: skip
+
+
+def _parameters(mode: Mode, quantile: float, record: ModalRecord) -> tuple[ModalParameter, ...]:
+    """Return modal mass, damping and stiffness; none of free motion, of several sensors and of a residue not real."""
+    if isinstance(record.data, FreeDecays) or len(record.channels) > 1 or not np.isfinite(mode.shape_sd[0]):
+        return ()
+    by = modal_parameters(mode)
+    triples = (("m", by.m, by.m_sd, "kg"), ("c", by.c, by.c_sd, "N·s/m"), ("k", by.k, by.k_sd, "N/m"))
+    return () if by.note else tuple(ModalParameter(name, value, quantile * sd, u) for name, value, sd, u in triples)
 
 
 def residuals_of_modes(finding: ModalFinding, i: int = 0) -> ChannelResiduals | None:

@@ -161,6 +161,16 @@ def shapes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
     return Grid(("Shape (Hz)", *(part["sensor"] for shape in list(shapes.values())[:1] for part in shape)), rows)
 
 
+def parameters_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
+    """Tabulate mass, damping and stiffness of each mode, where the only sensor is at the force."""
+    rows, headers = [], ["Mode (Hz)"]
+    for mode in modes:
+        if parameters := mode.get("parameters"):
+            headers = ["Mode (Hz)", *(f"{part['name']} ({part['unit']}), 95 %" for part in parameters)]
+            rows.append((number(mode["frequency"]), *(_plus_minus(part["value"], part["half"]) for part in parameters)))
+    return Grid(headers, rows)
+
+
 def _plus_minus(value: float, half: float) -> str:
     return uncertain_text({"value": value, "low": value - half, "high": value + half, "limit": ""}) if half else "1"
 

@@ -10,6 +10,7 @@ from bench.reporting.answer import (
     answer,
     ends_text,
     modes_table,
+    parameters_table,
     residual_facts,
     runs_table,
     shapes_table,
@@ -21,7 +22,8 @@ from bench.reporting.terminal import table, wrapped
 FREE = "free vibration without a prior: m, c and k are not individually identifiable, only k/m and c/m"
 OF_MODES = (
     "Intervals of this record: what its noise leaves open. Amplitude: at the first sample, where it is largest; share: "
-    "root mean square over that of the signal; shape: over the largest, negative where opposed to it."
+    "root mean square over that of the signal; shape: over the largest, negative where opposed to it. m, c, k: of "
+    "the mode, if the sensor is where the force acts."
 )
 WIDEST = 5
 """Columns of values that fit a terminal: the interval assuming white noise is in the JSON and in the certificate."""
@@ -42,7 +44,8 @@ def record_page(found: Mapping[str, Any], scale_is_free: bool) -> str:
     if stated or withdrawn:
         values = values_table(stated, withdrawn)
         blocks.append(table([row[:WIDEST] for row in values.rows], values.headers[:WIDEST], (0, 2)))
-    for grid in (modes_table(found["modes"]), shapes_table(found["modes"]), runs_table(found["runs"])):
+    of_modes = (show(found["modes"]) for show in (modes_table, shapes_table, parameters_table))
+    for grid in (*of_modes, runs_table(found["runs"])):
         if grid.rows:  # its first and last column hold words
             blocks.append(table(grid.rows, grid.headers, (0, len(grid.headers) - 1)))
     foot = [wrapped(f"Intervals {MEANING}.")] if stated else []

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 import bench
 from bench import FreeDecays, Mode
 from bench.commands.main import main
-from bench.records.modal import compare, motion
+from bench.records.modal import ShapedMode, compare, motion
 from bench.records.modal_data import ModalRecord
 
 RATE, FIRST, SECOND = 200.0, (12.0, 0.01), (31.0, 0.02)
@@ -150,3 +151,23 @@ def test_one_channel_in_any_unit_needs_no_words() -> None:
     write("sound.csv", wave(*FIRST, 3.0) + noise(0.02, 5), heads="mic [Pa]")
     (mode,) = bench.identify("sound.csv", modes="auto").modes
     assert (mode.amplitude_unit, mode.shape) == ("Pa", ())
+
+
+def test_a_blow_on_a_known_mass_gives_its_modal_mass_damping_and_stiffness(tmp_path: Path) -> None:
+    """Against the closed form of a mass of 2 kg on a spring, struck by an impulse of half a sine."""
+    fs, m, f, z = 512.0, 2.0, 20.0, 0.02
+    t, w = np.arange(2048) / fs, 2.0 * np.pi * f
+    fine = np.arange(2048 * 8) / (8.0 * fs)
+    force = np.where((fine > 0.1) & (fine < 0.12), 50.0 * np.sin(np.pi * (fine - 0.1) / 0.02) ** 2, 0.0)
+    _, x, _ = lsim(([[0, 1], [-(w**2), -2 * z * w]], [[0], [1 / m]], [[1, 0]], [[0]]), force, fine)
+    noisy = x[::8] + 1e-3 * np.std(x) * np.random.default_rng(3).standard_normal(t.size)
+    path = tmp_path / "blow.csv"
+    np.savetxt(
+        path, np.column_stack([t, force[::8], noisy]), delimiter=",", header="t (s),force (N),position (m)", comments=""
+    )
+    (mode,) = bench.identify(path, modes=1, band=(5.0, 60.0)).modes
+    assert isinstance(mode, ShapedMode)
+    by_name = {part.name: part for part in mode.parameters}
+    for name, true in (("m", m), ("c", 2 * z * w * m), ("k", w**2 * m)):
+        assert by_name[name].value == pytest.approx(true, rel=0.01), name
+        assert 0.0 < by_name[name].half < 0.1 * true
