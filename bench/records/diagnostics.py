@@ -46,6 +46,8 @@ SAME_LINE = 0.15
 """Distance of a line from the natural frequency, relative, within which it is what the decay law leaves out."""
 HARMONIC = 0.01
 """Distance of a ratio of two frequencies from a whole number, relative, within which the second is a harmonic."""
+HIGHEST_HARMONIC = 10
+"""Beyond, one ratio in five or more is as near to a whole number by chance."""
 SLOW = 0.5
 """Frequency of a line over the natural one below which it is a drift."""
 AMBIGUOUS, FEW_SAMPLES = 3.0, 8.0
@@ -208,7 +210,7 @@ def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Offer
             return reasons, ()
         first, second = pair
         ratio = max(first.frequency / second.frequency, second.frequency / first.frequency)
-        if round(ratio) > 1 and abs(ratio / round(ratio) - 1.0) < HARMONIC:
+        if 1 < round(ratio) <= HIGHEST_HARMONIC and abs(ratio / round(ratio) - 1.0) < HARMONIC:
             said = f"{second.share:.0%} of the signal is a harmonic at {ratio:.3g} times the natural frequency"
             return [Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear")], ()
         if len(modes) < 2:

@@ -142,6 +142,8 @@ class Columns:
         steps = {}
         for i in self.usable:
             grows = np.diff(self[i].values)
+            if grows.size < 2:
+                continue
             if np.all(grows > 0) or increments_summed(self[i].values, self[i].header) is not None:
                 steps[i] = grows if np.all(grows > 0) else self[i].values[1:]
         return min(steps, key=lambda i: float(np.std(steps[i]) / np.mean(steps[i])), default=None)
