@@ -14,15 +14,17 @@ import numpy as np
 
 from bench.contract.modal import Blows, FreeDecays, FrequencyResponses, ModalData, Response
 from bench.errors import InputError
-from bench.records.decimation import decimated
+from bench.likelihood.autoregression import even_times
+from bench.records.decimation import PASSED, REACH, decimated
 from bench.records.forced import forced_motion, frequency_responses, has_force
 from bench.records.prepare import prepare
-from bench.records.problem import MAX_SAMPLES
 from bench.records.reading import Recording
 from bench.records.reading.files import read_file
 from bench.records.reading.recording import recordings_of
 from bench.records.request import ModalRequest
 
+MOST_SAMPLES = 20_000
+"""Of a record whose modes are found in seconds."""
 LEAST_SAMPLES = 32
 """Of a record in which modes are sought: a pole, its amplitude and a constant are five numbers of a single mode."""
 
@@ -63,11 +65,17 @@ def read_modal(request: ModalRequest, recordings: Sequence[Recording] = ()) -> t
         return _within(request.band, [ModalRecord(source, *forced)])
     if window:
         raise InputError("window", window, "an exponential window is of blows and frequency responses; leave it out")
-    return _within(request.band, [_free_decays(recording) for recording in prepare(recordings, options, n_dof=2)])
+    return _within(
+        request.band, [_free_decays(recording, request.band) for recording in prepare(recordings, options, n_dof=2)]
+    )
 
 
-def _free_decays(recording: Recording) -> ModalRecord:
-    """Take the samples that all sensors have; raises InputError where they are too few."""
+def _free_decays(recording: Recording, band: tuple[float, float] | None) -> ModalRecord:
+    """Take the samples that all sensors have, of a long record those that a band needs.
+
+    Raises:
+        InputError: they are too few, or too many.
+    """
     sensors = [signal for signal in recording.signals if signal.measures != "force"]
     if not sensors:
         raise InputError("data", recording.source, "no column of it is a motion; name one by columns=x:<number>")
@@ -76,12 +84,28 @@ def _free_decays(recording: Recording) -> ModalRecord:
         common = " that all sensors have" if len(sensors) > 1 else ""
         remedy = f"{times.size} samples{common}: at least {LEAST_SAMPLES} are needed for modes"
         raise InputError("data", recording.source, remedy)
-    if times.size > MAX_SAMPLES:
-        remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to=, or fewer samples by decimate="
-        raise InputError("data", f"{recording.source}, {times.size} samples", remedy)
     values = np.stack([signal.values[np.isin(signal.times, times)] / signal.size for signal in sensors])
+    times, values, notes = _fewer(times, values, band) if times.size > MOST_SAMPLES else (times, values, ())
+    if times.size > MOST_SAMPLES:
+        remedy = f"{times.size} samples: at most {MOST_SAMPLES} for modes; choose a band=, a part by to=, or decimate="
+        raise InputError("data", recording.source, remedy)
     roles, units = zip(*((signal.role, signal.written or signal.unit) for signal in sensors), strict=True)
-    return ModalRecord(recording.source, FreeDecays(times, values), roles, units, recording.notes)
+    return ModalRecord(recording.source, FreeDecays(times, values), roles, units, (*recording.notes, *notes))
+
+
+def _fewer(
+    times: np.ndarray, values: np.ndarray, band: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return the samples behind a low-pass that leaves a band as it is, and what is said of it."""
+    from scipy.signal import resample_poly  # slow to import
+
+    rate = (times.size - 1) / float(np.ptp(times))
+    factor = int(PASSED * rate / (2.0 * band[1])) if band and even_times(times) else 1
+    if factor < 2:
+        return times, values, ()
+    inner = slice(REACH, (times.size - 1) // factor + 1 - REACH)
+    said = f"one in {factor} of {times.size} samples after a low-pass filter: the band needs no more"
+    return times[::factor][inner], resample_poly(values, 1, factor, axis=1)[:, inner], (said,)
 
 
 def _within(band: tuple[float, float] | None, records: Sequence[ModalRecord]) -> tuple[ModalRecord, ...]:
