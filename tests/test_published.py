@@ -273,8 +273,9 @@ def test_rows_drawn_at_random_agree(method: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", method_names())
 def test_many_rows_drawn_at_random_agree(method: str) -> None:
-    # of three rows in a hundred rounding ends the search elsewhere: more than three of 25 in 6 of 1,000 draws
-    check_rows(method, n=25, longest_s=3.0, most_different=3)
+    check_rows(
+        method, n=25, longest_s=3.0, most_different=2
+    )  # of two or three rows in a hundred rounding ends the search
 
 
 def test_most_published_cells_can_be_compared(record_property: Callable[[str, object], None]) -> None:
