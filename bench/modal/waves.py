@@ -311,5 +311,5 @@ class Waves(ModalIdentifier):
                 modes = tuple(linear)
         if not modes:
             return ModalEstimate((), status=Status.DIVERGED, message="no mode stands out of the noise there")
-        message = f"{len(modes)} mode{'s'[: len(modes) - 1]}: {decided}{changes}"
+        message = f"{len(modes)} mode{'' if len(modes) == 1 else 's'}: {decided}{changes}"
         return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message=message)
