@@ -39,7 +39,7 @@ RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(time.time_ns()))
 SEED = os.environ.get("PUBLISHED_SEED", RUN[-8:])
 TOLERANCE = 1e-3
 """Of the error's size: no table shows a smaller difference."""
-LOOSER = {"ddnn": 10.0, "frequency": 10.0, "pinn_family": 100.0, "ls_spline": 20.0, "rls": 10.0}
+LOOSER = {"ddnn": 10.0, "frequency": 10.0, "output_error": 5.0, "pinn_family": 100.0, "ls_spline": 20.0, "rls": 10.0}
 """How many times the tolerance a method or variant has whose search or smoothing ends elsewhere by rounding."""
 LOOSER_WITHOUT_SCALE = 10.0
 """The same for single parameters, whose scale the prior sets by a search; their ratios are compared as they are."""
@@ -114,12 +114,12 @@ def cells_by_method() -> dict[str, list[PublishedCell]]:
     return cells
 
 
-def draw_rows(method: str, n: int, longest_s: float) -> list[tuple[PublishedCell, Row]]:
+def draw_rows(method: str, n: int, longest_s: float, draw: int) -> list[tuple[PublishedCell, Row]]:
     """Draw rows of a method that took at most so long (s), spread over its systems; fewer where there are not so many.
 
     Every system has the same chance, however many cells it has.
     """
-    rng = random.Random(f"{SEED} {method} {n}")
+    rng = random.Random(f"{SEED} {method} {n}" + f" {draw}" * (draw > 1))
     unrepeatable = UNREPEATABLE.get(method, lambda cell: False)
     by_system: dict[str, list[PublishedCell]] = {}
     for cell in cells_by_method().get(method, []):
@@ -253,16 +253,24 @@ def _size(name: str, cell: PublishedCell, row: Row) -> float:
     return max(abs(row.scores[name]), median(values) if values else 0.0, least)
 
 
-def check_rows(method: str, n: int, longest_s: float, most_different: int = 0) -> None:
-    """Draw rows of a method and compare each; say which differ, in what, and how to repeat the draw."""
+def check_rows(method: str, n: int, longest_s: float, most_different: int) -> None:
+    """Draw rows of a method and compare each; say which differ, in what, and how to repeat the draw.
+
+    Of two or three rows in a hundred rounding decides where the search ends. Where more differ than allowed, as many
+    rows again are drawn, and those must agree: chance seldom fails both draws, and changed numbers do.
+    """
     if reason := missing_package(method):
         pytest.skip(reason)
-    drawn = draw_rows(method, n, longest_s)
-    if not drawn:
-        pytest.skip(f"no current row of {method} took less than {longest_s:g} s and can be repeated")
-    wrong = {f"cell {cell.identity}, replicate {row.replicate}": differences(cell, row) for cell, row in drawn}
-    lines = [f"{place}: {line}" for place, found in wrong.items() for line in found[:MOST_LINES]]
-    assert sum(map(bool, wrong.values())) <= most_different, "\n".join([f"PUBLISHED_SEED={SEED}", *lines])
+    messages = [f"PUBLISHED_SEED={SEED}"]
+    for draw in (1, 2):
+        drawn = draw_rows(method, n, longest_s, draw)
+        if not drawn:
+            pytest.skip(f"no current row of {method} took less than {longest_s:g} s and can be repeated")
+        different = {f"cell {cell.identity}, replicate {row.replicate}": differences(cell, row) for cell, row in drawn}
+        if sum(map(bool, different.values())) <= most_different:
+            return
+        messages += [f"{place}: {line}" for place, lines in different.items() for line in lines[:MOST_LINES]]
+    pytest.fail("\n".join(messages))
 
 
 @pytest.mark.parametrize("method", method_names())
@@ -273,9 +281,7 @@ def test_rows_drawn_at_random_agree(method: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", method_names())
 def test_many_rows_drawn_at_random_agree(method: str) -> None:
-    check_rows(
-        method, n=25, longest_s=3.0, most_different=2
-    )  # of two or three rows in a hundred rounding ends the search
+    check_rows(method, n=25, longest_s=3.0, most_different=2)
 
 
 def test_most_published_cells_can_be_compared(record_property: Callable[[str, object], None]) -> None:

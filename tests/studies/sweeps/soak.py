@@ -122,8 +122,10 @@ def soak(
         status, _ = finish(run.driver("retry=failed"))
         stored = dict(journal.stored())
         log = (folder / "bench.log").read_text()
-        # without those of Python's own server, whose driver was killed while it asked
-        cut_off = re.findall(r"Traceback(?:(?!Traceback).)*?recvfds\n +raise EOFError\nEOFError", log, re.DOTALL)
+        # without those of Python's own server and of a process that it starts, whose driver was killed while it asked
+        cut_off = re.findall(
+            r"Traceback[^\n]*\n[^\n]*forkserver\.py(?:(?!Traceback).)*?\n(?:EOFError|\S*Unpickl)", log, re.DOTALL
+        )
         rows: list[tuple[str, object, object]] = [
             ("exit status of the last run", status, 0),
             ("cells in the store", len(stored_cells(run.store)), cells),
