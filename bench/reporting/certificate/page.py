@@ -18,6 +18,7 @@ from bench.reporting.answer import (
     values_table,
 )
 from bench.reporting.certificate.pictures import pictures
+from bench.reporting.certificate.template import rendered
 from bench.reporting.rounding import number, readable
 from bench.scoring.statistics import wilson_interval
 
@@ -27,13 +28,8 @@ MARKS = {"primary": "level", "off": "off"}
 
 def page(shown: Mapping[str, Any]) -> str:
     """Return the page of a certificate's contents, of :func:`bench.reporting.certificate.contents.contents`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    templates = Environment(
-        loader=PackageLoader("bench.reporting.certificate", "."), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    text = templates.get_template("certificate.html.j2").render(
+    return rendered(
+        "certificate.html.j2",
         shown=shown,
         meaning=MEANING,
         silent=_silent(shown["methods"]),
@@ -48,7 +44,6 @@ def page(shown: Mapping[str, Any]) -> str:
         what_if=_what_if(shown["what_if"]),
         facts=_facts(shown),
     )
-    return f"{text}\n"
 
 
 def _classes(classes: Sequence[Mapping[str, Any]]) -> Grid:
