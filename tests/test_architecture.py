@@ -20,7 +20,7 @@ HEAVY = {"torch", "casadi", "pysindy", "emcee", "blackjax"}
 ROOMS = (
     "errors", "entry_points", "files", "isolation", "systems", "contract", "dynamics", "scenario", "likelihood",
     "entrants", "information", "scoring", "store", "modal", "online", "atlas", "config", "engine", "conformance",
-    "exchange", "records", "planning", "reporting", "face", "twin", "commands",
+    "records", "rounds", "exchange", "planning", "reporting", "face", "twin", "commands",
 )  # fmt: skip
 """From the top of the house down: a module imports from its own room and from those above."""
 BENCH = sorted((REPOSITORY / "bench").rglob("*.py"))

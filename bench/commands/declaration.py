@@ -9,11 +9,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.config.declaration import Field, OneOf, Others, fields_of, written
+from bench.config.declaration import Bare, Field, OneOf, Others, fields_of, written
 from bench.errors import InputError, did_you_mean
 from bench.scenario.declaration import Parsed, Within
 
-__all__ = ["OneOf", "Others", "Parsed", "Within"]
+__all__ = ["Bare", "OneOf", "Others", "Parsed", "Within"]
 WIDE = 14
 """Most letters of a field's name on a page of help that stand in a column of their own."""
 
@@ -26,6 +26,9 @@ def read_arguments(verb: Callable[..., int], words: Sequence[str]) -> dict[str, 
     values: dict[str, Any] = {rest.parameter: []} if rest else {}
     for word in words:
         name, equals, text = word.partition("=")
+        unnamed = next((f.name for f in fields.values() if f.bare and f.parameter not in values), "")
+        if unnamed and not equals and not word.startswith("-"):
+            name, equals, text = unnamed, "=", word
         if not equals:
             raise InputError("argument", word, how_to_write(word, [fields[name] for name in known]))
         if name in known and fields[name].parameter in values:
@@ -72,7 +75,9 @@ def help_page(command: str, verb: Callable[..., int]) -> str:
     from bench.reporting.terminal import help_page as laid_out
 
     fields = sorted(fields_of(verb).values(), key=lambda field: bool(field.others))
-    required = "".join(f" {field.name}=<value>" for field in fields if field.required)
+    required = "".join(
+        f" <{field.name}>" if field.bare else f" {field.name}=<value>" for field in fields if field.required
+    )
     wide = min(WIDE, max((len(field.name) for field in fields if not field.others), default=0))
     lines = [field.line(wide) for field in fields]
     head = f"usage: {command}{required} [field=value ...]\n\n{inspect.getdoc(verb)}"

@@ -18,6 +18,7 @@ VERBS = {
     "reproduce": "Run a stored cell again and compare it with the stored one.",
     "check": "Check that a method or a system keeps the contract.",
     "new": "Write a small package with a method or a system to start from.",
+    "round": "Make a round of problems whose truth is hidden: new, solve, open, verify.",
     "share": "Share results: action=submit, merge, export or publish.",
 }
 """Each verb, the function of its name in the module of its name, with its line in the list of all, which loads none."""
@@ -48,10 +49,12 @@ def variants(name: str) -> dict[str, Callable[..., int]]:
 
 def execute(name: str, words: Sequence[str]) -> int:
     """Run a verb on the words behind it, or show its help; raises InputError."""
+    from bench.config.declaration import fields_of
+
     functions, command = variants(name), f"{COMMAND} {name}"
     chosen = _selected(functions, words)
     shown = {chosen: functions[chosen]} if chosen else functions
-    pages = {f"{command} {key}" if "=" in key else command: verb for key, verb in shown.items()}
+    pages = {command if key in fields_of(verb) else f"{command} {key}".rstrip(): verb for key, verb in shown.items()}
     return call(functions[chosen], [word for word in words if word not in chosen.split()], pages)
 
 

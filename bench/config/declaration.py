@@ -64,6 +64,10 @@ class Others:
         return key in names or key.partition(".")[0] in names
 
 
+class Bare:
+    """Marks a field whose value may stand on the line without its name: ``score predictions.csv``."""
+
+
 @dataclass(frozen=True)
 class Field:
     """A field of the command line: a parameter of a verb, or an attribute of a run."""
@@ -86,6 +90,11 @@ class Field:
     def others(self) -> Others | None:
         """What the field collects, where it is no field itself."""
         return next((part for part in typing.get_args(self.kind) if isinstance(part, Others)), None)
+
+    @property
+    def bare(self) -> bool:
+        """Whether the value may stand without the name."""
+        return any(isinstance(part, Bare) for part in typing.get_args(self.kind))
 
     @cached_property
     def types(self) -> set[Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -92,46 +92,62 @@ def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
     digest = hashlib.sha256(str(stated["release"]).encode()).digest()
     seeds = np.random.SeedSequence(int.from_bytes(digest[:16], "big")).spawn(int(stated["scenarios"]))
     return tuple(
-        _scenario(f"{experiment}_{i:03d}", ranges, np.random.default_rng(seed)) for i, seed in enumerate(seeds, 1)
+        one_mass(f"{experiment}_{i:03d}", ranges, np.random.default_rng(seed)) for i, seed in enumerate(seeds, 1)
     )
 
 
-def _scenario(name: str, ranges: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> Drawn:
-    snr = _rounded(rng.uniform(*ranges["snr"]))
+def one_mass(
+    name: str, ranges: Mapping[str, tuple[float, float]], rng: Any, digits: int = DIGITS, misjudged: float = 0.0
+) -> Drawn:
+    """Draw one mass in free or forced vibration.
+
+    Args:
+        name: Its label.
+        ranges: The two ends of each of :data:`RANGES`.
+        rng: What draws: ``random``, ``uniform`` and ``choice`` as numpy's generators have them.
+        digits: Significant digits of what is drawn.
+        misjudged: The force is made for a natural frequency that is off by a factor between exp(-misjudged) and
+            exp(misjudged); at 0 its band states the natural frequency.
+    """
+
+    def rounded(value: float) -> float:
+        return float(f"{value:.{digits}g}")
+
+    snr = rounded(rng.uniform(*ranges["snr"]))
     known, irregular, forced = (bool(rng.random() < 0.5) for _ in range(3))
     size = {key: float(np.exp(rng.uniform(*np.log(ranges[key])))) for key in RANGES if key != "snr"}
     rate, phase = 2 * math.pi * size["frequency_hz"], rng.uniform(0.0, 2 * math.pi)
-    mass, duration = size["mass"], _rounded(size["cycles"] / size["frequency_hz"])
+    mass, duration = size["mass"], rounded(size["cycles"] / size["frequency_hz"])
     start = (0.0, 0.0) if forced else (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
     parameters = {"m": mass, "c": 2 * size["damping_ratio"] * mass * rate, "k": mass * rate**2}
+    hertz = size["frequency_hz"] * (math.exp(rng.uniform(-misjudged, misjudged)) if misjudged else 1.0)
+    push = rounded(parameters["k"] * size["amplitude"])
     system = {
         "label": name,
         "kind": "sdof",
         "options": {},
-        "parameters": {key: _rounded(value) for key, value in parameters.items()},
-        "initial": {"displacement": [_rounded(start[0])], "velocity": [_rounded(start[1])]},
+        "parameters": {key: rounded(value) for key, value in parameters.items()},
+        "initial": {"displacement": [rounded(start[0])], "velocity": [rounded(start[1])]},
         "duration": duration,
         "samples": round(size["samples"]),
-        "force": _force(size, parameters["k"], duration, rng) if forced else None,
+        "force": _force(push, hertz, duration, rng, rounded) if forced else None,
         "forecast": duration,
         **({"default_prior": "none"} if forced else {}),
     }
     return Drawn(name, system, snr, "known" if known else "unknown", "irregular" if irregular else "none")
 
 
-def _force(size: Mapping[str, float], stiffness: float, duration: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Return a known force that would bend the spring by the amplitude; fine enough for its highest frequency."""
-    kind, hold, hertz = str(rng.choice(SHAPES)), str(rng.choice(HOLDS)), size["frequency_hz"]
+def _force(
+    amplitude: float, hertz: float, duration: float, rng: Any, rounded: Callable[[float], float]
+) -> dict[str, Any]:
+    """Return a known force for a natural frequency (Hz), fine enough for its own highest frequency."""
+    kind, hold = str(rng.choice(SHAPES)), str(rng.choice(HOLDS))
     force: dict[str, Any] = {
-        "kind": kind, "amplitude": _rounded(stiffness * size["amplitude"]), "samples": FORCE_SAMPLES,
+        "kind": kind, "amplitude": amplitude, "samples": FORCE_SAMPLES,
         "hold": "zero_order" if kind == "step" else hold, "dof": 0,
     }  # fmt: skip
     if kind in ("multisine", "swept_sine"):
-        force |= {"low_hz": _rounded(BAND[0] * hertz), "high_hz": _rounded(BAND[1] * hertz)}
+        force |= {"low_hz": rounded(BAND[0] * hertz), "high_hz": rounded(BAND[1] * hertz)}
     if kind == "impulse":
-        force["length_s"] = _rounded(min(PULSE / hertz, duration / 4))
+        force["length_s"] = rounded(min(PULSE / hertz, duration / 4))
     return force
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")

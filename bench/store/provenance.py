@@ -14,7 +14,7 @@ from bench.store.version import Version, installed
 
 
 @cache
-def _commit() -> dict[str, Any]:
+def commit() -> dict[str, Any]:
     """Return the commit of this checkout and whether its tracked files differ from it; nothing where it is none."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
@@ -61,7 +61,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Describe where a cell comes from; ``started`` in seconds since the epoch."""
     return {
-        **_commit(),
+        **commit(),
         **_machine(),
         "packages": {"vibration-bench": installed("vibration-bench") or None, **computed_by.packages},
         "workers": workers,

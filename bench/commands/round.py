@@ -1,0 +1,106 @@
+"""The verb ``round``: problems with hidden truth, for whoever runs a round and whoever takes part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from bench.commands.declaration import Bare, OneOf, Others, Within, folder, settings_of
+from bench.commands.design import methods
+from bench.errors import InputError
+
+Round = Annotated[Path, Bare(), "folder of the round"]
+
+
+def round(action: Annotated[Literal["new", "solve", "open", "verify"], Bare(), "what to do"]) -> int:
+    """Make a round of problems whose truth is hidden, solve it, open it, or verify an opened one.
+
+    Problems, template and commitment are in the folder of the round; the seed and the truth are elsewhere, until the
+    round is opened.
+    """
+    raise InputError("action", action, f"python -m bench round {action} and its fields; see --help")
+
+
+def new(
+    scenarios: Annotated[int, Within(ge=1, le=999), "number of problems"],
+    out: Annotated[Path, "folder of the round, which is written"],
+    secret: Annotated[Path | None, "folder of seed and truth, not inside the round [<out>_secret]"] = None,
+) -> int:
+    """Draw problems from the ranges of conf/round.yaml by a secret seed, and write them.
+
+    Keep the folder of the secret to yourself until the round is over.
+    """
+    from bench.rounds.folder import write_round
+    from bench.rounds.secret import new_seed
+
+    hidden = secret or out.with_name(f"{out.name}_secret")
+    for field, path in (("out", out), ("secret", hidden)):
+        if path.exists():
+            raise InputError(field, path, "a folder that does not exist yet")
+    if out.resolve() in (hidden.resolve(), *hidden.resolve().parents):
+        raise InputError("secret", hidden, f"a folder outside {out}, which is handed out")
+    write_round(out, hidden, new_seed(), scenarios)
+    print(f"{out}: {scenarios} problems; hand it out")
+    print(f"{hidden}: seed and truth; keep it to yourself until the round is over")
+    return 0
+
+
+def solve(
+    round: Round,
+    method: Annotated[str, OneOf(methods), "method, or one of its variants"],
+    out: Annotated[Path, "file of predictions, which is written"],
+    settings: Annotated[Sequence[str], Others(("method",)), "method.<setting>="],
+) -> int:
+    """Solve the problems of a round by a method of this project, from the files alone."""
+    import sys
+
+    from bench.config.composition import content_of
+    from bench.entrants.reference import REFERENCES
+    from bench.entrants.registry import make_method
+    from bench.reporting.whole_file import check_file, write
+    from bench.rounds.folder import COLUMNS, PROBLEMS, problem_names, table
+    from bench.rounds.solve import solve as solved
+
+    names = problem_names(folder("round", round))
+    content = {**content_of("method", method), **settings_of(settings).get("method", {})}
+    if (name := content.pop("name")) in REFERENCES:
+        raise InputError("method", method, "a method that needs no truth")
+    identifier = make_method(name, content)
+    check_file(out)
+    rows, refused = [], 0
+    for problem, answers, reason in solved(round / PROBLEMS, names, identifier):
+        rows += answers
+        if reason:
+            refused += 1
+            print(f"{problem}: {reason}", file=sys.stderr)
+    write(out, table(COLUMNS, rows))
+    print(f"{out}: {len(names) - refused} of {len(names)} problems answered by {method}")
+    return 0
+
+
+def open_(round: Round, secret: Annotated[Path, "folder of seed and truth, as round new has written it"]) -> int:
+    """Publish seed and truth in the folder of a round; from then on everybody can score and verify it."""
+    from bench.rounds.folder import open_round
+
+    open_round(folder("round", round), folder("secret", secret))
+    print(f"{round}: seed and truth are published; python -m bench round verify {round}")
+    return 0
+
+
+def verify(
+    round: Round,
+    secret: Annotated[Path | None, "folder of seed and truth, where the round is not opened yet"] = None,
+) -> int:
+    """Draw an opened round again from its seed, and compare problems, truth and commitment.
+
+    Exit status: 0, 1 where something differs, 2 for bad input.
+    """
+    from bench.rounds.folder import verify_round
+
+    differences = verify_round(folder("round", round), secret and folder("secret", secret))
+    print("\n".join(differences) or f"{round}: commitment, truth and problems are those of its seed")
+    return 1 if differences else 0
+
+
+VARIANTS = {"new": new, "solve": solve, "open": open_, "verify": verify}
