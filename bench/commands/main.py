@@ -21,8 +21,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         words.remove(verb)
     if verb is not None and verb not in RUN:
         return guarded("bench", lambda: execute(verb, words))
-    kept = "interrupted; finished cells are kept, the same command goes on from here"
-    return guarded("bench", lambda: _run(words, early=argv is None), kept)
+    record = any(word.startswith(("data=", "+data=")) for word in words)
+    kept = "" if record else "; finished cells are kept, the same command goes on from here"
+    return guarded("bench", lambda: _run(words, early=argv is None), f"interrupted{kept}")
 
 
 def _run(words: Sequence[str], early: bool) -> int:

@@ -27,7 +27,7 @@ from bench.contract.modal import (
     ModalProblem,
     Mode,
 )
-from bench.entrants.modal import make_modal
+from bench.entrants.modal import make_modal, registered_modal
 from bench.likelihood.autoregression import even_times
 from bench.modal.averages import averages, decay_needed
 from bench.modal.spectra import modal_parameters
@@ -156,19 +156,21 @@ class ModalFinding:
         return tuple(_shaped(mode, quantile, self.record) for mode in self.estimate.modes)
 
 
-def find_modes(request: ModalRequest, record: ModalRecord) -> list[ModalFinding]:
-    """Return what each method of a request makes of a record."""
+def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False) -> list[ModalFinding]:
+    """Return what each method of a request makes of a record; ``others``: where none is named, all that can serve."""
     default = FREE_METHOD if isinstance(record.data, FreeDecays) else FORCED_METHOD
     problem = ModalProblem(record.data, request.count, request.band)
-    methods = request.methods or {default: make_modal(default)}
+    methods = dict(request.methods) or {default: make_modal(default)}
+    if others and not request.methods:
+        able = ((name, make_modal(name)) for name in registered_modal())
+        methods |= {name: method for name, method in able if not (_lacking(method) or method.objection(problem))}
     return [_find(name, method, problem, record) for name, method in methods.items()]
 
 
 def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
-    lacking = [package for package in method.requires if importlib.util.find_spec(package) is None]
     started = time.perf_counter()
-    if lacking:
-        estimate = ModalEstimate((), status=Status.MISSING_DEPENDENCY, message=f"pip install {lacking[0]}")
+    if lacking := _lacking(method):
+        estimate = ModalEstimate((), status=Status.MISSING_DEPENDENCY, message=f"pip install {lacking}")
     elif objection := method.objection(problem):
         estimate = ModalEstimate((), status=Status.UNSUPPORTED, message=objection)
     else:
@@ -184,6 +186,10 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     comparison = compare(record, modes, problem.band)
     reasons = tuple(_reasons(record, modes, comparison, problem))
     return replace(finding, comparison=comparison, reasons=reasons, notes=(*record.notes, *notes))
+
+
+def _lacking(method: ModalIdentifier) -> str:
+    return next((package for package in method.requires if importlib.util.find_spec(package) is None), "")
 
 
 def _named(*modes: Mode) -> str:
@@ -213,10 +219,14 @@ def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float
             rows = [np.stack([np.interp(even, data.times, channel) for channel in channels]) for channels in rows]
         frequencies = np.fft.rfftfreq(n, (even[-1] - even[0]) / (n - 1))
         measured, fitted = (np.fft.rfft(channels) * 2.0 / n for channels in rows)
+    elif isinstance(data, Blows):
+        mean = averages(data, decay_needed(data))
+        frequencies, measured, data = mean.frequencies, mean.h1, mean.frequency_responses()
     else:
-        data = averages(data, decay_needed(data)).frequency_responses() if isinstance(data, Blows) else data
         frequencies, measured = data.frequencies, data.values
     inside = (frequencies > 0) & (frequencies >= low) & (frequencies <= high)
+    if isinstance(record.data, Blows):
+        inside &= mean.reach  # beyond, noise over hardly any force looks like lines
     frequencies, measured = frequencies[inside], measured[:, inside]
     if isinstance(data, FreeDecays):
         return Comparison(frequencies, measured, fitted[:, inside])

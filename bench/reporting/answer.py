@@ -49,6 +49,8 @@ def value_and_ends(interval: Interval | None, of: str = "") -> tuple[str, str]:
     """Return a value with as many digits as its interval justifies, and the interval; dashes where there is none."""
     if interval is None:
         return "–", "–"
+    if math.isnan(interval["low"]):
+        return number(interval["value"]), "–"
     value = rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])[0]
     return "–" if interval["limit"] else value, ends_text(interval, of)
 

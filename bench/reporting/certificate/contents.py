@@ -77,10 +77,15 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
         "missing": certificate.missing,
         "notes": primary.measured.notes,
         "command": command,
-        "packages": {"Python": platform.python_version(), "vibration-bench": __version__}
-        | {name: version(name) for name in PACKAGES if find_spec(name)},
+        "packages": packages(),
         "series": series(certificate),
     }
+
+
+def packages() -> dict[str, str]:
+    """Return the versions of what computed a certificate, by name."""
+    versions = {name: version(name) for name in PACKAGES if find_spec(name)}
+    return {"Python": platform.python_version(), "vibration-bench": __version__} | versions
 
 
 def sentences(certificate: Certificate) -> list[str]:

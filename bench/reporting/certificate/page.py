@@ -12,8 +12,10 @@ from bench.reporting.answer import (
     ends_text,
     in_shown_unit,
     modes_table,
+    parameters_table,
     residual_facts,
     runs_table,
+    shapes_table,
     value_and_ends,
     values_table,
 )
@@ -37,6 +39,8 @@ def page(shown: Mapping[str, Any]) -> str:
         pictures=pictures(shown),
         values=values_table(shown["values"], shown["withdrawn"]),
         modes=modes_table(shown["modes"]),
+        shapes=shapes_table(shown["modes"]),
+        parameters=parameters_table(shown["modes"]),
         runs=runs_table(shown["runs"]),
         classes=_classes(shown["classes"]),
         methods=_methods(shown),
@@ -116,9 +120,11 @@ def _what_if(changes: Sequence[Mapping[str, Any]]) -> Grid:
 def _facts(shown: Mapping[str, Any]) -> dict[str, str]:
     """Return what the record is, and what the fit leaves of it, by name."""
     record, residuals, prediction = shown["record"], shown["residuals"], shown["prediction"]
-    facts = {
-        "Samples": f"{record['samples']} over {number(record['seconds'])} s",
-        "Sampling rate": f"{record['rate']:.4g} Hz",
+    facts = {"Lines": str(record["samples"])}
+    if record["rate"]:
+        facts = {"Samples": f"{record['samples']} over {number(record['seconds'])} s"}
+        facts["Sampling rate"] = f"{record['rate']:.4g} Hz"
+    facts |= {
         "Force": "known" if record["forced"] else "none: free vibration",
         "System": shown["system"],
     }

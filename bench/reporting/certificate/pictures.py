@@ -70,29 +70,42 @@ def _fit_over_time(response: Response) -> Specification:
 
 
 def modes_picture(finding: ModalFinding) -> str:
-    """Draw the liveliest channel with its fit, and its spectrum with the modes marked, as the content of a file."""
-    response, comparison = modal_response(finding), finding.comparison
+    """Draw the first channel with its fit, and the spectra, as the content of a file."""
+    response, spectra = modal_response(finding), spectra_of_modes(finding)
     panels = [] if response is None else [_fit_over_time(response)]
-    if comparison is not None:
-        i = int(np.argmax(np.linalg.norm(comparison.measured, axis=1)))
-        sizes = {"record": (INK, np.abs(comparison.measured[i])), "modes": (BLUE, np.abs(comparison.fitted[i]))}
-        sizes["residuals"] = ORANGE, np.abs(comparison.measured[i] - comparison.fitted[i])
-        most = 2.0 * max(float(np.max(size)) for _, size in sizes.values())
-        least = max(0.5 * float(np.percentile(sizes["residuals"][1], 2)), 1e-9 * most)
-        layers = [_fixed(RULE | {"strokeDash": [2, 2]}, x=mode.frequency) for mode in finding.estimate.modes]
-        layers += [
-            _curve((comparison.frequencies, np.clip(size, least, most)), name, strokeWidth=0.7)
-            for name, (_, size) in sizes.items()
-        ]
-        colours = {name: colour for name, (colour, _) in sizes.items()}
-        titles = "frequency (Hz)", f"amplitude ({finding.record.units[i]})"
-        panels.append(_panel(layers, titles, 0.36 * FULL, FULL, colours, log=(least, most)))
+    panels += [_modes_over_frequency(spectra, FULL)] if spectra else []
     return svg({"vconcat": panels, "resolve": {"scale": {"color": "independent"}}}, theme()["background"])
+
+
+def spectra_of_modes(finding: ModalFinding) -> dict[str, Any] | None:
+    """Return amplitudes of record, modes and residuals by frequency, of the liveliest channel; None without modes."""
+    comparison = finding.comparison
+    if comparison is None:
+        return None
+    i = int(np.argmax(np.linalg.norm(comparison.measured, axis=1)))
+    measured, fitted = comparison.measured[i], comparison.fitted[i]
+    return {
+        "frequencies": comparison.frequencies, "unit": finding.record.units[i],
+        "record": np.abs(measured), "modes": np.abs(fitted), "residuals": np.abs(measured - fitted),
+        "natural_frequencies": [mode.frequency for mode in finding.estimate.modes],
+    }  # fmt: skip
+
+
+def _modes_over_frequency(spectra: Mapping[str, Any], width: float) -> Specification:
+    colours = {"record": INK, "modes": BLUE, "residuals": ORANGE}
+    most = 2.0 * max(float(np.max(spectra[name])) for name in colours)
+    least = max(0.5 * float(np.percentile(spectra["residuals"], 2)), 1e-9 * most)
+    layers = [_fixed(RULE | {"strokeDash": [2, 2]}, x=frequency) for frequency in spectra["natural_frequencies"]]
+    layers += [
+        _curve((spectra["frequencies"], np.clip(spectra[name], least, most)), name, strokeWidth=0.7) for name in colours
+    ]
+    titles = "frequency (Hz)", f"amplitude ({spectra['unit']})"
+    return _panel(layers, titles, 0.36 * width, width, colours, log=(least, most))
 
 
 def pictures(shown: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Draw what can be drawn of a certificate's contents: addresses of images, with their captions."""
-    drawn = (draw(shown) for draw in (_record, _spectrum, _forest))
+    drawn = (draw(shown) for draw in (_record, _modes, _spectrum, _forest))
     code = "data:image/svg+xml;base64,"
     return [(code + b64encode(svg(picture[0]).encode()).decode(), picture[1]) for picture in drawn if picture]
 
@@ -151,8 +164,11 @@ def _over_time(
 # Each returns a picture with its caption; None where there is nothing to draw.
 
 
-def _record(shown: Mapping[str, Any]) -> Drawn:
-    series, unit, prediction = shown["series"], shown["series"]["unit"], shown["prediction"]
+def _record(shown: Mapping[str, Any]) -> Drawn | None:
+    series, prediction = shown["series"], shown["prediction"]
+    if "times" not in series:
+        return None
+    unit = series["unit"]
     times, values, labels = series["times"], series["values"], (f"{series['measures']} ({unit})", f"residual ({unit})")
     if series["fit"] is None:
         return _over_time((times, values), {}, {}, labels), "Measured samples; there is no fit to draw."
@@ -170,10 +186,19 @@ def _record(shown: Mapping[str, Any]) -> Drawn:
     )
 
 
+def _modes(shown: Mapping[str, Any]) -> Drawn | None:
+    spectra = shown["series"].get("modes")
+    return spectra and (
+        _modes_over_frequency(spectra, HALF),
+        "Spectra of the record, of the modes, and of what they leave. Dotted: the natural frequencies.",
+    )
+
+
 def _spectrum(shown: Mapping[str, Any]) -> Drawn | None:
-    spectrum, unit = shown["series"]["spectrum"], shown["series"]["unit"]
+    spectrum = shown["series"]["spectrum"]
     if spectrum is None:
         return None
+    unit = shown["series"]["unit"]
     (low, high), power, frequencies = spectrum["white_band"], spectrum["periodogram"], spectrum["frequencies"]
     most = 2.0 * max(float(np.max(power)), high, 1e-300)
     least = max(0.5 * min(float(np.percentile(power, 0.5)), low), 1e-12 * most)
@@ -196,7 +221,7 @@ def _spectrum(shown: Mapping[str, Any]) -> Drawn | None:
 def _forest(shown: Mapping[str, Any]) -> Drawn | None:
     rows = []
     for name in shown["compared"]:
-        reference = shown["values"].get(name)
+        reference = shown["methods"][0]["values"].get(name)
         if reference is None or not math.isfinite(reference["high"]):
             continue
         room = WIDTHS * (reference["high"] - reference["low"])
@@ -233,6 +258,7 @@ def _forest(shown: Mapping[str, Any]) -> Drawn | None:
         "spec": {"width": (HALF - 2 * ROOM) / len(quantities), "height": 11 * len(methods), "layer": layers},
         "resolve": {"scale": {"x": "independent"}},
     }, (
-        "95 % intervals: thin of a repeat, thick of this record; grey: the primary method's. Blue agrees with it, grey "
-        "bars are tied with it, orange is off: neither interval covers the other's value. At an edge: beyond the plot."
+        f"95 % intervals{': thin of a repeat, thick of this record' if shown['values'] else ' of this record'}; grey: "
+        "the primary method's. Blue agrees with it, grey bars are tied with it, orange is off: neither interval covers "
+        "the other's value. At an edge: beyond the plot."
     )

@@ -12,6 +12,7 @@ from scipy.signal import lsim
 
 import bench
 from bench import FreeDecays, Mode
+from bench.commands import measured_record
 from bench.commands.main import main
 from bench.records.modal import ShapedMode, compare, motion
 from bench.records.modal_data import ModalRecord
@@ -126,6 +127,24 @@ def test_motion_and_its_spectrum_are_those_of_the_closed_form() -> None:
     assert np.max(comparison.power) < 1e-20
 
 
+def test_a_certificate_of_modes_states_them_beside_other_methods(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["certify", "data=two.csv", "modes=auto", "out=out"]) == 0
+    stated = json.loads(Path("out/certificate.json").read_text(encoding="utf-8"))
+    for mode, (frequency, ratio) in zip(stated["modes"], (FIRST, SECOND), strict=True):
+        assert abs(mode["frequency"] - frequency) < mode["frequency_high"] - mode["frequency_low"]
+        assert abs(mode["damping_ratio"] - ratio) < mode["damping_ratio_high"] - mode["damping_ratio_low"]
+    methods = {method["method"]: method["agreement"] for method in stated["methods"]}
+    assert set(methods) == {"waves", "era", "matrix_pencil"}
+    assert "off" not in {agreement for of_modes in methods.values() for agreement in of_modes.values()}
+    page = Path("out/certificate.html").read_text(encoding="utf-8")
+    assert page.count("data:image/svg") == 3
+    assert "Shapes, over the sensor" in page
+    assert main(["certify", "data=noise.csv", "modes=auto", "out=none"]) == 1
+    assert "Do not trust" in Path("none/certificate.html").read_text(encoding="utf-8")
+    assert main(["certify", "data=one.csv", "modes=2", "system=duffing"]) == 2
+    assert "does not go with modes=" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
@@ -171,3 +190,14 @@ def test_a_blow_on_a_known_mass_gives_its_modal_mass_damping_and_stiffness(tmp_p
     for name, true in (("m", m), ("c", 2 * z * w * m), ("k", w**2 * m)):
         assert by_name[name].value == pytest.approx(true, rel=0.01), name
         assert 0.0 < by_name[name].half < 0.1 * true
+
+
+def test_an_interrupted_record_keeps_no_cells(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(overrides: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(measured_record, "identify_records", interrupt)
+    assert main(["data=one.csv", "modes=2"]) == 130
+    assert capsys.readouterr().err == "\nbench: interrupted\n"
