@@ -2,9 +2,7 @@
 
 The response per unit of force is ``s^d (sum_m R_m / (s - p_m) + conjugates + residual terms)``, d = 0, 1, 2 for
 receptance, mobility and accelerance; the residual terms, of the powers -2 to 1 of s, stand for modes outside of the
-band (D. J. Ewins, Modal Testing, 2nd ed., 2000, chapter 4). Poles are common; residues and all other factors are
-linear, and are eliminated by variable projection (G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973; Jacobian
-of L. Kaufman, BIT 15:49, 1975).
+band (D. J. Ewins, Modal Testing, 2nd ed., 2000, chapter 4). Poles are common; residues and all other factors are not.
 
 A record ends before its motion does, so that its spectrum leaks. The leakage has the same poles (R. Pintelon, J.
 Schoukens, System Identification, 2nd ed., 2012, section 6.3): the free motion after the end is taken off, which is
@@ -32,7 +30,6 @@ from scipy.signal import fftconvolve
 from bench.contract.estimate import Status
 from bench.contract.modal import (
     DERIVATIVES,
-    MOST_MODES,
     Blows,
     FrequencyResponses,
     ModalCard,
@@ -41,13 +38,9 @@ from bench.contract.modal import (
     ModalProblem,
     Mode,
 )
-from bench.likelihood.least_squares import Linearisation, minimise
 from bench.modal.blows import force_windowed, touched
+from bench.modal.pole_search import DECAYS, ROUNDING, TRIAL, PoleFit, add_modes
 
-FIRST, ITERATIONS = 5, 60
-"""Trial steps of a search from every start, and from the best of them."""
-ROUNDING = 1e-7
-"""Least noise, over the size of an output: less is rounding of the numbers."""
 POWERS = np.arange(-2, 2)
 """Of s in the residual terms: mass and stiffness lines, and what damping adds to them."""
 COLOUR = 3
@@ -56,8 +49,6 @@ NEIGHBOURS = 5
 """Lines over which given variances are averaged: those of few records scatter."""
 LEAST_LINES = 16
 """In the band."""
-DECAYS = 8
-"""Decay rates of the search for a further mode, in equal ratios."""
 REAL_MODE = 10.0
 """Degrees by which the residue of a mode may differ from that of a real mode before this is said."""
 
@@ -137,14 +128,9 @@ def pairs(plus: np.ndarray, minus: np.ndarray) -> np.ndarray:
     return np.concatenate([plus + minus, 1j * (plus - minus)], axis=-2)
 
 
-def stacked(values: np.ndarray) -> np.ndarray:
-    """Return real and imaginary parts of (..., lines) one behind the other."""
-    return np.concatenate([values.real, values.imag], axis=-1)
-
-
 @dataclass(frozen=True, eq=False)
-class SpectralFit:
-    """Modes of ``poles`` (m,) beside spectra, with the other factors of least squares.
+class SpectralFit(PoleFit):
+    """Modes beside spectra; a block is a blow.
 
     The mean square of the complex error is ``colour`` (1 or outputs, lines) times ``level`` (outputs,); ``moving``:
     records do not start from rest.
@@ -152,19 +138,22 @@ class SpectralFit:
 
     spectra: Spectra
     colour: np.ndarray
-    level: np.ndarray
-    poles: np.ndarray
     moving: bool = False
 
     @staticmethod
     def empty(spectra: Spectra) -> SpectralFit:
         """Return the fit of the residual terms alone."""
         outputs, lines = spectra.values.shape[1:]
-        return SpectralFit(spectra, np.ones((1, lines)), np.ones(outputs), np.zeros(0, complex)).with_noise()
+        return SpectralFit(np.zeros(0, complex), np.ones(outputs), spectra, np.ones((1, lines))).with_noise()
+
+    @property
+    def values(self) -> np.ndarray:
+        return self.spectra.values
 
     def whitened(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows (blocks, outputs or 1, k, lines) with white noise of ``level``: (blocks, outputs, 2 lines, k)."""
-        return np.swapaxes(stacked(rows * np.sqrt(2.0 / self.colour)[:, None]), -1, -2)
+        """Return rows (blocks, outputs or 1, k, lines) with white noise: (blocks, outputs or 1, 2 lines, k)."""
+        rows = rows * np.sqrt(2.0 / self.colour)[:, None]
+        return np.swapaxes(np.concatenate([rows.real, rows.imag], axis=-1), -1, -2)
 
     @cached_property
     def functions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -182,9 +171,13 @@ class SpectralFit:
             slopes.append(slope)
         return np.stack(values), np.stack(slopes)
 
+    @property
+    def functions_count(self) -> int:
+        return self.poles.size * (1 + self.moving)
+
     @cached_property
     def basis(self) -> np.ndarray:
-        """All functions (blocks, k, lines): those with poles, the residual terms, and smooth leakage where moving."""
+        """All functions: those with poles, the residual terms, and smooth leakage where moving."""
         s, forces = self.spectra.s, self.spectra.forces
         relative = s / np.mean(np.abs(s))
         smooth = [forces * s**self.spectra.order * relative**power for power in POWERS]
@@ -192,53 +185,46 @@ class SpectralFit:
             smooth += [np.broadcast_to(relative**power, forces.shape) for power in (0, 1)]
         return np.concatenate([pairs(*self.functions[0]), np.stack(smooth, axis=1)], axis=1)
 
-    @cached_property
-    def projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """Orthonormal columns and triangle of the whitened basis, of each block and colour."""
-        q, r = np.linalg.qr(self.whitened(self.basis[:, None]))
-        return q, r
-
-    @cached_property
-    def factors(self) -> np.ndarray:
-        """Of the basis, real: (blocks, outputs, k)."""
-        q, r = self.projection
-        data = np.swapaxes(q, -1, -2) @ self.whitened(self.spectra.values[:, :, None])
-        return np.asarray((np.linalg.pinv(r) @ data)[..., 0])
-
-    @property
-    def residues(self) -> np.ndarray:
-        """Complex factors of the functions with poles (blocks, outputs, families m), those of the modes first."""
-        size = self.functions[0].shape[2]
-        return np.asarray(self.factors[..., :size] + 1j * self.factors[..., size : 2 * size])
-
-    @cached_property
-    def residuals(self) -> np.ndarray:
-        """Shape (blocks, outputs, lines)."""
-        return np.asarray(self.spectra.values - self.factors @ self.basis)
-
     @property
     def slopes(self) -> np.ndarray:
-        """Whitened derivatives (blocks, outputs, 2 lines, 2 m) by real and imaginary parts of the poles."""
         factors = np.stack([self.residues, self.residues.conj()])
         by_pole = factors[..., None] * self.functions[1][:, :, None]
         families = by_pole.reshape(*by_pole.shape[:3], -1, self.poles.size, by_pole.shape[-1])
-        return self.whitened(pairs(*np.sum(families, axis=3)))
+        return pairs(*np.sum(families, axis=3))
+
+    def moved(self, nonlinear: np.ndarray) -> SpectralFit:
+        """Return the fit with other poles, near the band and stable."""
+        omega = np.abs(self.spectra.s)
+        low, high = 0.5 * omega[0], omega[-1] + 0.1 * (omega[-1] - omega[0])
+        imaginary = np.clip(nonlinear.imag, low, high)
+        return replace(self, poles=np.clip(nonlinear.real, -high, -ROUNDING * imaginary) + 1j * imaginary)
+
+    def part(self, mode: int) -> np.ndarray:
+        residues, functions = self.residues[..., mode, None], self.functions[0][:, :, None, mode]
+        return np.asarray(residues * functions[0] + residues.conj() * functions[1])
+
+    def factor_errors(self) -> np.ndarray:
+        """Return what the force of a blow has as an error: one factor for all lines of a mode."""
+        return self.spectra.force_errors(self.poles.imag)
 
     @property
     def unknowns(self) -> int:
-        blocks, outputs, _ = self.spectra.values.shape
+        blocks, outputs, _ = self.values.shape
         return 2 * self.poles.size + blocks * outputs * self.basis.shape[1]
 
     @property
     def degrees(self) -> float:
         """Degrees of freedom of the residuals of an output."""
-        blocks, outputs, lines = self.spectra.values.shape
+        blocks, outputs, lines = self.values.shape
         return max(2.0 * blocks * lines - self.unknowns / outputs, 1.0)
 
     @property
+    def has_room(self) -> bool:
+        return self.degrees > LEAST_LINES
+
+    @property
     def criterion(self) -> float:
-        """The Bayesian information criterion with the best noise of these residuals."""
-        blocks, outputs, lines = self.spectra.values.shape
+        blocks, outputs, lines = self.values.shape
         count, fit = 2 * blocks * lines, self.with_noise()
         logarithms = np.sum(np.log(fit.colour)) * outputs / len(fit.colour) + lines * np.sum(np.log(fit.level))
         return float(
@@ -251,8 +237,8 @@ class SpectralFit:
         The logarithm of residuals' squares is a robust measure of the colour: the few lines of a mode that is still
         missing hardly count.
         """
-        spectra, blocks = self.spectra, len(self.spectra.values)
-        floor = ROUNDING**2 * np.mean(np.abs(spectra.values) ** 2, axis=(0, 2))[:, None] + 1e-300
+        spectra, blocks = self.spectra, len(self.values)
+        floor = ROUNDING**2 * np.mean(np.abs(self.values) ** 2, axis=(0, 2))[:, None] + 1e-300
         squares = np.mean(np.abs(self.residuals) ** 2, axis=0) + floor
         colour = spectra.variances
         if colour is None:
@@ -261,49 +247,25 @@ class SpectralFit:
             colour = np.exp(powers @ np.linalg.lstsq(powers, np.mean(np.log(squares), axis=0))[0])[None]
         return replace(self, colour=colour, level=2.0 * blocks * np.sum(squares / colour, axis=1) / self.degrees)
 
-    def refined(self, iterations: int = ITERATIONS) -> SpectralFit:
-        """Return the fit of all poles, searched for from these, with the noise as it is."""
-        m, omega = self.poles.size, np.abs(self.spectra.s)
-        low, high = 0.5 * omega[0], omega[-1] + 0.1 * (omega[-1] - omega[0])
+    @property
+    def resolution(self) -> float:
+        return float(np.ptp(np.abs(self.spectra.s)) / self.spectra.s.size)
 
-        def evaluate(_: np.ndarray, unknowns: np.ndarray) -> Linearisation:
-            real, imaginary = unknowns[0, :m], np.clip(unknowns[0, m:], low, high)
-            real = np.clip(real, -high, -ROUNDING * imaginary)
-            fit = replace(self, poles=real + 1j * imaginary)
-            q, slopes = fit.projection[0], fit.slopes
-            left = fit.whitened(fit.residuals[:, :, None])
-            slopes = q @ (np.swapaxes(q, -1, -2) @ slopes) - slopes
-            left, slopes = (part / np.sqrt(self.level)[:, None, None] for part in (left, slopes))
-            x = np.concatenate([real, imaginary])[None]
-            return Linearisation.of(x, left.reshape(1, -1), slopes.reshape(1, -1, 2 * m))
+    def starts(self) -> list[SpectralFit]:
+        """Return fits with the largest mode of the residuals, and with each split in two.
 
-        start = evaluate(np.zeros(1), np.concatenate([self.poles.real, self.poles.imag])[None])
-        x = minimise(evaluate, start, iterations).at.unknowns[0]
-        return replace(self, poles=x[:m] + 1j * x[m:])
-
-    def settled(self) -> SpectralFit:
-        """Return the fit with noise and poles to each other's liking."""
-        fit = self.refined()
-        for _ in range(2):
-            fit = fit.with_noise().refined()
-        return fit
-
-    def longer(self) -> SpectralFit:
-        """Return the best fit with one more mode: from the largest in the residuals, and from each split in two.
-
-        A mode that is still missing may pass for coloured noise, so white noise is tried as well. Blows may start from
-        rest or not.
+        A mode that is still missing may pass for coloured noise, so white noise is tried as well.
         """
         level = np.mean(np.abs(self.residuals) ** 2, axis=(0, 2))
         white = replace(self, colour=np.ones_like(self.colour[:1]), level=level)
-        starts = [replace(fit, poles=np.append(self.poles, fit.largest())) for fit in (white, self)]
-        for i, pole in enumerate(self.poles):
-            apart = 1j * max(-pole.real, np.ptp(np.abs(self.spectra.s)) / self.spectra.s.size)
-            starts.append(replace(white, poles=np.append(np.delete(self.poles, i), [pole - apart, pole + apart])))
-        best = min((start.refined(FIRST) for start in starts), key=lambda fit: fit.criterion).settled()
+        return [*(replace(fit, poles=np.append(self.poles, fit.largest())) for fit in (white, self)), *white.splits()]
+
+    def longer(self) -> SpectralFit:
+        """Return the best fit with one more mode; blows may start from rest or not."""
+        best = super().longer()
         if self.spectra.pulses.shape[1] == 0:
             return best
-        other = replace(best, moving=not best.moving).refined(FIRST)
+        other = replace(best, moving=not best.moving).refined(TRIAL)
         return other.settled() if other.criterion < best.criterion else best
 
     def largest(self) -> complex:
@@ -325,40 +287,6 @@ class SpectralFit:
             if np.max(gain) > most:
                 most, best = float(np.max(gain)), complex(-rate, even[int(np.argmax(gain))])
         return best
-
-    def modes(self) -> tuple[Mode, ...]:
-        """Return the modes in order of frequency, with standard errors from the Fisher information.
-
-        A residue is a mean over the blows with the weights of least variance; the force of a blow has an error of its
-        own, which is one factor for all lines of a mode.
-        """
-        m, spectra = self.poles.size, self.spectra
-        (q, r), slopes, size = self.projection, self.slopes, self.functions[0].shape[2]
-        along = np.swapaxes(q, -1, -2) @ slopes
-        across = ((slopes - q @ along) / np.sqrt(self.level)[:, None, None]).reshape(-1, 2 * m)
-        covariance = np.linalg.pinv(across.T @ across, hermitian=True)
-        inverse = np.linalg.pinv(r)
-        places = np.array([np.arange(m), size + np.arange(m)])
-        own = np.mean(np.sum(inverse**2, axis=-1)[..., places], axis=-2) * self.level[:, None]
-        by_pole = (inverse @ along)[..., places, :]
-        residues = self.residues[..., :m]
-        force_part = spectra.force_errors(self.poles.imag)
-        first = np.sum(residues / own, axis=0) / np.sum(1.0 / own, axis=0)
-        blow = own + np.abs(first) ** 2 * force_part[:, None]
-        weights = 1.0 / blow / np.sum(1.0 / blow, axis=0)
-        shapes = np.sum(weights * residues, axis=0)
-        mean_by_pole = np.sum(weights[:, :, None, :, None] * by_pole, axis=0)
-        by_poles = np.einsum("ocmi,ij,ocmj->om", mean_by_pole, covariance, mean_by_pole) / 2.0
-        shape_sd = np.sqrt(np.sum(weights**2 * blow, axis=0) + by_poles)
-        whole = np.linalg.norm(spectra.values) or 1.0
-        modes = []
-        for i, pole in enumerate(self.poles):
-            motion = residues[..., i, None] * self.functions[0][0][:, None, i]
-            motion = motion + residues[..., i, None].conj() * self.functions[0][1][:, None, i]
-            share = float(np.linalg.norm(motion) / whole)
-            pair = np.ix_([i, m + i], [i, m + i])
-            modes.append(Mode.of_pole(pole, covariance[pair], shapes[:, i], shape_sd[:, i], share))
-        return tuple(sorted(modes, key=lambda mode: mode.frequency))
 
 
 @dataclass(frozen=True)
@@ -400,6 +328,7 @@ def modal_parameters(mode: Mode, output: int = 0) -> ModalParameters:
 class SpectralLikelihood(ModalIdentifier):
     """Maximum likelihood of modes on spectra of force and response, or on frequency responses."""
 
+    version = 2
     card = ModalCard(
         summary="maximum likelihood on spectra, leakage included; number by the Bayesian information criterion",
         settings_source="none to choose",
@@ -415,19 +344,10 @@ class SpectralLikelihood(ModalIdentifier):
         spectra = Spectra.of(problem.data, low, high)
         if spectra.s.size < LEAST_LINES:
             return ModalEstimate((), status=Status.DIVERGED, message=f"{spectra.s.size} lines in the band are too few")
-        fit, decided = SpectralFit.empty(spectra), "; no more can be told apart"
-        modes: tuple[Mode, ...] = ()
-        while len(modes) < (problem.count or MOST_MODES) and fit.poles.size < MOST_MODES and fit.degrees > LEAST_LINES:
-            longer = fit.longer()
-            gain = fit.criterion - longer.criterion
-            if problem.count is None and gain <= 0:
-                decided = f": a further one would raise the Bayesian information criterion by {-gain:.2g}"
-                break
-            fit = longer
-            modes = tuple(mode for mode in fit.modes() if low <= mode.frequency <= high)
+        fit, modes, decided = add_modes(SpectralFit.empty(spectra), problem)
         if not modes:
             return ModalEstimate((), status=Status.DIVERGED, message="no mode there")
-        sentences = [f"{len(modes)} modes{decided}" if problem.count is None else f"{len(modes)} modes as asked"]
+        sentences = [f"{len(modes)} mode{'s' * (len(modes) > 1)}: {decided}"]
         if fit.moving:
             sentences.append("the records do not start from rest, which is allowed for")
         for a, b in combinations(modes, 2):

@@ -148,8 +148,8 @@ def _jump(times: np.ndarray, values: np.ndarray, time: float, near: float) -> fl
 
 def _second_mode(motion: EvenMotion, first: int, last: int) -> bool:
     """Return whether a faster mode beside a lightly damped one leaves little of what one mode leaves of a stretch."""
-    one = WaveFit.empty(motion.times[first:last], motion.values[None, first:last]).longer(coloured=False)
-    two = one.longer(coloured=False)
+    one = WaveFit.empty(motion.times[first:last], motion.values[None, first:last]).longer()
+    two = one.longer()
     slow, fast = sorted(two.poles, key=lambda pole: float(pole.imag))
     leaves_little = np.sum(two.residuals**2) < MODE * np.sum(one.residuals**2)
     return bool(leaves_little and fast.imag > FASTER * slow.imag and -slow.real < LIGHT * slow.imag)
