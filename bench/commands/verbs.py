@@ -19,6 +19,7 @@ VERBS = {
     "check": "Check that a method or a system keeps the contract.",
     "new": "Write a small package with a method or a system to start from.",
     "round": "Make a round of problems whose truth is hidden: new, solve, open, verify.",
+    "score": "Score a file of predictions of a round.",
     "share": "Share results: action=submit, merge, export or publish.",
 }
 """Each verb, the function of its name in the module of its name, with its line in the list of all, which loads none."""

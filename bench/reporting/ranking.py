@@ -225,7 +225,11 @@ def informative_bounds(asked: Sequence[Result], metrics: Iterable[str]) -> dict[
 
 def log_errors(result: Result, bounds: Mapping[str, float]) -> np.ndarray:
     """Return log error over bound of each fit (n,) from the bounds by metric."""
-    errors = np.stack([result.errors(metric) / bound for metric, bound in bounds.items()])
+    return log_sizes(np.stack([result.errors(metric) / bound for metric, bound in bounds.items()]))
+
+
+def log_sizes(errors: np.ndarray) -> np.ndarray:
+    """Return log error over bound of each fit (n,) from the errors over bounds of its quantities (quantities, n)."""
     with np.errstate(over="ignore"):
         size = np.sqrt(np.mean(errors**2, axis=0))
     return np.where(np.max(errors, axis=0) <= GROSS, capped(size), LOST)

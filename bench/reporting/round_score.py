@@ -1,0 +1,151 @@
+"""The score of a file of predictions of a round: by kind of problem, and ranked beside this project's methods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bench import __version__
+from bench.reporting.answer import Grid
+from bench.reporting.certificate.template import rendered
+from bench.reporting.labels import title
+from bench.reporting.ranking import CAP, ON_BOUND, Ranked, log_sizes, ranked
+from bench.reporting.rounding import answered, excess_text, number, percent, percent_between
+from bench.reporting.terminal import table, wrapped
+from bench.reporting.verdict import below
+from bench.rounds.scoring import MOST_SCORE, RoundScores, summarise_rows
+from bench.scoring.statistics import wilson_interval
+from bench.scoring.summary import GROSS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ALL = "all"
+KINDS = (
+    "kind", "answered", "outliers", "error over bound", "tier", "excess", "95 % cover", "of", "interval score", "s",
+)  # fmt: skip
+RANKING = ("tier", "method", "problems served", "error over bound", "first tier there", "lost")
+LEGEND = {
+    "answered": "problems with a value for every quantity asked for",
+    "outliers": f"answered problems with an error beyond {GROSS:g} bounds",
+    "error over bound": "geometric mean over problems of the root mean square, over quantities, of error over "
+    f"Cramér-Rao bound: at least 1, at most {CAP:g}, as for an outlier or no answer; efficient estimators have about "
+    f"{ON_BOUND:.2f}",
+    "tier": "methods that these problems do not tell apart, without a winner; beside the tiers stands what has no "
+    "answer at all to the problems of a kind that ask for the same quantities: it does not serve these",
+    "excess": "root mean square of error over bound, of the values given; a few outliers decide it",
+    "cover": "share (%) of the 95 % intervals, of so many, that contain the true value",
+    "interval score": "mean of width and 40 times the miss over that of ideal intervals, each at most "
+    f"{MOST_SCORE:g}: 1 is ideal, too wide and too narrow intervals have more",
+    "s": "median of the seconds in the file, as stated by its author",
+    "first tier there": "its error over bound on the problems that a method serves",
+    "lost": "outliers, and problems served without an answer",
+}
+"""What the columns are."""
+
+
+@dataclass(frozen=True)
+class RoundReport:
+    """What is said of predictions called ``name``: ``answer`` in a few words, ``sentences``, and two tables."""
+
+    name: str
+    answer: str
+    sentences: list[str]
+    kinds: Grid
+    ranking: Grid
+
+    def line(self, round_name: str, commitment: str) -> str:
+        """Return one line of Markdown to cite."""
+        of = f"{round_name} of vibration-bench {__version__}, commitment `{commitment[:12]}`"
+        return f"**{self.name}** ({of}): {self.answer}. {' '.join(self.sentences)}"
+
+    def text(self) -> str:
+        """Return the report for a terminal."""
+        head = "\n".join([wrapped(f"{self.name}: {self.answer}"), *map(wrapped, self.sentences)])
+        tables = table(self.kinds.rows, KINDS), table(self.ranking.rows, RANKING, (0, 1))
+        return "\n\n".join([head, *tables, wrapped("; ".join(f"{name}: {what}" for name, what in LEGEND.items()))])
+
+    def page(self, line: str, origin: Mapping[str, str]) -> str:
+        """Return the report as a page; ``origin`` says what was scored on what."""
+        return rendered("score.html.j2", report=self, line=line, origin=origin, legend=LEGEND)
+
+
+def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
+    """Report the predictions called ``name`` among the rows of all methods, of ``bench.rounds.scoring.score_rows``."""
+    rows, places = scored[name], _places(scored)
+    kinds = sorted(rows["kind"].unique())
+    parts = {kind: {label: of[of["kind"] == kind] for label, of in scored.items()} for kind in kinds}
+    shown = [_kind_row(name, kind, part) for kind, part in {**parts, ALL: scored}.items()]
+    marks = ["level" if label == name else "" for label in places]
+    ranking = Grid(RANKING, [_ranking_row(place) for place in places.values()], marks)
+    sentences = _sentences(summarise_rows(rows))
+    if name in places and places[name].too_good:
+        sentences.append(f"Errors are {below([name])}.")
+    return RoundReport(name, _answer(name, places), sentences, Grid(KINDS, shown), ranking)
+
+
+def _places(scored: Mapping[str, pd.DataFrame]) -> dict[str, Ranked]:
+    """Rank methods; one without any answer has no place."""
+    return {row.label: row for row in ranked({label: _fits(rows) for label, rows in scored.items()})}
+
+
+def _fits(rows: pd.DataFrame) -> list[np.ndarray]:
+    """Return log error over bound of each problem (1,); none (0,) of one that the method does not serve."""
+    asked = rows.groupby("scenario")["quantity"].transform(" ".join)
+    served = rows.groupby([rows["kind"], asked])["value"].transform("count") > 0
+    return [
+        log_sizes(of["error"].to_numpy()[:, None]) if served[of.index[0]] else np.empty(0)
+        for _, of in rows.groupby("scenario")
+    ]
+
+
+def _kind_row(name: str, kind: str, scored: Mapping[str, pd.DataFrame]) -> list[str]:
+    place, scores = _places(scored).get(name), summarise_rows(scored[name])
+    typical, tier = (f"{place.typical:.2f}", _tier(place)) if place else ("-", "-")
+    cover = percent(scores.covered / scores.intervals if scores.intervals else math.nan)
+    return [kind, answered(scores.answered, scores.problems), str(scores.outliers), typical, tier,
+            excess_text(scores.excess), cover, str(scores.intervals), excess_text(scores.interval_score),
+            number(scores.seconds)]  # fmt: skip
+
+
+def _ranking_row(place: Ranked) -> list[str]:
+    there = f"{place.first_tier:.2f}" if place.served < place.scenarios else ""
+    served, lost = f"{place.served} of {place.scenarios}", f"{place.lost} of {place.fits}"
+    return [_tier(place), title(place.label), served, _typical(place), there, lost]
+
+
+def _tier(place: Ranked) -> str:
+    return str(place.tier or "-")
+
+
+def _typical(place: Ranked) -> str:
+    limits = f" ({place.low:.2f} to {place.high:.2f})" if math.isfinite(place.high) else ""
+    return f"{place.typical:.2f}{limits}"
+
+
+def _answer(name: str, places: Mapping[str, Ranked]) -> str:
+    if name not in places:
+        return "no answer to any problem"
+    place, in_tiers = places[name], [place.tier for place in places.values() if place.tier]
+    tier = (
+        f"tier {place.tier} of {max(in_tiers)}, among {len(in_tiers)} methods"
+        if place.tier
+        else "beside the tiers, as it does not serve every problem"
+    )
+    return f"{_typical(place)} times the bound" + (f", {tier}" if len(places) > 1 else "")
+
+
+def _sentences(scores: RoundScores) -> list[str]:
+    """Say how many problems were answered, how well, and what the intervals are worth."""
+    many = f"{scores.answered} of {scores.problems} problems answered, outlier fits: {scores.outliers}; "
+    errors = f"{many}root mean square of error over bound (excess) {excess_text(scores.excess)}."
+    if not scores.intervals:
+        return [errors, "No intervals: their coverage is not stated."]
+    ends = wilson_interval(scores.covered, scores.intervals)
+    cover = percent_between(scores.covered / scores.intervals, *ends)
+    score = f"interval score {excess_text(scores.interval_score)} times the ideal"
+    return [errors, f"95 % intervals cover {cover} % of {scores.intervals} values; {score}."]

@@ -1,0 +1,174 @@
+"""Predictions of a round, read from a CSV file that any program or hand may have written.
+
+Every row is checked before anything is scored: an error names line, column and value, and what would be right.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.errors import InputError, check_name, did_you_mean
+from bench.files import read_regular
+from bench.records.reading.grid import MISSING, NUMBER
+from bench.records.reading.text import THOUSANDS, decode
+from bench.rounds.folder import COLUMNS, KNOWLEDGE, TEMPLATE
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HEADER, NUMBERS = ",".join(COLUMNS), COLUMNS[2:]
+LARGEST_FILE_MB = 10
+"""A row has some fifty bytes: enough for any round."""
+PACKED = {b"\x1f\x8b": "a gzip file; unpack it", b"PK\x03\x04": "a spreadsheet or zip archive; save it as CSV"}
+"""First bytes of files that are given in place of a CSV."""
+
+Asked = Mapping[str, Sequence[str]]
+"""The quantities asked for, by scenario."""
+Row = dict[str, str]
+Errors = dict[int, InputError]
+"""What is wrong with a file, by line."""
+
+
+def read_template(folder: Path) -> Asked:
+    """Return the quantities that a round asks for, by scenario; raises InputError where the folder is no round."""
+    if not (folder / TEMPLATE).is_file():
+        raise InputError("round", folder, f"no {TEMPLATE} is there; {KNOWLEDGE}")
+    asked: dict[str, list[str]] = {}
+    for row in _read_rows(folder / TEMPLATE)[0].values():
+        asked.setdefault(row["scenario"], []).append(row["quantity"])
+    return asked
+
+
+def read_predictions(path: Path, asked: Asked) -> tuple[pd.DataFrame, bool, list[InputError]]:
+    """Read a file of predictions.
+
+    Returns:
+        The predictions, a row for each quantity asked for, in that order, NaN where a number is not given; whether
+        commas were read as decimal marks; and the errors of the file, without which alone the predictions hold.
+
+    Raises:
+        InputError: the file is no table with the columns of the template.
+    """
+    import pandas as pd
+
+    rows, errors = _read_rows(path)
+    decimal_comma = _has_decimal_commas([row.get(name, "") for row in rows.values() for name in NUMBERS])
+    lines: dict[tuple[str, str], int] = {}
+    values = {}
+    for line, row in rows.items():
+        try:
+            key = _key(row, asked)
+            if lines.setdefault(key, line) != line:
+                raise InputError("quantity", key[1], f"line {lines[key]} answers it already; keep one of them")
+            values[key] = _numbers(row, decimal_comma)
+        except InputError as error:
+            errors[line] = InputError(f"{path.name} line {line}, {error.field}", error.value, error.remedy)
+    questions = [(scenario, quantity) for scenario, quantities in asked.items() for quantity in quantities]
+    remedy = "no row; every row of the template is needed, its value empty where there is no answer"
+    missing = [InputError(f"{path.name}, {key[0]}", key[1], remedy) for key in questions if key not in lines]
+    table = pd.DataFrame([(*key, *values.get(key, [math.nan] * 4)) for key in questions], columns=COLUMNS)
+    return table, decimal_comma, [errors[line] for line in sorted(errors)] or missing
+
+
+def _read_rows(path: Path) -> tuple[dict[int, Row], Errors]:
+    """Return the rows below the header by line, and the lines that do not have the header's columns."""
+    body = [(i, line) for i, line in enumerate(_text(path).splitlines(), 1) if line.strip(" ,;\t")]
+    body = [(i, line) for i, line in body if not line.lstrip().startswith("#")]
+    if len(body) < 2:
+        raise InputError(
+            "predictions", path, f"empty; the first line is {HEADER}, and every row of the template follows"
+        )
+    separator = max(",;\t", key=body[0][1].count)
+    header = _header(body[0][1], separator, f"{path.name} line {body[0][0]}, header")
+    named, rows, errors = sum(map(bool, header)), dict[int, Row](), Errors()
+    for line, text in body[1:]:
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([text], delimiter=separator, strict=True))]
+        except csv.Error:
+            errors[line] = InputError(f"{path.name} line {line}, row", text, "close every quote")
+            continue
+        if len(cells) == len(header) and all(name or not cell for name, cell in zip(header, cells, strict=True)):
+            rows[line] = dict(zip(header, cells, strict=True))
+        else:
+            hint = "a decimal comma?" if len(cells) > named else "write a separator for an empty column too"
+            remedy = f"{len(cells)} columns, the header names {named}; {hint}"
+            errors[line] = InputError(f"{path.name} line {line}, row", text, remedy)
+    return rows, errors
+
+
+def _text(path: Path) -> str:
+    if path.stat().st_size > LARGEST_FILE_MB * 1_000_000:
+        raise InputError("predictions", path, f"larger than {LARGEST_FILE_MB} MB; one row for each quantity is enough")
+    content = read_regular(path)
+    for start, remedy in PACKED.items():
+        if content.startswith(start):
+            raise InputError("predictions", path, remedy)
+    try:
+        return decode(content, path)
+    except InputError:
+        raise InputError("predictions", path, "a binary file; save it as CSV") from None
+
+
+def _header(line: str, separator: str, where: str) -> list[str]:
+    """Return the names of the columns; raises InputError where one is not known, stands twice, or is missing."""
+    names = [name.strip().strip('"').lower() for name in line.split(separator)]
+    if not set(names) & set(COLUMNS):
+        raise InputError(where, line, f"no names of columns; the first line is {HEADER}")
+    for name in filter(None, names):  # a spreadsheet may write empty columns at the end
+        check_name(where, name, COLUMNS)
+        if names.count(name) > 1:
+            raise InputError(where, name, "it stands twice; keep one of the two")
+    ends = ("low", "high") if {"low", "high"} & set(names) else ()
+    for name in ("scenario", "quantity", "value", *ends):
+        if name not in names:
+            raise InputError(where, line, f"no column {name}; columns are {HEADER}")
+    return names
+
+
+def _has_decimal_commas(texts: Sequence[str]) -> bool:
+    """Decide whether commas in numbers are decimal marks: no number has a point, and not all may mean thousands."""
+    commas = [text for text in texts if "," in text]
+    return any(not THOUSANDS.fullmatch(text) for text in commas) and not any("." in text for text in texts)
+
+
+def _key(row: Row, asked: Asked) -> tuple[str, str]:
+    scenario, names = row["scenario"], list(asked)
+    if scenario not in asked:
+        near = did_you_mean(scenario, names)
+        raise InputError("scenario", scenario, f"{near}scenarios of this round are {names[0]} to {names[-1]}")
+    check_name("quantity", row["quantity"], asked[scenario], f": what this round asks for in {scenario}")
+    return scenario, row["quantity"]
+
+
+def _numbers(row: Row, decimal_comma: bool) -> tuple[float, ...]:
+    """Return the numbers of a row in the order of :data:`NUMBERS`; raises InputError."""
+    value, low, high, seconds = (_number(name, row.get(name, ""), decimal_comma) for name in NUMBERS)
+    if math.isnan(low) != math.isnan(high):
+        raise InputError("low" if math.isnan(low) else "high", "", "give both ends of the interval, or none")
+    if math.isnan(value) and not math.isnan(low):
+        raise InputError("value", "", "an interval without a value; give the value, or no interval")
+    if low > high:
+        raise InputError("low", row["low"], f"above high={row['high']}; low is the lower end of the 95 % interval")
+    if value < low or value > high:
+        raise InputError("value", row["value"], f"outside its interval, {row['low']} to {row['high']}")
+    if seconds < 0:
+        raise InputError("seconds", row["seconds"], "negative; the time of the fit in seconds, or nothing")
+    return value, low, high, seconds
+
+
+def _number(column: str, text: str, decimal_comma: bool) -> float:
+    """Return the number of a cell, NaN of an empty one; raises InputError."""
+    plain = text.replace("−", "-").replace(",", "." if decimal_comma else ",")
+    if not plain:
+        return math.nan
+    if NUMBER.fullmatch(plain) and math.isfinite(number := float(plain.lower().replace("d", "e"))):
+        return number
+    if plain.lower() in MISSING:
+        raise InputError(column, text, "leave it empty where there is no answer")
+    if "," in text:
+        raise InputError(column, text, "a decimal comma or a separator of thousands? write 1234.5")
+    raise InputError(column, text, "write one real number below 1e308, without unit or separators, such as 1234.5")

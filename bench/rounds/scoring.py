@@ -1,0 +1,70 @@
+"""Scores of predictions against the truth of a round, each error over its Cramér-Rao bound."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bench.scoring.score import LEVELS, interval_score
+from bench.scoring.statistics import Z95
+from bench.scoring.summary import GROSS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+IDEAL = 4.0 / (1.0 - LEVELS[-1]) * math.exp(-(Z95**2) / 2.0) / math.sqrt(2.0 * math.pi)
+"""Mean interval score of value ± 1.96 bound where the value is normal about the truth, over the bound: 4 φ(z) / α.
+
+Width 2 z, and 2 / α times the mean miss on either side, φ(z) - z α / 2 (integrated by parts).
+"""
+MOST_SCORE = 100.0
+"""Largest interval score that counts, over the ideal: an ideal interval of an outlier fit has 27 at least."""
+
+
+class RoundScores(NamedTuple):
+    """Scores of some problems of a round.
+
+    ``answered``: problems with a value for every quantity asked for; ``outliers``: those of them with an error beyond
+    five bounds. ``excess``: root mean square of error over bound, of the values given. ``intervals`` are given,
+    ``covered`` of them contain the true value; ``interval_score``: their mean (95 %) over the ideal.
+    """
+
+    problems: int
+    answered: int
+    outliers: int
+    excess: float
+    intervals: int
+    covered: int
+    interval_score: float
+    seconds: float
+
+
+def score_rows(predictions: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of ``truth.csv`` (its value as ``true``) with predictions and their scores.
+
+    ``error``: over the bound, infinite where no value is given; ``covered``: 1 or 0, and ``interval_score``: over that
+    of an ideal interval, at most 100, both NaN where no interval is given.
+    """
+    rows = truth.rename(columns={"value": "true"}).merge(predictions, on=["scenario", "quantity"], validate="1:1")
+    value, low, high, true, bound = (rows[name].to_numpy(float) for name in ("value", "low", "high", "true", "bound"))
+    error = np.where(np.isnan(value), np.inf, np.abs(value - true) / bound)
+    covered = np.where(np.isnan(low), np.nan, (low <= true) & (true <= high))
+    scores = np.minimum(interval_score([(low, high)], true, LEVELS[-1]) / (IDEAL * bound), MOST_SCORE)
+    return rows.assign(error=error, covered=covered, interval_score=scores)
+
+
+def summarise_rows(rows: pd.DataFrame) -> RoundScores:
+    """Sum up rows of :func:`score_rows`."""
+    problems = rows.groupby("scenario")
+    answered = problems["value"].count() == problems.size()
+    outliers = int((answered & (problems["error"].max() > GROSS)).sum())
+    errors = rows.loc[rows["value"].notna(), "error"].to_numpy()
+    with np.errstate(over="ignore"):
+        excess = math.sqrt(np.mean(errors**2)) if errors.size else math.nan
+    intervals, covered, score = rows["covered"].count(), rows["covered"].sum(), float(rows["interval_score"].mean())
+    seconds = float(rows["seconds"].median())
+    return RoundScores(
+        len(problems), int(answered.sum()), outliers, excess, int(intervals), int(covered), score, seconds
+    )
