@@ -12,6 +12,7 @@ VERBS = {
     "design": "Design the smallest free decay that reaches a wanted accuracy.",
     "track": "Track the parameters of a system in a stream of samples.",
     "identifiability": "State which quantities the data of a scenario determine.",
+    "audit": "State what the data of a published claim allow, and where its numbers fall.",
     "tables": "Write the tables of all experiments; what=frame, figures, claims, reproduction, all.",
     "report": "Build the site: the results as pages for a browser.",
     "status": "Show what is stored, failed, stale and missing, and why.",

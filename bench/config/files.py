@@ -67,30 +67,38 @@ class _Strict(yaml.SafeLoader):
 _Strict.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER, list("-+0123456789"))
 
 
-def read_own_system(path: str) -> dict[str, Any]:
-    """Return the content of a scenario's file; raises InputError where it is none.
+def read_own(path: str, field: str = "system", kind: str = KIND) -> dict[str, Any]:
+    """Return the content of a user's YAML file; raises InputError, with the ``kind`` that is wanted, where it is none.
 
-    It may start from scenarios of ``conf/system``, by ``defaults``. Interpolations are not read: they stand for what
-    the machine's environment holds.
+    Interpolations are not read: they stand for what the machine's environment holds.
     """
     try:
         with open(path, "rb") as file:
             data = file.read(MOST_BYTES + 1)
         text = data.decode("utf-8")
     except OSError as error:
-        raise InputError("system", path, f"it cannot be read: {error.strerror}") from None
+        raise InputError(field, path, f"it cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError("system", path, f"it is no text in UTF-8; {KIND}") from None
+        raise InputError(field, path, f"it is no text in UTF-8; {kind}") from None
     if len(data) > MOST_BYTES:
-        raise InputError("system", path, f"at most {MOST_BYTES} bytes; {KIND}")
+        raise InputError(field, path, f"at most {MOST_BYTES} bytes; {kind}")
     if "${" in text:
-        raise InputError("system", path, "write values, not ${...}")
+        raise InputError(field, path, "write values, not ${...}")
     try:
         content = yaml.load(text, _Strict)
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-        raise InputError("system", path, f"it is no plain YAML ({error}); {KIND}") from None
+        raise InputError(field, path, f"it is no plain YAML ({error}); {kind}") from None
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
-        raise InputError("system", path, f"it has no fields; {KIND}")
+        raise InputError(field, path, f"it has no fields; {kind}")
+    return content
+
+
+def read_own_system(path: str) -> dict[str, Any]:
+    """Return the content of a scenario's file, which may start from scenarios of ``conf/system``, by ``defaults``.
+
+    Raises InputError where it is none.
+    """
+    content = read_own(path)
     defaults = content.get("defaults", [])
     for name in defaults if isinstance(defaults, list) else [defaults]:
         if not isinstance(defaults, list) or name not in ("_self_", *file_names("system")):

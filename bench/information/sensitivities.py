@@ -26,7 +26,12 @@ REFINE = 12
 
 
 def linear_sensitivities(
-    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+    rows: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the displacement of a linear system and its derivatives, at increasing times >= 0 (s).
 
@@ -36,19 +41,25 @@ def linear_sensitivities(
         start: the state at time 0.
         times: where the displacement is wanted, shape (n_times,).
         forces: the known forces; each is zero after its last sample.
+        rows: how many components of the state are wanted, n_dof without; 2 n_dof for velocities, too.
 
     Returns:
-        The displacement (m), shape (n_dof, n_times), and its derivatives, shape (n_dof, n_times, n_parameters +
+        The displacement (m), shape (rows, n_times), and its derivatives, shape (rows, n_times, n_parameters +
         2 n_dof): by the log-parameters, then by the initial displacement and velocity of each DOF.
     """
     n, parameters = system.n_dof, {name: np.array([p[name]]) for name in system.names}
     state = np.concatenate([start.displacement, start.velocity])[None]
     path, slopes = linear_motion(system, parameters, state, times, forces)
-    return path[0, :, :n].T, np.moveaxis(slopes[0, :, :n], 1, 0)
+    return path[0, :, : rows or n].T, np.moveaxis(slopes[0, :, : rows or n], 1, 0)
 
 
 def stepped_sensitivities(
-    system: System, p: Mapping[str, float], start: InitialState, times: np.ndarray, forces: Sequence[Force] = ()
+    system: System,
+    p: Mapping[str, float],
+    start: InitialState,
+    times: np.ndarray,
+    forces: Sequence[Force] = (),
+    rows: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the displacement of any system and its derivatives, as :func:`linear_sensitivities`.
 
@@ -64,7 +75,7 @@ def stepped_sensitivities(
     def response(theta: Any, lengths: Any, pushes: Any, reached: Any) -> tuple[Any, Any]:
         values = {name: jnp.exp(theta[i]) for i, name in enumerate(names)}
         first = jnp.concatenate([theta[len(names) :], jnp.zeros(system.n_hidden)])
-        path = rk4_scan(system, values, first, lengths, pushes)[reached, :n].T
+        path = rk4_scan(system, values, first, lengths, pushes)[reached, : rows or n].T
         return path, path
 
     grid = merged_grid(times, forces)

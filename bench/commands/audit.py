@@ -1,0 +1,48 @@
+"""The verb ``audit``: what the data of a published claim allow, and where its numbers fall."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from bench.commands.declaration import Bare, file
+
+
+def audit(
+    claim: Annotated[Path, Bare(), "file of the claim, as those of claims/; see docs/how_to/audit_claim.md"],
+    format: Annotated[Literal["text", "json"], "json: all numbers, as one object"] = "text",
+    out: Annotated[
+        Path | None, "folder of NAME.json, NAME.md (a paragraph to cite) and NAME.svg (a badge) [none]"
+    ] = None,
+) -> int:
+    """Audit a published claim: what its data allow, and where the reported numbers fall.
+
+    Are published data consistent with the stated equation; is each quantity identifiable; the bound of one draw; the
+    scores of an efficient estimator, and how many of its draws do as well, or as badly; whether a comparison of methods
+    is decided; what a prior or a starting value has decided. Without noise only the bias is stated.
+    """
+    from bench.audit.claim import read_claim
+    from bench.audit.evidence import audit as audited
+    from bench.audit.sentences import as_dict, badge, lines_of, paragraph, summary
+    from bench.config.files import read_own
+    from bench.face.results import nulls
+    from bench.reporting.terminal import wrapped
+    from bench.reporting.whole_file import check_folder, write
+
+    kind = "a claim is wanted: see docs/how_to/audit_claim.md"
+    stated = read_claim(claim.stem, read_own(str(file("claim", claim)), "claim", kind), claim.parent)
+    if out is not None:
+        check_folder(out)
+    result = audited(stated)
+    content = json.dumps(nulls(as_dict(result)), allow_nan=False, ensure_ascii=False, indent=1) + "\n"
+    if format == "json":
+        print(content, end="")
+    else:
+        print(*[wrapped(line) for line in (f"{claim.stem}: {summary(result)}", *lines_of(result))], sep="\n")
+    if out is not None:
+        for ending, text in {"json": content, "md": paragraph(result) + "\n", "svg": badge(result)}.items():
+            path = out / f"{claim.stem}.{ending}"
+            write(path, text, out)
+            print(path)
+    return 0
