@@ -172,6 +172,7 @@ check package=lines_toml                          | package=lines_toml/pyproject
 check package=ls method.bootstrap=2.5             | method.bootstrap=2.5             |
 new method=true                                   | method=                          |
 new method=../x                                   | method=../x                      | small letters
+new method=slow_fit out=a/slow_fit                | out=a/slow_fit                   | hides the module
 new method=numpy                                  | method=numpy                     | a module of Python
 share                                             | action=                          | what to do
 $EXPORT                                           | form=                            | petab, arviz or notebook

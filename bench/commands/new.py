@@ -23,7 +23,6 @@ def new(
     name = method or system
     if name is None or (method and system):
         raise InputError("method", method or "", "write method=<name> or system=<name>, one of the two")
-    # a folder of the module's own name would hide the module from whoever works beside it
     folder = out or Path(f"bench-{name.replace('_', '-')}")
     print(*write_package("method" if method else "system", name, folder), sep="\n")
     print(f"try it: python -m bench check package={folder}")

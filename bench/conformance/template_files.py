@@ -29,6 +29,8 @@ def write_package(kind: Kind, name: str, folder: Path) -> list[Path]:
         raise InputError(kind, name, "small letters, digits and _, a letter first, as Python names a module")
     if name in method_names() or name in registered_systems() or find_spec(name):
         raise InputError(kind, name, "there is a method, a system or a module of Python of that name; choose another")
+    if folder.resolve().name == name:
+        raise InputError("out", folder, f"a folder of this name hides the module {name} from whoever works beside it")
     fields = {
         "name": name,
         "class_name": class_name,
