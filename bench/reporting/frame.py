@@ -339,6 +339,18 @@ class Frame:
         """What makes the table again."""
         return f"python -m bench -m experiment={self.experiment} && python -m bench tables"
 
+    @property
+    def origin(self) -> str:
+        """The last line of its page: when the fits were computed, and what makes the table again."""
+        return f"{computed(self)}Regenerate: `{self.command}`"
+
+
+def computed(results: Iterable[Result]) -> str:
+    """The first and the last day (UTC) on which results were computed, as a sentence; empty where none is dated."""
+    starts = [str(result.stored.provenance.get("started") or "")[:10] for result in results if result.stored]
+    days = sorted({start for start in starts if start})
+    return f"Computed {' to '.join(dict.fromkeys((days[0], days[-1])))}. " if days else ""
+
 
 def quantity(metric: str) -> str:
     """The quantity of which a metric is the error."""

@@ -22,7 +22,7 @@ from markupsafe import Markup
 from bench.config.files import read_yaml
 from bench.entrants.registry import default_settings, load_method, missing_package, registered
 from bench.errors import InputError
-from bench.reporting.frame import Result, group, quantity
+from bench.reporting.frame import Result, computed, group, quantity
 from bench.reporting.labels import card_of, in_order, title
 from bench.reporting.page import board, origin
 from bench.reporting.page.elsewhere import elsewhere
@@ -191,7 +191,7 @@ def scenario_values(site: Site, panel: ScenarioPanel) -> dict[str, Any]:
     return {
         "panel": panel, "facts": facts, "results": order, "ranks": ranks, "seconds": site.alone[panel.slug].seconds,
         "situations": [one for one in site.advice if panel in one.panels], "again": again,
-        "address": urlencode(board.choices(panel)), "coverage": coverages,
+        "address": urlencode(board.choices(panel)), "coverage": coverages, "computed": computed(order),
     }  # fmt: skip
 
 

@@ -325,6 +325,18 @@ def test_a_table_of_missing_failed_and_good_cells() -> None:
     assert tidy["pinn", "told_pooled"]["excess"] == pytest.approx(9.0)
 
 
+def test_a_table_says_on_which_days_it_was_computed() -> None:
+    days = ("2026-01-31T23:59:59+00:00", "2025-12-01T00:00:00+00:00", None)
+    made = [result({"k": [1.0]}, {"k": 1.0}) for _ in days]
+    dated = [
+        replace(one, stored=one.stored and replace(one.stored, provenance={"started": day}))
+        for one, day in zip(made, days, strict=True)
+    ]
+    assert written(SYSTEMS, "forced", dated)[0].splitlines()[-1].startswith("Computed 2025-12-01 to 2026-01-31. Regen")
+    assert written(SYSTEMS, "forced", dated[:1])[0].splitlines()[-1].startswith("Computed 2026-01-31. Regen")
+    assert written(SYSTEMS, "forced", dated[2:])[0].splitlines()[-1].startswith("Regenerate: `")
+
+
 # ---- the command
 
 
