@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from bench.audit.equation import EquationSystem, PartlyKnown, expression
+from bench.audit.equation import EquationSystem, expression
 from bench.contract.problem import Force, InitialState
 from bench.errors import InputError, check_name, did_you_mean
 from bench.scenario.declaration import STRICT, Positive, validated
-from bench.systems import System, make_system
 
 MOST_SAMPLES, MOST_DRAWS = 20_000, 10_000
-DRAWN = re.compile(r"(default_rng|RandomState)\((\d{1,9})\)|halton|unknown seed")
-CHANNEL = re.compile(r"([xv])(\d*)")
+DRAWN = r"^(default_rng\(\d{1,9}\)|RandomState\(\d{1,9}\)|halton|unknown seed)$"
 FORCE_SAMPLES = 4001
 """Samples by which an expression of time is given to the equation, joined by a cubic spline."""
 Definition = Literal[
     "standard deviation", "variance", "half-width", "snr db", "snr db of the variance", "snr db of the peak",
     "percent of the rms", "percent of the standard deviation", "percent of the largest value", "none",
 ]  # fmt: skip
-Form = Literal["value", "percent error", "absolute error", "rmse"]
-Numbers = Annotated[tuple[float, ...], BeforeValidator(lambda v: v if isinstance(v, list | tuple) else (v,))]
-Words = Annotated[tuple[str, ...], BeforeValidator(lambda v: v if isinstance(v, list | tuple) else (v,))]
+LISTED = BeforeValidator(lambda given: given if isinstance(given, list | tuple) else (given,))
+Numbers = Annotated[tuple[float, ...], LISTED]
+Words = Annotated[tuple[str, ...], LISTED]
 
 
 class ClaimPart(BaseModel):
@@ -42,9 +39,7 @@ class ClaimPart(BaseModel):
     @classmethod
     def _known_fields(cls, values: Any) -> Any:
         known = [field.alias or name for name, field in cls.model_fields.items()]
-        if not isinstance(values, Mapping):
-            raise ValueError(f"fields are wanted: {', '.join(known)}")
-        for name in values:
+        for name in values if isinstance(values, Mapping) else ():
             if name not in known:
                 raise ValueError(f"no field {name}; {did_you_mean(name, known)}there are {', '.join(known)}")
         return values
@@ -60,7 +55,7 @@ class Source(ClaimPart):
     place: str = ""
 
 
-class Start(ClaimPart):
+class StatedStart(ClaimPart):
     """Displacement and velocity at time 0, one number a mass, and whether the method knew them."""
 
     displacement: Numbers
@@ -68,39 +63,45 @@ class Start(ClaimPart):
     known: bool
 
 
-class Push(ClaimPart):
-    """A known force: an expression of t, on a mass (from 1)."""
-
-    expression: str
-    on: Annotated[int, Field(ge=1)] = 1
-
-
 class StatedTimes(ClaimPart):
-    """Sample times: listed, a column, uniform, or drawn between two."""
+    """Sample times: listed, a column of the data, uniform, or drawn between two."""
 
-    values: tuple[float, ...] | None = None
-    column: str | None = None
+    values: Numbers = ()
+    column: str = ""
     first: Annotated[float | None, Field(alias="from")] = None
     last: Annotated[float | None, Field(alias="to")] = None
     n: Annotated[int | None, Field(ge=2, le=MOST_SAMPLES)] = None
     step: Positive | None = None
-    drawn: str | None = None
+    drawn: Annotated[str, Field(pattern=DRAWN)] | None = None
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        span, count = (self.first, self.last), (self.n, self.step)
-        ways = [self.values is not None, self.column is not None, None not in span and count.count(None) == 1]
-        if sum(ways) != 1 or (not ways[2] and any(v is not None for v in (*span, *count, self.drawn))):
-            raise ValueError("a list of times, or from, to and n (or step), or column")
-        if self.drawn is not None and (self.n is None or not DRAWN.fullmatch(self.drawn)):
-            raise ValueError("drawn is default_rng(1), RandomState(1), halton or unknown seed, with from, to and n")
-        if ways[2] and not (self.first < self.last and (self.step is None or self.steps <= MOST_SAMPLES)):  # type: ignore[operator]
-            raise ValueError(f"from is below to, with {MOST_SAMPLES} samples at most")
-        return self
+    def samples(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the times, increasing and each once; raises InputError where they are not stated in one way."""
+        first, last = self.first, self.last
+        if self.values or self.column:
+            if self.column:
+                check_name("times.column", self.column, columns)
+            times = columns[self.column] if self.column else np.array(self.values)
+        elif first is None or last is None or not first < last or (self.n is None) == (self.step is None):
+            raise InputError("times", first, "a list of times, a column, or from below to, with n or step")
+        elif self.step is not None:
+            times = np.arange(first, min(last, first + MOST_SAMPLES * self.step), self.step)
+        else:
+            times = self._drawn(first, last, self.n or 0)
+        times = np.unique(times)
+        if times.size < 2 or times[0] < 0 or times.size >= MOST_SAMPLES:
+            raise InputError("times", times.size, f"from 2 to {MOST_SAMPLES} different times, none below 0")
+        return times
 
-    @property
-    def steps(self) -> float:
-        return (self.last - self.first) / self.step  # type: ignore[operator]
+    def _drawn(self, first: float, last: float, n: int) -> np.ndarray:
+        if self.drawn is None:
+            return np.linspace(first, last, n)
+        if self.drawn == "halton":
+            from scipy.stats.qmc import Halton
+
+            return first + (last - first) * Halton(1, scramble=False).random(n)[:, 0]
+        seed = int("".join(filter(str.isdigit, self.drawn)) or 0)
+        generator: Any = np.random.RandomState if "RandomState" in self.drawn else np.random.default_rng
+        return np.asarray(generator(seed).uniform(first, last, n))
 
 
 class StatedNoise(ClaimPart):
@@ -110,34 +111,27 @@ class StatedNoise(ClaimPart):
     value: Numbers = (0.0,)
 
 
-def _flat(columns: Any) -> Any:
-    """Collect the columns of channels, which stand beside the other fields in a file."""
-    if not isinstance(columns, Mapping):
-        return columns
-    channels = {name: column for name, column in columns.items() if CHANNEL.fullmatch(str(name))}
-    return {**{name: column for name, column in columns.items() if name not in channels}, "channels": channels}
-
-
 class PublishedColumns(ClaimPart):
-    """Published samples in a CSV file beside the claim: columns by channel, and of the noise-free solution."""
+    """A CSV file beside the claim, with columns of times, of samples and of the noise-free solution of one channel."""
 
     file: str
     time: str
+    x: str | None = None
     exact: str | None = None
-    channels: Mapping[str, str] = {}
 
 
-class Believed(ClaimPart):
-    """A prior's mean and standard deviation, in the parameter's unit."""
+class StatedPrior(ClaimPart):
+    """A prior's standard deviation: in the parameter's unit, or in percent of the stated value."""
 
-    value: float
-    sd: Positive
+    value: float | None = None
+    sd: Positive | None = None
+    percent: Positive | None = None
 
 
 class Given(ClaimPart):
     """What the method was given beside the data."""
 
-    prior: Mapping[str, Believed] = {}
+    prior: Mapping[str, StatedPrior] = {}
     starting_value: Mapping[str, float] = {}
 
 
@@ -145,14 +139,14 @@ class Setting(ClaimPart):
     """What decides the data and what is known, as a file states it."""
 
     parameters: Mapping[str, float]
-    initial_state: Start
+    initial_state: StatedStart
     times: Annotated[StatedTimes, BeforeValidator(lambda v: {"values": v} if isinstance(v, list) else v)]
-    noise: Annotated[StatedNoise, BeforeValidator(lambda v: {"definition": "none"} if v == "none" else v)]
+    noise: StatedNoise
     known: tuple[str, ...] = ()
-    force: Annotated[Push | None, BeforeValidator(lambda v: {"expression": v} if isinstance(v, str) else v)] = None
+    force: str | None = None
     measured: Words = ()
     given: Given = Given()
-    data: Annotated[PublishedColumns | None, BeforeValidator(_flat)] = None
+    data: PublishedColumns | None = None
 
 
 class Reported(ClaimPart):
@@ -161,7 +155,7 @@ class Reported(ClaimPart):
     method: str
     quantity: str
     value: float | None = None
-    form: Form = "value"
+    form: Literal["value", "percent error", "absolute error", "rmse"] = "value"
     draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 1
     sd: Positive | None = None
     precision: Positive | None = None
@@ -175,14 +169,14 @@ class Reported(ClaimPart):
         return self.precision or 0.5 * 10.0 ** (0 if value == int(value) else int(Decimal(repr(value)).as_tuple()[2]))
 
 
-class Claim(ClaimPart):
-    """A claim without its settings."""
+class Claim(Setting):
+    """A claim: its setting, what differs by ``case`` and by ``reading`` of what the source leaves open, its numbers."""
 
     source: Source
-    equation: Words = ()
-    system: str = ""
-    options: Mapping[str, Any] = {}
+    equation: Words
     reported: tuple[Reported, ...] = ()
+    cases: Mapping[str, Mapping[str, Any]] = {}
+    readings: Mapping[str, Mapping[str, Any]] = {}
     assumed: Words = ()
     missing: Words = ()
 
@@ -192,179 +186,117 @@ class Situation:
     """A setting with its equation: all that decides what the data allow.
 
     ``system`` has the unknown parameters, whose sizes are ``p``; where all are known (``decided``), it has all.
+    ``rows``: those of the state, displacements before velocities, that have a sensor.
     """
 
     setting: Setting
-    full: System
-    system: PartlyKnown
+    system: EquationSystem
     p: Mapping[str, float]
     start: InitialState
     times: np.ndarray
     forces: tuple[Force, ...]
-    channels: Mapping[str, int]
+    rows: tuple[int, ...]
     columns: Mapping[str, np.ndarray]
     decided: bool
 
     def value(self, quantity: str, sizes: Mapping[str, float] | None = None) -> float:
         """Return a quantity at the stated parameters, or at other sizes of the unknown ones."""
         signed = {n: -v if n in self.system.negative else v for n, v in (sizes or {}).items()}
-        return float(expression(quantity, self.setting.parameters, "quantity")({**self.setting.parameters, **signed}))
+        p = {**self.setting.parameters, **signed}
+        return float(expression(quantity, list(p), "quantity")(p))
 
 
 @dataclass(frozen=True, eq=False)
-class Stated:
+class StatedClaim:
     """A claim that has been read: its situations by case ("" without one) and reading ("" as stated)."""
 
     name: str
     claim: Claim
     situations: Mapping[tuple[str, str], Situation]
 
-    @property
-    def readings(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(reading for _, reading in self.situations))
 
-
-def read_claim(name: str, content: Mapping[str, Any], folder: Path) -> Stated:
+def read_claim(name: str, content: Mapping[str, Any], folder: Path) -> StatedClaim:
     """Read the content of a claim's file; ``folder`` has its data. Raises InputError before any work."""
-    content, changes = dict(content), {}
-    for key in ("cases", "readings"):
-        changes[key] = content.pop(key, {})
-        named = isinstance(changes[key], Mapping) and all(isinstance(v, Mapping) for v in changes[key].values())
-        if not named or not all(isinstance(k, str) and k for k in changes[key]):
-            raise InputError(key, changes[key], "names, each with the fields that differ")
-    common = {key: content.pop(key) for key in list(Setting.model_fields) if key in content}
-    known = [*Claim.model_fields, *Setting.model_fields, "cases", "readings"]
-    for key in content:
-        if key not in known:
-            raise InputError(
-                key, content[key], f"no such field; {did_you_mean(key, known)}there are {', '.join(known)}"
-            )
-    claim = validated(Claim, content)
-    if bool(claim.equation) == bool(claim.system):
-        raise InputError("equation", claim.system, "give an equation, or the name of a system; not both")
-    situations = {}
-    for case, own in {"": {}, **changes["cases"]}.items():
-        for reading, other in {"": {}, **changes["readings"]}.items():
-            places = {f"readings.{reading}": other, f"cases.{case}": own}
+    claim, situations = validated(Claim, content), {}
+    common = {key: content[key] for key in Setting.model_fields if key in content}
+    for case, own in {"": {}, **claim.cases}.items():
+        for reading, other in {"": {}, **claim.readings}.items():
+            whole = _merged(_merged(common, own), other)
+            changed = f"readings.{reading}" if reading else f"cases.{case}"
             paths = {
-                key: next((f"{p}.{key}" for p, part in places.items() if key in part), key)
-                for key in (*common, *own, *other)
+                "": changed,
+                **{key: f"{changed}.{key}" if key in (other if reading else own) else key for key in whole},
             }
-            stated = validated(
-                Setting,
-                _merged(_merged(common, own), other),
-                paths | {"": ".".join(filter(None, [case, reading])) or "claim"},
-            )
-            situations[case, reading] = _situation(claim, stated, folder)
+            situations[case, reading] = _situation(claim.equation, validated(Setting, whole, paths), folder)
     for i, row in enumerate(claim.reported):
-        _check_reported(f"reported.{i}", row, situations)
-    return Stated(name, claim, situations)
+        check_name(f"reported.{i}.case", row.case, ["", *claim.cases])
+        _check_reported(f"reported.{i}", row, situations[row.case, ""])
+    return StatedClaim(name, claim, situations)
 
 
 def _merged(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a claim with those of a case or a reading; parameters and what is given are joined."""
-    joined = {key: {**common[key], **own[key]} for key in ("parameters", "given")
-              if isinstance(common.get(key), Mapping) and isinstance(own.get(key), Mapping)}  # fmt: skip
-    return {**common, **own, **joined}
+    """Return fields with those that differ, field by field below, too."""
+    both = {key: _merged(common[key], part) for key, part in own.items()
+            if isinstance(part, Mapping) and isinstance(common.get(key), Mapping)}  # fmt: skip
+    return {**common, **own, **both}
 
 
-def _check_reported(field: str, row: Reported, situations: Mapping[tuple[str, str], Situation]) -> None:
-    check_name(f"{field}.case", row.case, list(dict.fromkeys(case for case, _ in situations)))
-    situation = situations[row.case, ""]
+def _check_reported(field: str, row: Reported, situation: Situation) -> None:
     if row.quantity == "x":
         if row.form != "rmse":
-            raise InputError(f"{field}.form", row.form, "rmse: the displacement is scored by nothing else")
+            raise InputError(f"{field}.form", row.form, "rmse: a displacement has no other score")
     else:
-        expression(row.quantity, situation.setting.parameters, f"{field}.quantity")
+        expression(row.quantity, list(situation.setting.parameters), f"{field}.quantity")
         if not np.isfinite(value := situation.value(row.quantity)) or value == 0:
-            raise InputError(
-                f"{field}.quantity", row.quantity, f"{value:g} at the stated parameters; errors are relative to it"
-            )
-    if row.form != "value" and row.value is not None and row.value < 0:
+            raise InputError(f"{field}.quantity", row.quantity, f"not {value:g} at the stated parameters")
+    if row.form != "value" and (row.value or 0.0) < 0:
         raise InputError(f"{field}.value", row.value, f"a {row.form} is not negative")
 
 
-def _situation(claim: Claim, setting: Setting, folder: Path) -> Situation:
+def _situation(equations: tuple[str, ...], setting: Setting, folder: Path) -> Situation:
     """Return a setting with its equation, times and forces; raises InputError where they do not fit each other."""
-    p = setting.parameters
-    full = make_system(claim.system, claim.options) if claim.system else EquationSystem(claim.equation, tuple(p))
-    if set(p) != set(full.names):
-        raise InputError("parameters", ", ".join(p), f"needed: {', '.join(full.names)}")
-    for field in ("known", "given.prior", "given.starting_value"):
-        check = setting.known if field == "known" else getattr(setting.given, field.partition(".")[2])
-        for name in check:
-            check_name(field, name, p)
-    unknown = [name for name in full.names if name not in setting.known] or list(full.names)
-    decided = len(setting.known) == len(full.names)
-    if decided and not setting.initial_state.known:
+    p, given = setting.parameters, setting.given
+    for field, names in {"known": setting.known, "prior": given.prior, "starting_value": given.starting_value}.items():
+        for name in names:
+            check_name(field if field == "known" else f"given.{field}", name, p)
+    unknown = tuple(name for name in p if name not in setting.known)
+    decided, free = not unknown, unknown or tuple(p)
+    known = tuple((name, p[name]) for name in p if name not in free)
+    if (decided and not setting.initial_state.known) or not p:
         raise InputError("known", ", ".join(setting.known), "leave out what was identified")
-    for name in unknown:
-        if p[name] == 0:
-            raise InputError(f"parameters.{name}", 0, "not zero where it is unknown: errors are relative to it")
-    n, state = full.n_dof, setting.initial_state
+    if zero := [name for name in free if p[name] == 0]:
+        raise InputError(f"parameters.{zero[0]}", 0, "not zero where it is unknown: errors are relative to it")
+    system = EquationSystem(equations, free, known, tuple(name for name in free if p[name] < 0))
+    n, state = system.n_dof, setting.initial_state
     if not len(state.displacement) == len(state.velocity) == n:
         raise InputError("initial_state", len(state.displacement), f"{n} number(s) each, one a mass")
+    channels = [f"{letter}{i + 1 if n > 1 else ''}" for letter in "xv" for i in range(n)]
+    for name in setting.measured:
+        check_name("measured", name, channels)
+    rows = tuple(map(channels.index, setting.measured or channels[:n]))
+    if len(setting.noise.value) not in (1, len(rows)) or min(setting.noise.value) < 0:
+        raise InputError("noise.value", setting.noise.value, f"one number, or {len(rows)}, none negative")
     columns = _columns(setting.data, folder)
-    times = np.unique(_times(setting.times, columns))
-    if times.size < 2 or times[0] < 0 or times[-1] == 0 or times.size > MOST_SAMPLES:
-        raise InputError("times", times.size, f"2 to {MOST_SAMPLES} different times, none below 0")
-    forces = _forces(setting.force, n, float(times[-1]))
+    times = setting.times.samples(columns)
+    forces = _forces(setting.force, float(times[-1]))
     if not forces and not any((*state.displacement, *state.velocity)):
         raise InputError("initial_state", 0, "a state away from rest, or a force")
     start = InitialState(np.array(state.displacement), np.array(state.velocity))
-    known = tuple((name, p[name]) for name in full.names if name not in unknown)
-    system = PartlyKnown(full, known, tuple(name for name in unknown if p[name] < 0))
-    channels = _channels(setting.measured, n)
-    if len(setting.noise.value) not in (1, len(channels)) or min(setting.noise.value) < 0:
-        raise InputError("noise.value", setting.noise.value, f"one number, or {len(channels)}, none negative")
-    sizes = {name: abs(p[name]) for name in unknown}
-    return Situation(setting, full, system, sizes, start, times, forces, channels, columns, decided)
+    sizes = {name: abs(p[name]) for name in free}
+    return Situation(setting, system, sizes, start, times, forces, rows, columns, decided)
 
 
-def _channels(measured: tuple[str, ...], n: int) -> dict[str, int]:
-    """Return the rows of the state, displacements before velocities, that have a sensor."""
-    numbers = [""] if n == 1 else [str(i + 1) for i in range(n)]
-    rows = {f"{letter}{i}": row for row, (letter, i) in enumerate((a, b) for a in "xv" for b in numbers)}
-    for name in measured:
-        check_name("measured", name, rows)
-    return {name: rows[name] for name in measured or [name for name in rows if name[0] == "x"]}
-
-
-def _times(times: StatedTimes, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    if times.values is not None:
-        return np.array(times.values)
-    if times.column is not None:
-        check_name("times.column", times.column, columns)
-        return columns[times.column]
-    assert times.first is not None
-    assert times.last is not None
-    if times.step is not None:
-        return np.arange(times.first, times.last, times.step)
-    assert times.n is not None
-    if times.drawn is None:
-        return np.linspace(times.first, times.last, times.n)
-    match = DRAWN.fullmatch(times.drawn)
-    assert match
-    if times.drawn == "halton":
-        from scipy.stats.qmc import Halton
-
-        unit = Halton(1, scramble=False).random(times.n)[:, 0]
-        return times.first + (times.last - times.first) * unit
-    makers: Mapping[str | None, Any] = {"RandomState": np.random.RandomState, "default_rng": np.random.default_rng}
-    return np.asarray(makers[match[1] or "default_rng"](int(match[2] or 0)).uniform(times.first, times.last, times.n))
-
-
-def _forces(push: Push | None, n: int, last: float) -> tuple[Force, ...]:
-    if push is None:
+def _forces(text: str | None, last: float) -> tuple[Force, ...]:
+    """Return the force of an expression of t, on the first mass."""
+    if text is None:
         return ()
-    if push.on > n:
-        raise InputError("force.on", push.on, f"a mass from 1 to {n}")
     times = np.linspace(0.0, last, FORCE_SAMPLES)
     with np.errstate(all="ignore"):
-        values = expression(push.expression, ("t",), "force")({"t": times}) + 0.0 * times
+        values = expression(text, ["t"], "force")({"t": times}) + 0.0 * times
     if not np.all(np.isfinite(values)):
-        raise InputError("force", push.expression, "not finite at every time of the record")
-    return (Force(times, values, "cubic", push.on - 1),)
+        raise InputError("force", text, "not finite at every time of the record")
+    ends = [0, -1] if np.ptp(values) == 0 else slice(None)
+    return (Force(times[ends], values[ends], "linear" if np.ptp(values) == 0 else "cubic"),)
 
 
 def _columns(data: PublishedColumns | None, folder: Path) -> dict[str, np.ndarray]:
@@ -373,10 +305,11 @@ def _columns(data: PublishedColumns | None, folder: Path) -> dict[str, np.ndarra
         return {}
     try:
         table = pd.read_csv(folder / data.file, comment="#")
-    except (OSError, ValueError) as error:  # pandas' own errors are values' too
+    except (OSError, ValueError) as error:  # pandas' own errors are values', too
         raise InputError("data.file", data.file, f"a CSV file beside the claim is wanted: {error}") from None
-    for heading in (data.time, *filter(None, [data.exact]), *data.channels.values()):
-        check_name("data", heading, list(table))
-        if not np.all(np.isfinite(pd.to_numeric(table[heading], errors="coerce"))):
+    columns = {heading: pd.to_numeric(table[heading], errors="coerce").to_numpy(float) for heading in table}
+    for heading in filter(None, [data.time, data.x, data.exact]):
+        check_name("data", heading, columns)
+        if not np.all(np.isfinite(columns[heading])):
             raise InputError("data", heading, "a column of finite numbers")
-    return {heading: table[heading].to_numpy(float) for heading in table if table[heading].dtype.kind in "fi"}
+    return columns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -18,28 +18,32 @@ OF_EQUATIONS: Mapping[str, Any] = {name: getattr(np, name) for name in ("sin", "
 FUNCTIONS = {**OF_EQUATIONS, "sqrt": np.sqrt, "log": np.log}
 """What an expression may call; in an equation of motion, which other libraries run too, what all of them have."""
 ALLOWED = (
-    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant, ast.Add, ast.Sub, ast.Mult,
-    ast.Div, ast.Pow, ast.USub, ast.UAdd,
-)  # fmt: skip
+    ast.Expression,
+    ast.BinOp,
+    ast.UnaryOp,
+    ast.Call,
+    ast.Name,
+    ast.Load,
+    ast.Constant,
+    ast.operator,
+    ast.unaryop,
+)
+Value = Callable[[Mapping[str, Any]], Any]
 
 
-def expression(
-    text: str, names: Collection[str], field: str, functions: Mapping[str, Any] = FUNCTIONS
-) -> Callable[[Mapping[str, Any]], Any]:
+def expression(text: str, names: Sequence[str], field: str, functions: Mapping[str, Any] = FUNCTIONS) -> Value:
     """Read an expression of names, numbers and functions; returns its value by those of the names.
 
     Raises InputError for anything else that Python could execute, and for a name that is not known.
     """
-    known = {*names, *functions}
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise InputError(field, text, "an expression such as k/m or 0.5*cos(2*t) is wanted") from None
     for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and node.id not in known:
-            raise InputError(field, text, f"{node.id} is unknown; there are {', '.join(sorted(known))}")
-        number = not isinstance(node, ast.Constant) or type(node.value) in (int, float)
-        if not isinstance(node, ALLOWED) or not number or (isinstance(node, ast.Call) and node.keywords):
+        if isinstance(node, ast.Name) and node.id not in (*names, *functions):
+            raise InputError(field, text, f"{node.id} is unknown; there are {', '.join([*names, *functions])}")
+        if not isinstance(node, ALLOWED) or (isinstance(node, ast.Constant) and type(node.value) not in (int, float)):
             raise InputError(field, text, "names, numbers, + - * / **, parentheses and functions only")
     powers = {id(node.right) for node in ast.walk(tree) if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)}
     for node in ast.walk(tree):  # whole numbers stay exact as small powers; others would grow without end
@@ -64,92 +68,50 @@ def expression(
 
 @dataclass(frozen=True)
 class EquationSystem(System):
-    """Equations of motion as text, one a mass: ``m*x'' + c*x' + k*x = f``, or ``x1''``, ``x2'`` and so on.
+    """Equations of motion as text, one a mass: ``m*x'' + c*x' + k*x = f``, or with ``x1''``, ``x2'`` and so on.
 
-    ``symbols`` are its parameters, whose dimensions play no part.
+    Its parameters are the ``unknown`` ones, by their sizes; ``known`` ones are numbers in the equations, and so are the
+    signs of unknown ones that are ``negative``.
     """
 
     equations: tuple[str, ...]
-    symbols: tuple[str, ...]
+    unknown: tuple[str, ...]
+    known: tuple[tuple[str, float], ...] = ()
+    negative: tuple[str, ...] = ()
     name: ClassVar[str] = "equation"
 
     def __post_init__(self) -> None:
-        sides = [re.sub(r"\bx(\d*)''", r"a\1", text) for text in self.equations]
-        sides = [re.sub(r"\bx(\d*)'", r"v\1", text) for text in sides]
+        sides = [re.sub(r"\bx(\d*)'", r"v\1", re.sub(r"\bx(\d*)''", r"a\1", text)) for text in self.equations]
         texts = [f"({left})-({right})" if equal else left for left, equal, right in (s.partition("=") for s in sides)]
-        n = len(texts)
-        numbers = [""] if n == 1 else [str(i + 1) for i in range(n)]
-        names = [f"{letter}{i}" for i in numbers for letter in "xvaf"]
-        for symbol in self.symbols:
-            if symbol in (*FUNCTIONS, *names) or not symbol.isidentifier():
-                raise InputError("parameters", symbol, "a name that the motion, the force or a function does not have")
-        laws = [expression(text, [*names, *self.symbols], "equation", OF_EQUATIONS) for text in texts]
-        object.__setattr__(self, "_laws", laws)
-        object.__setattr__(self, "_numbers", numbers)
+        symbols, n = [*self.unknown, *dict(self.known)], len(texts)
+        motion = [f"{letter}{i + 1 if n > 1 else ''}" for letter in "xvaf" for i in range(n)]
+        for symbol in symbols:
+            if symbol in (*FUNCTIONS, *motion) or not symbol.isidentifier():
+                raise InputError("parameters", symbol, "a name that no motion, force or function has")
+        laws = [expression(text, [*motion, *symbols], "equation", OF_EQUATIONS) for text in texts]
+        object.__setattr__(self, "_laws", (laws, motion))
         rng = np.random.default_rng(0)
-        p = {symbol: rng.uniform(0.5, 1.5) for symbol in self.symbols}
-
-        def at(motion: np.ndarray) -> np.ndarray:
-            x, v, a, f = motion
-            return np.array(self.residual(p, x, v, a, f, [], numpy_ops), float)
-
-        first, second = rng.standard_normal((2, 4, n))
+        p, (one, two) = {symbol: rng.uniform(0.5, 1.5) for symbol in self.unknown}, rng.standard_normal((2, 4, n))
         with np.errstate(all="ignore"):
-            object.__setattr__(self, "linear", np.allclose(at(first) + at(second), at(first + second), rtol=1e-9))
-        object.__setattr__(self, "smooth", not any("abs(" in text for text in texts))
+            first, second, both = (
+                self.residual(p, m[0], m[1], m[2], m[3], [], numpy_ops) for m in (one, two, one + two)
+            )
+            object.__setattr__(self, "linear", np.allclose(np.add(first, second), both, rtol=1e-9))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(symbol, "", "other", Dimension()) for symbol in self.symbols)
+        return tuple(Parameter(symbol, "", "other", Dimension()) for symbol in self.unknown)
 
     @property
     def n_dof(self) -> int:
         return len(self.equations)
 
     def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        values = {**{field.name: getattr(ops, field.name) for field in fields(Ops)}, **p}
-        for letter, parts in zip("xvaf", (x, v, a, f), strict=True):
-            values |= {f"{letter}{i}": part for i, part in zip(self._numbers, parts, strict=True)}  # type: ignore[attr-defined]
-        return [law(values) for law in self._laws]  # type: ignore[attr-defined]
-
-    @property
-    def groups(self) -> tuple[Quantity, ...]:
-        return ()
-
-
-@dataclass(frozen=True)
-class PartlyKnown(System):
-    """A system of which some parameters are ``known`` numbers, and the others have a known ``sign``."""
-
-    system: System
-    known: tuple[tuple[str, float], ...]
-    negative: tuple[str, ...]
-    name: ClassVar[str] = "partly_known"
-
-    def __post_init__(self) -> None:
-        for declared in ("linear", "smooth"):
-            object.__setattr__(self, declared, getattr(self.system, declared))
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(p for p in self.system.parameters if p.name not in dict(self.known))
-
-    @property
-    def n_dof(self) -> int:
-        return self.system.n_dof
-
-    @property
-    def n_hidden(self) -> int:
-        return self.system.n_hidden
-
-    def _all(self, p: Mapping[str, Any]) -> dict[str, Any]:
-        return {**dict(self.known), **{name: -value if name in self.negative else value for name, value in p.items()}}
-
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        return self.system.residual(self._all(p), x, v, a, f, z, ops)
-
-    def hidden_rates(self, p, x, v, f, z, ops):  # type: ignore[no-untyped-def]
-        return self.system.hidden_rates(self._all(p), x, v, f, z, ops)
+        laws, motion = self._laws  # type: ignore[attr-defined]
+        functions = {field.name: getattr(ops, field.name) for field in fields(Ops)}
+        signed = {name: -value if name in self.negative else value for name, value in p.items()}
+        values = {**functions, **dict(self.known), **signed, **dict(zip(motion, [*x, *v, *a, *f], strict=True))}
+        return [law(values) for law in laws]
 
     @property
     def groups(self) -> tuple[Quantity, ...]:

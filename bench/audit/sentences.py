@@ -5,170 +5,149 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from bench.audit.evidence import Audit, AuditFinding, Consistency
+from bench.audit.evidence import Audit, AuditFinding, Consistency, decided
 
-FORMS = {"value": "error", "percent error": "error in %", "absolute error": "error", "rmse": "root mean square error"}
-SHORT = {
-    "within": "within the range of an efficient estimator", "smaller": "smaller than expected of the stated data",
-    "larger": "larger than expected of an efficient estimator", "not identifiable": "not determined by the data",
-    "bias only": "bias only: no noise", "known": "follows from what was known", "no number": "no number is reported",
+ERRORS = {"value": "error", "percent error": "error in %", "absolute error": "error", "rmse": "root mean square error"}
+VERDICTS = {
+    "within": "within the range of an efficient estimator", "smaller": "smaller than the stated data allow but by luck",
+    "larger": "larger than that of an efficient estimator", "not identifiable": "not determined by the data",
+    "bias only": "bias only: no noise", "known": "follows from what was known", "no number": "not reported",
 }  # fmt: skip
+"""Each verdict with its meaning."""
 FIRST_ORDER = 0.2
 """A bound over the value above which its first order in the noise may be off."""
-BADGE = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="20" role="img" aria-label="{text}">
-<title>{text}</title><rect width="{width}" height="20" rx="3" fill="#555"/>
-<rect x="44" width="{right}" height="20" rx="3" fill="{colour}"/>
+BADGE = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="20" role="img" aria-label="audit: {text}">
+<rect width="{width}" height="20" rx="3" fill="#555"/><rect x="44" width="{right}" height="20" rx="3" fill="{colour}"/>
 <g fill="#fff" font-family="Verdana,DejaVu Sans,sans-serif" font-size="11"><text x="7" y="14">audit</text>
 <text x="51" y="14" textLength="{length}">{text}</text></g></svg>
 """
 
 
 def percentage(share: float) -> str:
-    """Write a share of simulated draws in percent."""
-    return "fewer than 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %" if share < 0.995 else "more than 99 %"
+    """Write a share of simulated draws."""
+    return "0.01 % or fewer" if share < 1e-4 else f"{100 * share:.2g} %" if share < 0.995 else "99 % or more"
 
 
 def reported(finding: AuditFinding) -> str:
     """Write a number as it was reported."""
     row = finding.row
-    many = f", mean of {row.draws} draws" if row.draws > 1 else ""
     if row.value is None:
         return "not reported"
-    return f"{row.value:g}" if row.form == "value" and not many else f"{row.form} {row.value:g}{many}"
+    many = f" (mean of {row.draws} draws)" if row.draws > 1 else ""
+    return f"{'' if row.form == 'value' else row.form + ' '}{row.value:.6g}{many}"
 
 
 def placed(finding: AuditFinding) -> str:
     """Write where a reported number falls among the scores of an efficient estimator."""
-    row, unit = finding.row, " %" if finding.row.form == "percent error" else ""
-    whose = "one draw" if row.draws == 1 else f"the mean of {row.draws} draws"
+    row, error = finding.row, ERRORS[finding.row.form]
     if finding.verdict == "not identifiable":
         return "the data do not determine it"
     if finding.verdict == "known":
         return "it follows from what was known, so that the samples decide nothing"
     if finding.verdict == "bias only":
-        off = f"{100 * finding.score / abs(finding.truth):.2g} %" if row.form == "value" else f"{finding.score:g}{unit}"
-        return f"off by {off}; without noise there is no spread to compare with, and this is bias alone"
-    score = "" if row.value is None else f", {FORMS[row.form]} {finding.score:.3g}"
-    spread = f"bound {finding.bound:.3g}{score}; of {whose} an efficient estimator "
-    spread += f"has a median {FORMS[row.form]} of {finding.median:.3g} and 95 % between {finding.low:.2g} and "
-    spread += f"{finding.high:.3g}"
-    if row.value is None:
-        return spread
+        off = finding.score * (100.0 / abs(finding.truth) if row.form == "value" else 1.0)
+        unit = "" if row.form in ("rmse", "absolute error") else " %"
+        return f"off by {off:.2g}{unit}, which is bias: there is no noise"
+    whose = "on one draw" if row.draws == 1 else f"as a mean of {row.draws} draws"
+    spread = (
+        f"the bound is {finding.bound:.3g}; an efficient estimator's {error} {whose} has a median of "
+        f"{finding.median:.2g} and is between {finding.low:.2g} and {finding.high:.2g} in 95 %"
+    )
     ends = {
-        "within": f"{percentage(finding.larger)} of draws are at least so far off",
-        "smaller": f"{percentage(finding.smaller)} of draws are so near: more was known than is stated here, or it is "
-        "luck",
-        "larger": f"{percentage(finding.larger)} of draws are so far off: the estimate is not efficient, the data are "
-        "not as stated here, or it is chance",
+        "no number": "",
+        "within": f"; {percentage(finding.larger)} of draws give at least {finding.score:.2g}",
+        "smaller": f"; only {percentage(finding.smaller)} of draws give at most {finding.score:.2g}: more was known "
+        "than is stated here, or it is luck",
+        "larger": f"; only {percentage(finding.larger)} of draws give at least {finding.score:.2g}: the estimate is "
+        "not efficient, the data are not as stated here, or it is chance",
     }
-    return f"{spread}; {ends[finding.verdict]}"
+    return spread + ends[finding.verdict]
 
 
 def given(finding: AuditFinding) -> list[str]:
     """Say what a prior, a starting value and a stated standard deviation amount to."""
     lines = []
     if finding.prior_share > 0:
-        lines.append(f"{percentage(finding.prior_share)} of the bound's variance is that of the prior")
+        lines.append(f"{percentage(finding.prior_share)} of the bound's variance is the prior's")
     if finding.start is not None:
-        nearer = ", nearer than it ended" if finding.start * finding.bound < finding.score else ""
-        began = f"{finding.start:.2g} standard deviations of the bound from the stated value{nearer}"
-        lines.append(f"the search began {began}")
+        nearer = ", nearer than where it ended" if finding.start * finding.bound < finding.score else ""
+        lines.append(f"the search began {finding.start:.2g} bounds from the stated value{nearer}")
     if finding.sd_ratio is not None:
         lines.append(f"the stated standard deviation is {finding.sd_ratio:.2g} times the bound")
-    if 0 < finding.bound < float("inf") and finding.bound > FIRST_ORDER * abs(finding.truth):
-        lines.append("the bound is a large part of the value: to first order in the noise it is a rough one")
+    if FIRST_ORDER * abs(finding.truth) < finding.bound < float("inf"):
+        lines.append("so large a bound is a rough one, to first order in the noise")
     return lines
 
 
 def agreement(case: str, found: Consistency) -> str:
     """Say whether published samples, or a published solution, agree with the stated equation."""
-    where, largest = f"{case}: " if case else "", f"{100 * found.difference:.2g} % of the largest value"
+    where, s = f"{case}: " if case else "", "" if found.what == "samples" else "s"
+    largest = f"{100 * found.difference:.2g} % of the largest value"
     if found.agrees:
-        return f"{where}the published {found.what} agree with the stated equation (within {largest})".replace(
-            "solution agree", "solution agrees"
-        )
+        return f"{where}the published {found.what} agree{s} with the stated equation, within {largest}"
     values = ", ".join(f"{name} {fit:.4g} where {stated:g} is stated" for name, (fit, stated) in found.fitted.items())
-    chance = (
-        "" if found.chance is None else f"; noise of the stated size does so in {percentage(found.chance)} of draws"
-    )
+    chance = "" if found.chance is None else f", as the stated noise does in {percentage(found.chance)} of draws"
     return (
-        f"{where}the published {found.what} differ from the stated equation by up to {largest}{chance}. What fits best "
-        f"(within {100 * found.remaining:.2g} %) has {values}"
-    ).replace("solution differ", "solution differs")
+        f"{where}the published {found.what} differ{s} from the stated equation by up to {largest}{chance}; what fits "
+        f"best, within {100 * found.remaining:.2g} %, has {values}"
+    )
 
 
-def compared(audit: Audit) -> list[str]:
-    """Say which comparisons of methods are decided."""
-    lines = []
-    for comparison in audit.comparisons:
-        first, *_, last = comparison.findings
-        names = " and ".join(dict.fromkeys(f.row.method for f in comparison.findings))
-        where = f" ({first.row.case})" if first.row.case else ""
-        gap, what = f"{(last.score - first.score) / first.bound:.2g} bounds", first.row.quantity
-        of = "one draw does not decide" if first.row.draws == 1 else "these draws do not decide"
-        decided = f"{last.row.method} is outside an efficient estimator's range and {first.row.method} is within it"
-        open_ = f"{of} which is nearer to the truth"
-        lines.append(f"{names}, {what}{where}: {gap} apart; {decided if comparison.decided else open_}")
-    return lines
+def compared(rivals: tuple[AuditFinding, ...]) -> str:
+    """Say whether a comparison of methods is decided."""
+    first, last = rivals[0], rivals[-1]
+    names = " and ".join(dict.fromkeys(f.row.method for f in rivals))
+    where = f"{first.row.quantity}, {first.row.case}" if first.row.case else first.row.quantity
+    open_ = f"{'one draw does' if first.row.draws == 1 else 'these draws do'} not decide which is nearer to the truth"
+    outside = f"{last.row.method} is outside an efficient estimator's range, and {first.row.method} is not"
+    gap = f"{(last.score - first.score) / first.bound:.2g} bounds"
+    unit = f"{gap} apart" if first.row.form != "percent error" else "apart"
+    return f"{names}, {where}: {unit}; {outside if decided(rivals) else open_}"
 
 
 def summary(audit: Audit) -> str:
-    """Count the verdicts under the first reading, and say whether the data are consistent."""
+    """Count the verdicts as stated, and say whether the data are consistent."""
     verdicts = [finding.verdict for finding in audit.of("")]
-    counts = [f"{verdicts.count(verdict)} {verdict}" for verdict in SHORT if verdict in verdicts]
-    inconsistent = not all(c.agrees for checks in audit.consistency.values() for c in checks)
-    return ", ".join([*counts, *(["data and equation differ"] if inconsistent else [])])
+    counts = [f"{verdicts.count(verdict)} {verdict}" for verdict in dict.fromkeys(VERDICTS) if verdict in verdicts]
+    differ = not all(found.agrees for _, found in audit.consistency)
+    return ", ".join([*counts, *(["data and equation differ"] if differ else [])]) or "nothing reported"
 
 
 def lines_of(audit: Audit) -> list[str]:
     """Return the audit as sentences, in the order in which they are read."""
-    claim = audit.stated.claim
-    lines = [agreement(case, found) for case, checks in audit.consistency.items() for found in checks]
+    claim, lines = audit.stated.claim, [agreement(case, found) for case, found in audit.consistency]
     for number, finding in enumerate(audit.of("")):
-        row = finding.row
+        row, others = finding.row, [audit.of(reading)[number] for reading in claim.readings]
         name = ", ".join(filter(None, [row.method, row.quantity, row.case, row.place]))
-        others = [audit.of(reading)[number] for reading in audit.stated.readings[1:]]
-        also = [f"under '{f.reading}' {f.verdict} (bound {f.bound:.3g})" for f in others]
-        lines.append("; ".join([f"{name} = {reported(finding)}: {placed(finding)}", *given(finding), *also]))
+        also = [f"under '{other.reading}' {other.verdict}, bound {other.bound:.3g}" for other in others]
+        lines.append("; ".join([f"{name}, {reported(finding)}: {placed(finding)}", *given(finding), *also]))
     lines += ["; ".join(why) for why in dict.fromkeys(finding.why for finding in audit.of("") if finding.why)]
-    lines += compared(audit)
-    lines += [f"assumed: {text}" for text in claim.assumed] + [f"missing: {text}" for text in claim.missing]
-    return lines
+    lines += map(compared, audit.rivals)
+    return lines + [f"assumed: {text}" for text in claim.assumed] + [f"missing: {text}" for text in claim.missing]
 
 
 def paragraph(audit: Audit) -> str:
     """Return a paragraph that can be cited."""
     source = audit.stated.claim.source
     place = f", {source.place}" if source.place else ""
-    begin = f"{source.authors} ({source.year}), {source.title}{place}, {source.url}. "
-    return begin + " ".join(f"{line[0].upper()}{line[1:]}." for line in lines_of(audit))
+    begin = f"{source.authors} ({source.year}), {source.title}{place}, {source.url}."
+    return " ".join([begin, *(f"{line[0].upper()}{line[1:].rstrip('.')}." for line in lines_of(audit))])
 
 
 def badge(audit: Audit) -> str:
     """Return the summary as a small picture (SVG)."""
     text = summary(audit)
-    length = 6 * len(text)
-    colour = "#a60" if "differ" in text else "#357"
+    length, colour = 6 * len(text), "#a60" if "differ" in text else "#357"
     return BADGE.format(width=length + 58, right=length + 14, length=length, text=text, colour=colour)
 
 
 def as_dict(audit: Audit) -> dict[str, Any]:
     """Return the audit as JSON holds it."""
-    stated = audit.stated
-
-    def numbers(finding: AuditFinding) -> dict[str, Any]:
-        return {**finding.row.model_dump(), **{k: v for k, v in asdict(finding).items() if k != "row"}}
-
+    claim = audit.stated.claim
     return {
-        "claim": stated.name, "source": stated.claim.source.model_dump(), "summary": summary(audit),
-        "findings": [numbers(finding) for finding in audit.findings],
-        "comparisons": [
-            {"methods": [f.row.method for f in c.findings], "quantity": c.findings[0].row.quantity,
-             "case": c.findings[0].row.case, "decided": c.decided} for c in audit.comparisons
-        ],
-        "consistency": [
-            {"case": case, "agrees": check.agrees, **asdict(check)}
-            for case, checks in audit.consistency.items() for check in checks
-        ],
-        "assumed": stated.claim.assumed, "missing": stated.claim.missing, "paragraph": paragraph(audit),
+        "claim": audit.stated.name, "source": claim.source.model_dump(), "summary": summary(audit),
+        "findings": [{**asdict(finding), "row": finding.row.model_dump()} for finding in audit.findings],
+        "comparisons": [compared(rivals) for rivals in audit.rivals],
+        "consistency": [{"case": case, "agrees": found.agrees, **asdict(found)} for case, found in audit.consistency],
+        "assumed": claim.assumed, "missing": claim.missing, "paragraph": paragraph(audit),
     }  # fmt: skip
