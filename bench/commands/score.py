@@ -17,7 +17,7 @@ MOST_SHOWN = 10
 
 def score(
     predictions: Annotated[Path, Bare(), "CSV: scenario,quantity,value,low,high,seconds"],
-    round: Annotated[Path, "folder of the round"],
+    round: Annotated[Path, Bare(), "folder of the round"],
     secret: Annotated[Path | None, "folder of its seed and truth, of a round that is not opened yet"] = None,
     name: Annotated[str | None, "name of what is scored [that of the file]"] = None,
     out: Annotated[Path | None, "folder of score.html, a page, and score.md, a line to cite"] = None,
@@ -55,8 +55,8 @@ def score(
             print(f"bench: {path}: commas are read as decimal marks", file=sys.stderr)
     if hidden is None:
         values = tables[label]["value"]
-        print(f"{predictions}: no errors, {values.count()} of {values.size} values given; not scored: {round} is not")
-        print("opened, and only who runs it can score it, with secret=<folder>")
+        print(f"{predictions}: no errors, {values.count()} of {values.size} values given")
+        print(f"not scored: {round} is not opened, and only its organiser has the truth (secret=)")
         return 0
     opened, commitment = read_secret(round, secret), read_json(round, COMMITMENT)["commitment"]
     if out:

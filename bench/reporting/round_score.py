@@ -17,7 +17,7 @@ from bench.reporting.ranking import CAP, ON_BOUND, Ranked, log_sizes, ranked
 from bench.reporting.rounding import answered, excess_text, number, percent, percent_between
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.verdict import below
-from bench.rounds.scoring import MOST_SCORE, RoundScores, summarise_rows
+from bench.rounds.scoring import DISTURBED, MOST_SCORE, RoundScores, summarise_rows
 from bench.scoring.statistics import wilson_interval
 from bench.scoring.summary import GROSS
 
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 ALL = "all"
 KINDS = (
-    "kind", "answered", "outliers", "error over bound", "tier", "excess", "95 % cover", "of", "interval score", "s",
+    "kind", "answered", "outliers", "error over bound", "tier", "excess", "95 % cover", "of", "interval score",
+    "time (s)",
 )  # fmt: skip
 RANKING = ("tier", "method", "problems served", "error over bound", "first tier there", "lost")
 LEGEND = {
@@ -34,14 +35,14 @@ LEGEND = {
     "outliers": f"answered problems with an error beyond {GROSS:g} bounds",
     "error over bound": "geometric mean over problems of the root mean square, over quantities, of error over "
     f"Cramér-Rao bound: at least 1, at most {CAP:g}, as for an outlier or no answer; efficient estimators have about "
-    f"{ON_BOUND:.2f}",
+    f"{ON_BOUND:.2f}. Of {' and '.join(DISTURBED)} the bound is that of white noise alone",
     "tier": "methods that these problems do not tell apart, without a winner; beside the tiers stands what has no "
     "answer at all to the problems of a kind that ask for the same quantities: it does not serve these",
     "excess": "root mean square of error over bound, of the values given; a few outliers decide it",
-    "cover": "share (%) of the 95 % intervals, of so many, that contain the true value",
+    "95 % cover": "share (%) of the 95 % intervals, of so many, that contain the true value",
     "interval score": "mean of width and 40 times the miss over that of ideal intervals, each at most "
     f"{MOST_SCORE:g}: 1 is ideal, too wide and too narrow intervals have more",
-    "s": "median of the seconds in the file, as stated by its author",
+    "time": "median of the seconds in the file, as stated by its author",
     "first tier there": "its error over bound on the problems that a method serves",
     "lost": "outliers, and problems served without an answer",
 }
@@ -83,7 +84,8 @@ def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
     marks = ["level" if label == name else "" for label in places]
     ranking = Grid(RANKING, [_ranking_row(place) for place in places.values()], marks)
     sentences = _sentences(summarise_rows(rows))
-    if name in places and places[name].too_good:
+    judged = _places({name: rows[~rows["kind"].isin(DISTURBED)]})
+    if name in judged and judged[name].too_good:
         sentences.append(f"Errors are {below([name])}.")
     return RoundReport(name, _answer(name, places), sentences, Grid(KINDS, shown), ranking)
 
@@ -132,11 +134,11 @@ def _answer(name: str, places: Mapping[str, Ranked]) -> str:
         return "no answer to any problem"
     place, in_tiers = places[name], [place.tier for place in places.values() if place.tier]
     tier = (
-        f"tier {place.tier} of {max(in_tiers)}, among {len(in_tiers)} methods"
+        f"tier {place.tier} of {max(in_tiers)} among {len(in_tiers)} methods"
         if place.tier
         else "beside the tiers, as it does not serve every problem"
     )
-    return f"{_typical(place)} times the bound" + (f", {tier}" if len(places) > 1 else "")
+    return f"error {_typical(place)} times the Cramér-Rao bound" + (f", {tier}" if len(places) > 1 else "")
 
 
 def _sentences(scores: RoundScores) -> list[str]:

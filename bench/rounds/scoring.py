@@ -19,6 +19,8 @@ IDEAL = 4.0 / (1.0 - LEVELS[-1]) * math.exp(-(Z95**2) / 2.0) / math.sqrt(2.0 * m
 
 Width 2 z, and 2 / α times the mean miss on either side, φ(z) - z α / 2 (integrated by parts).
 """
+DISTURBED = ("coloured noise", "drift")
+"""Kinds whose bound is that of white noise alone: an efficient estimator may be within it, or far from it."""
 MOST_SCORE = 100.0
 """Largest interval score that counts, over the ideal: an ideal interval of an outlier fit has 27 at least."""
 

@@ -88,7 +88,7 @@ def test_half_an_answer_is_no_answer(truth: pd.DataFrame) -> None:
     table = predictions(truth, np.zeros(2 * N))
     table.loc[::2, ["value", "low", "high"]] = math.nan
     report = round_report("half", {"half": score_rows(table, truth)})
-    assert report.answer.startswith("10.00 ")
+    assert report.answer.startswith("error 10.00 ")
     assert "0 of 60 problems answered" in report.sentences[0]
 
 
@@ -121,6 +121,9 @@ def test_no_answer_at_all_has_no_place(truth: pd.DataFrame) -> None:
 def test_errors_too_small_for_chance_are_called_so(truth: pd.DataFrame) -> None:
     report = round_report("seer", {"seer": score_rows(predictions(truth, np.full(2 * N, 1e-3)), truth)})
     assert "more than chance allows" in report.sentences[-1]
+    disturbed = truth.assign(kind="coloured noise")  # whose bound is no limit
+    report = round_report("seer", {"seer": score_rows(predictions(truth, np.full(2 * N, 1e-3)), disturbed)})
+    assert "chance" not in report.sentences[-1]
 
 
 @pytest.fixture(scope="module")
