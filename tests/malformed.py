@@ -188,6 +188,10 @@ $MERGE submission=later.submission                | submission=later.submission 
 $MERGE submission=lacking.submission              | submission=lacking.submission    | not a whole submission
 $MERGE submission=huge.submission                 | submission=huge.submission       | 64 MB
 $MERGE submission=arrays.submission               | submission=arrays.submission     | not a whole submission
+score                                             | predictions=                     | needed
+score good.csv                                    | round=                           | needed
+score good.csv r                                  | round=r                          | folder not found
+score good.csv store                              | round=store                      | no predictions_template.csv
 """
 
 

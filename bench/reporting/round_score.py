@@ -68,7 +68,8 @@ class RoundReport:
         """Return the report for a terminal."""
         head = "\n".join([wrapped(f"{self.name}: {self.answer}"), *map(wrapped, self.sentences)])
         tables = table(self.kinds.rows, KINDS), table(self.ranking.rows, RANKING, (0, 1))
-        return "\n\n".join([head, *tables, wrapped("; ".join(f"{name}: {what}" for name, what in LEGEND.items()))])
+        legend = [f"{name}: {LEGEND[name]}" for name in ("error over bound", "tier", "interval score")]
+        return "\n\n".join([head, *tables, "\n".join(map(wrapped, legend))])
 
     def page(self, line: str, origin: Mapping[str, str]) -> str:
         """Return the report as a page; ``origin`` says what was scored on what."""
