@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def diagnose(
     if fit is None:
         return (Reason(Trust.NO, "the answer's response is not finite"),), ()
     line_reasons, modes = _lines(fit, problem)
-    reasons = [*line_reasons, *_of_fit(fit), *([] if len(modes) > 1 else _start_up(fit))]
+    reasons = [*line_reasons, *_of_fit(fit), *([] if len(modes) > 1 else start_up(*_channels(fit)))]
     if sine := steady_sine(problem, part_of_signal(fit)):
         reasons.insert(0, Reason(Trust.NO, sine))
     if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
@@ -320,14 +320,19 @@ def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[comp
     return complex(sizes[0], -sizes[1]), values - basis @ sizes
 
 
-def _start_up(fit: Linearised) -> list[Reason]:
-    """Find residuals of the first part that are far larger than those of the rest."""
-    for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
-        n = max(rows.size // 10, 5)
-        if rows.size < 4 * n:
+def _channels(fit: Linearised) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return residuals and samples of each channel."""
+    return [fit.residuals[rows] for rows in fit.channels], [channel.values for _, channel in fit.model.channels]
+
+
+def start_up(residuals: Iterable[np.ndarray], values: Iterable[np.ndarray]) -> list[Reason]:
+    """Find residuals of the first part of a channel that are far larger than those of the rest."""
+    for left, samples in zip(residuals, values, strict=True):
+        n = max(left.size // 10, 5)
+        if left.size < 4 * n:
             continue
-        early, rest = np.std(fit.residuals[rows[:n]]), np.std(fit.residuals[rows[n:]])
-        share = early / (np.std(channel.values) or 1.0)
+        early, rest = np.std(left[:n]), np.std(left[n:])
+        share = early / (np.std(samples) or 1.0)
         if early > START_UP * rest and share > START_UP_SHARE:
             said = f"the first tenth of the record fits {early / (rest or 1.0):.2g} times worse than the rest"
             return [Reason(Trust.CAUTION, f"{said}: leave a start-up out by from=")]

@@ -32,7 +32,7 @@ from bench.likelihood.autoregression import even_times
 from bench.modal.averages import averages, decay_needed
 from bench.modal.spectra import modal_parameters
 from bench.records.colour import autocorrelation
-from bench.records.diagnostics import LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE
+from bench.records.diagnostics import LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE, start_up
 from bench.records.modal_data import ModalRecord
 from bench.records.modes import OfferedMode
 from bench.records.request import ModalRequest
@@ -52,6 +52,8 @@ it; and the least lines to either side."""
 UNEXPLAINED = 2.0
 """Root mean square of the residuals near a mode over the noise beside it, beyond which the noise does not explain them:
 intervals that assume that noise are then as much too narrow."""
+LATER, FEWEST_LEFT = (0, 1, 2, 4, 8), 8
+"""Cycles after the largest value from which a motion is described that is not from its start; least cycles left."""
 FEW_CYCLES = 2.0
 ALIKE = 0.9
 """Modal assurance criterion beyond which two shapes count as the same, as is usual; of one sensor it is 1."""
@@ -111,6 +113,21 @@ class Comparison:
         size = np.sum(np.abs(self.measured) ** 2, axis=1, keepdims=True)
         return np.asarray(np.mean(np.abs(self.measured - self.fitted) ** 2 / np.where(size > 0, size, 1.0), axis=0))
 
+    @property
+    def left(self) -> float:
+        """Root mean square of the residuals over that of the record."""
+        return float(np.sqrt(np.sum(self.power)))
+
+    def line(self, modes: Sequence[Mode]) -> tuple[float, float]:
+        """Return frequency and root mean square, over the record's, of a significant line away from modes; 0 if none.
+
+        By the test of R. A. Fisher, Proc. R. Soc. A 125:54, 1929.
+        """
+        power = np.where(np.min([self.distance(mode) for mode in modes], axis=0) > NEAR, self.power, 0.0)
+        largest, lines = float(np.max(power)), power.size
+        chance = lines * (1.0 - largest / (float(np.sum(self.power)) or 1.0)) ** (lines - 1)
+        return float(self.frequencies[np.argmax(power)]), math.sqrt(largest) if chance < LINE_LEVEL else 0.0
+
     def distance(self, mode: Mode) -> np.ndarray:
         """Return the distance of each line from a mode over its bandwidth, or over a line's where this is wider."""
         width = max(mode.bandwidth, FEWEST_LINES / NEAR * float(self.frequencies[1] - self.frequencies[0]))
@@ -148,12 +165,39 @@ class ModalFinding:
         return verdict(self.reasons)
 
     @cached_property
+    def unexplained(self) -> tuple[float, ...]:
+        """Residuals near each mode over the noise beside it, where that is beyond :data:`UNEXPLAINED`; else 1."""
+        over = [self.comparison.near(mode)[0] for mode in self.estimate.modes] if self.comparison else []
+        return tuple(value if value > UNEXPLAINED else 1.0 for value in over)
+
+    @property
+    def describes(self) -> bool:
+        """Whether fewer modes than are sought at most leave what noise explains."""
+        comparison, modes = self.comparison, self.estimate.modes
+        if comparison is None or len(modes) == MOST_MODES or max(self.unexplained) > 1.0:
+            return False
+        if isinstance(data := self.record.data, FreeDecays) and start_up(*_left(data, modes)):
+            return False
+        return comparison.left <= 1.0 and comparison.line(modes)[1] <= SECOND_MODE
+
+    @property
+    def alike(self) -> list[tuple[Mode, Mode]]:
+        """Modes that are close and of one shape, so that they may be one."""
+        return [pair for pair in _close(self.estimate.modes) if _likeness(*pair) > ALIKE]
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Order of answers to one record, the best first."""
+        return list(Trust).index(self.trust), max(self.unexplained, default=math.inf)
+
+    @cached_property
     def modes(self) -> tuple[ShapedMode, ...]:
-        """The modes with 95 % intervals; without them where the answer is not to be trusted."""
+        """The modes with 95 % intervals, wider by what is unexplained; without them where the answer is not trusted."""
         from scipy.stats import t as student
 
         quantile = math.nan if self.trust is Trust.NO else float(student.ppf(0.975, self.estimate.degrees))
-        return tuple(_shaped(mode, quantile, self.record) for mode in self.estimate.modes)
+        pairs = zip(self.estimate.modes, self.unexplained, strict=True) if self.comparison else ()
+        return tuple(_shaped(mode, quantile * over, self.record) for mode, over in pairs)
 
 
 def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False) -> list[ModalFinding]:
@@ -161,10 +205,11 @@ def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False)
     default = FREE_METHOD if isinstance(record.data, FreeDecays) else FORCED_METHOD
     problem = ModalProblem(record.data, request.count, request.band)
     methods = dict(request.methods) or {default: make_modal(default)}
+    begins = isinstance(record.data, FreeDecays) and request.count is None and request.options.start is None
     if others and not request.methods:
         able = ((name, make_modal(name)) for name in registered_modal())
         methods |= {name: method for name, method in able if not (_lacking(method) or method.objection(problem))}
-    return [_find(name, method, problem, record) for name, method in methods.items()]
+    return [(_free if begins else _find)(name, method, problem, record) for name, method in methods.items()]
 
 
 def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
@@ -188,6 +233,60 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     return replace(finding, comparison=comparison, reasons=reasons, notes=(*record.notes, *notes))
 
 
+def _free(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
+    """Answer a free motion; where the modes leave more than noise, from a later start, with as few as leave no line.
+
+    The earliest start is taken from which they describe the motion, or that from which they leave least: before it are
+    a hand, a start-up or large amplitudes. There the method's own number of modes stands if it describes the motion.
+    """
+    whole, data = _find(name, method, problem, record), problem.data
+    if whole.describes or whole.estimate.status in (Status.MISSING_DEPENDENCY, Status.UNSUPPORTED):
+        return whole
+    assert isinstance(data, FreeDecays)
+    best, span = whole, float(np.ptp(data.times))
+    for start in _starts(data):
+        kept = data.times >= start
+        part = replace(record, data=FreeDecays(data.times[kept], data.values[:, kept]))
+        fewest = _fewest(name, method, replace(problem, data=part.data), part)
+        if fewest.rank < best.rank:
+            best, left = fewest, float(data.times[-1]) - start
+        if fewest.describes:
+            break
+    if best is whole:
+        return whole
+    again = _find(name, method, replace(problem, data=best.record.data), best.record)
+    if again.describes and again.rank <= best.rank and not again.alike:
+        best = again
+    said = f"the modes describe only the last {left:.3g} of {span:.3g} s"
+    why = "a hand, a start-up or large amplitudes, at which they may be others, are left out; from= sets another start"
+    number = f"their number is the least that leaves no line above {SECOND_MODE:.0%} of the signal"
+    notes = best.notes if best is again else (*(n for n in best.notes if n != best.estimate.message), number)
+    return replace(best, reasons=(Reason(Trust.CAUTION, f"{said}: {why}"), *best.reasons), notes=notes)
+
+
+def _starts(data: FreeDecays) -> Iterator[float]:
+    """Yield the time of the largest value, and times by so many cycles later, while enough cycles are left."""
+    size = np.std(data.values, axis=1, keepdims=True)
+    motion = np.abs(data.values - np.mean(data.values, axis=1, keepdims=True)) / np.where(size > 0, size, 1.0)
+    channel, largest = np.unravel_index(np.argmax(motion), motion.shape)
+    cycle = 1.0 / strongest_frequency(data.times[largest:], data.values[channel, largest:])
+    for start in (data.times[largest] + cycles * cycle for cycles in LATER):
+        if data.times[-1] - start >= FEWEST_LEFT * cycle:
+            yield float(start)
+
+
+def _fewest(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
+    """Return the answer with as few modes as leave no line, of which no two are close and of one shape."""
+    best = _find(name, method, replace(problem, count=1), record)
+    while best.comparison is not None and best.comparison.line(best.estimate.modes)[1] > SECOND_MODE:
+        count = len(best.estimate.modes) + 1
+        longer = _find(name, method, replace(problem, count=count), record)
+        if longer.alike or not count == len(longer.estimate.modes) < MOST_MODES:
+            break
+        best = longer
+    return best
+
+
 def _lacking(method: ModalIdentifier) -> str:
     return next((package for package in method.requires if importlib.util.find_spec(package) is None), "")
 
@@ -203,6 +302,11 @@ def motion(data: FreeDecays, modes: Sequence[Mode], times: np.ndarray) -> np.nda
     """Compute the free motion (channels, n) of modes at times, whose amplitudes are those at the data's first."""
     waves = np.exp(np.multiply.outer([mode.pole for mode in modes], times - data.times[0]))
     return np.asarray(np.real(np.stack([mode.shape for mode in modes], axis=1) @ waves))
+
+
+def _left(data: FreeDecays, modes: Sequence[Mode]) -> tuple[np.ndarray, np.ndarray]:
+    """Return what modes leave of each channel, and its samples, both (channels, n)."""
+    return data.values - motion(data, modes, data.times), data.values
 
 
 def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float] | None) -> Comparison:
@@ -246,21 +350,21 @@ def _reasons(
             f"{MOST_MODES} modes are as many as are sought: what is there is no sum of modes, or too much for one fit"
         )
         yield Reason(Trust.NO, f"{said}; leave a start-up out by from=, choose a band= or a number of modes=")
-    data, power, left = record.data, comparison.power, float(np.sqrt(np.sum(comparison.power)))
+    data, power, left = record.data, comparison.power, comparison.left
     if noise := [mode for mode in modes if _chance_of_noise(mode, power.size) > NOISE_CHANCE]:
         yield Reason(Trust.NO if len(noise) == len(modes) else Trust.CAUTION, f"may be noise: {_named(*noise)}")
-    apart = np.where(np.min([comparison.distance(mode) for mode in modes], axis=0) > NEAR, power, 0.0)
-    share = float(np.sqrt(np.max(apart)))
-    if share > SECOND_MODE and power.size * (1.0 - np.max(apart) / np.sum(power)) ** (power.size - 1) < LINE_LEVEL:
-        frequency = comparison.frequencies[np.argmax(apart)]
+    frequency, share = comparison.line(modes)
+    if share > SECOND_MODE:
         said = f"the residuals hold a line at {frequency:.4g} Hz, {share:.0%} of the signal"
         yield Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{said}: modes={len(modes) + 1}, or a band=")
+    if left > 1.0:
+        yield Reason(Trust.NO, "the modes leave more than the record holds")
     worst = max(modes, key=lambda mode: comparison.near(mode)[0])
     over, there = comparison.near(worst)
     if over > UNEXPLAINED:
         said = f"near {_named(worst)} the residuals are {over:.2g} times the noise beside it, {there:.0%} of the motion"
         why = "another mode is close, it does not decay as a mode, or the start does not belong to it (from=)"
-        yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{said}: {why}")
+        yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{said}: {why}; intervals are wider by as much")
     elif left > MOST_LEFT and share <= SECOND_MODE:
         yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
     if alike := [pair for pair in _close(modes) if _likeness(*pair) > ALIKE]:
@@ -271,6 +375,7 @@ def _reasons(
         yield Reason(Trust.CAUTION, f"damping ratios are known to an order of magnitude at most: {_named(*wide)}")
     if not isinstance(data, FreeDecays):
         return
+    yield from start_up(*_left(data, modes))
     if any(np.any(at_limit(values)) for values in data.values):
         yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")
     if (cycles := float(np.ptp(data.times)) * modes[0].frequency) < FEW_CYCLES:
@@ -311,7 +416,7 @@ def _shaped(mode: Mode, quantile: float, record: ModalRecord) -> ShapedMode:
     sizes, largest = np.abs(mode.shape), int(np.argmax(np.abs(mode.shape)))
     size, size_half, parts = float(sizes[largest]), quantile * float(mode.shape_sd[largest]), []
     for i, channel in enumerate(record.channels if len(record.channels) > 1 else ()):
-        part = complex(mode.shape[i] / mode.shape[largest])
+        part = complex(mode.shape[i] / mode.shape[largest]) if i != largest else 1.0 + 0.0j
         error = float(np.hypot(mode.shape_sd[i], abs(part) * mode.shape_sd[largest])) / size if i != largest else 0.0
         phase = float(np.degrees(np.angle(part)))
         in_line = min(abs(phase), 180.0 - abs(phase)) < max(REAL, np.degrees(np.arctan2(2.0 * error, abs(part))))
@@ -341,7 +446,7 @@ def residuals_of_modes(finding: ModalFinding, i: int = 0) -> ChannelResiduals | 
     data, modes = finding.record.data, finding.estimate.modes
     if not (isinstance(data, FreeDecays) and modes):
         return None
-    rest = data.values[i] - motion(data, modes, data.times)[i]
+    rest = _left(data, modes)[0][i]
     offset, rms = float(np.mean(rest)), float(np.std(rest))
     kept = data.times[:2000] - data.times[0]  # as for one mode: the test draws white noise as long as the record
     waves = np.exp(np.multiply.outer(kept, [mode.pole for mode in modes]))

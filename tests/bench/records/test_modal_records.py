@@ -118,6 +118,29 @@ def test_a_decay_that_is_none_of_a_mode_is_not_trusted() -> None:
     assert "near 11.95 Hz" in " ".join(result.reasons)
 
 
+def test_what_a_hand_does_before_the_free_motion_is_left_out() -> None:
+    """For half a second the motion is pushed; then it is the closed form. With from= the user says where it begins."""
+    free, pushed = T >= 0.5, np.sin(np.pi * np.minimum(T, 0.5) / 0.5) * np.sin(2 * np.pi * 17.0 * T**1.2)
+    motion_then = np.where(free, wave(*FIRST, 3.0) + wave(*SECOND, 1.0, 1.0), 4.0 * pushed)
+    write("pushed.csv", motion_then + noise(0.02, 6))
+    result = bench.identify("pushed.csv", modes="auto")
+    assert result.trust == "use with caution"
+    assert "the modes describe only the last 2." in result.reasons[0]
+    for mode, (frequency, ratio) in zip(result.modes, (FIRST, SECOND), strict=True):
+        assert abs(mode.frequency - frequency) < mode.frequency_high - mode.frequency_low
+        assert abs(mode.damping_ratio - ratio) < mode.damping_ratio_high - mode.damping_ratio_low
+    assert bench.identify("pushed.csv", modes="auto", span=(0.5, T[-1])).trust == "trust"
+
+
+def test_one_mode_of_dry_friction_is_not_several() -> None:
+    """Its decay is a line until it stops: no sum of exponentials, which a criterion fits by modes without an end."""
+    write("friction.csv", np.maximum(1.0 - T / 3.2, 0.0) * np.cos(2 * np.pi * 12.0 * T) + noise(0.01, 7))
+    result = bench.identify("friction.csv", modes="auto")
+    assert len(result.modes) == 1
+    assert result.trust != "trust"
+    assert abs(result.modes[0].frequency - 12.0) < result.modes[0].frequency_high - result.modes[0].frequency_low
+
+
 def test_motion_and_its_spectrum_are_those_of_the_closed_form() -> None:
     mode = Mode(*FIRST, 0.0, 0.0, np.array([3.0 * np.exp(0.4j)]), np.zeros(1))
     data = FreeDecays(T + 7.0, (wave(*FIRST, 3.0, 0.4) + 2.0)[None])
