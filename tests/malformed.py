@@ -191,7 +191,7 @@ $MERGE submission=arrays.submission               | submission=arrays.submission
 score                                             | predictions=                     | needed
 score good.csv                                    | round=                           | needed
 score good.csv r                                  | round=r                          | folder not found
-score good.csv store                              | round=store                      | no predictions_template.csv
+score good.csv round=folder                       | round=folder                     | no predictions_template.csv
 """
 
 
