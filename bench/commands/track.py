@@ -87,7 +87,7 @@ def track(
     from bench.records.reading.table import ReadOptions
     from bench.records.request import pairs
     from bench.reporting.whole_file import check_file, is_special
-    from bench.twin.filtering import Filter, look, spare_decimation
+    from bench.twin.filtering import Filter, look, survey
     from bench.twin.lines import ENOUGH, FEW, form_of, head_of, lines_of, opened
     from bench.twin.pressure import Intake, report
     from bench.twin.session import Output, Session, interval_of
@@ -118,19 +118,16 @@ def track(
     if resume and state is None:
         raise InputError("resume", "true", "with state=<file>")
     kept = read(file("state", state, "a state file of this command")) if resume and state else {}
-    source = lines_of(opened(from_), from_, follow)
+    source = lines_of(opened(from_), follow)
     above, lines = head_of(source, FEW if kept or rate else ENOUGH)
     roles = ["t", *(f"{s.measures[0] if s.measures != 'displacement' else 'x'}{s.dof + 1}" for s in measured)]
     form = form_of(above, lines, [*roles, *(f"f{dof + 1}" for dof in driven[0])], options)
     interval = kept["interval"] if kept else 1.0 / rate if rate else interval_of(map(form.sample, lines), str(form))
-    thinned = decimate or kept.get("decimate")
-    if thinned is None:
+    if not kept:
         lines += islice(source, max(look(interval) - len(lines), 0))
-        thinned, frequency = spare_decimation([s for line in lines if (s := form.sample(line))], interval)
-        if thinned > 1:
-            report(
-                f"{1 / interval:,.0f} samples a second for a motion of {frequency:.3g} Hz: decimate={thinned} is taken"
-            )
+    first = [s for line in lines if (s := form.sample(line))]
+    thinned, text = survey(first, interval, band, decimate or kept.get("decimate"))
+    report(text)
     filtered = Filter(interval, thinned, band, measured)
     if filtered.sections is not None:
         report(f"the answers are those of {filtered.delay:.3g} s before, the delay of the filter")

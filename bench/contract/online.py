@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from math import isfinite, nan
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, Protocol, Self, final
 
 import numpy as np
 
@@ -259,15 +259,7 @@ class Tracker(ABC):
             if not isfinite(value):
                 values[i], status = nan, SampleStatus.MISSING
                 continue
-            low, high = self.lowest[i], self.highest[i]
-            held = value in (low, high)
-            if held:
-                self.repeats[i] += 1
-            elif not low <= value <= high:
-                self.repeats[i] = 0
-                self.lowest[i], self.highest[i] = min(low, value), max(high, value)
-            beyond = sensor.limits is not None and not sensor.limits[0] < value < sensor.limits[1]
-            if beyond or (held and self.repeats[i] >= STUCK):
+            if is_saturated(self, i, value, sensor):
                 values[i], status = nan, SampleStatus.SATURATED
         if not all(map(isfinite, forces)):
             before = self.forces or [0.0] * len(forces)
@@ -296,6 +288,27 @@ class Tracker(ABC):
 
     def rebuild(self) -> None:  # noqa: B027
         """Make again what follows from a restored state. By default nothing."""
+
+
+class Extremes(Protocol):
+    """Holds the extreme values so far of each sensor, and how often the more recent was repeated to the last digit."""
+
+    repeats: list[int]
+    lowest: list[float]
+    highest: list[float]
+
+
+def is_saturated(extremes: Extremes, i: int, value: float, sensor: Sensor) -> bool:
+    """Return whether the next value of the i-th sensor is at the limit of its range, stated or seen."""
+    low, high = extremes.lowest[i], extremes.highest[i]
+    held = value in (low, high)
+    if held:
+        extremes.repeats[i] += 1
+    elif not low <= value <= high:
+        extremes.repeats[i] = 0
+        extremes.lowest[i], extremes.highest[i] = min(low, value), max(high, value)
+    beyond = sensor.limits is not None and not sensor.limits[0] < value < sensor.limits[1]
+    return beyond or (held and extremes.repeats[i] >= STUCK)
 
 
 def _copied(value: Any) -> Any:

@@ -12,12 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.online import Sample, Sensor
+from bench.contract.online import Sample, Sensor, is_saturated
 from bench.errors import InputError
-from bench.records.strongest import strongest_frequency
 
 LOOK_S, LOOK_LEAST, LOOK_MOST = 0.5, 250, 20_000
 """Length of a stream (s), and number of its samples, in which the frequency of the motion is looked for."""
+FINER, PEAKS, LEAST_PEAK = 8, 3, 1e-3
+"""Frequencies of that spectrum over those that its length resolves; peaks that are named, and their least power over
+the largest's."""
+MAINS, NEAR = (50.0, 60.0), 0.5
+"""Frequencies of the mains (Hz), and how near (Hz) to a multiple of one a peak may be its."""
 PASSED = 0.8
 """Part of the new Nyquist frequency that the low-pass leaves as it is; of the kind of ``scipy.signal.decimate``, but of
 odd order, so that a constant passes."""
@@ -25,12 +29,15 @@ LONGEST_FILLED = 100
 """Missing samples that are filled with the one before; behind a longer gap the filter begins anew."""
 
 
+SAVED = ("memory", "block", "last", "held", "before", "repeats", "lowest", "highest")
+
+
 @dataclass
 class Filter:
     """Takes each sample of a stream and gives one in ``decimate``; ``band`` in Hz, ``interval`` (s) of the stream.
 
     What a step changes: the filter's ``memory``, samples of the next output (``block``, NaN where one is missing), the
-    time and values of the sample before, and what the filter made of it (``before``).
+    time and values of the sample before, what the filter made of it (``before``), and the extreme values so far.
     """
 
     interval: float
@@ -45,6 +52,8 @@ class Filter:
 
     def __post_init__(self) -> None:
         self.sections: np.ndarray | None = None
+        n = len(self.sensors)
+        self.repeats, self.lowest, self.highest = [0] * n, [float("inf")] * n, [float("-inf")] * n
         if self.band is None and self.decimate == 1:
             return
         from scipy.signal import butter, cheby1  # slow to import, and few streams need it
@@ -84,9 +93,8 @@ class Filter:
             self.memory, self.block = None, []
         else:
             self.block += [[float("nan")] * (len(sample.values) + len(sample.forces))] * (round(steps) - 1)
-        limits = [s.limits or (float("-inf"), float("inf")) for s in self.sensors]
-        inside = [low < y < high for y, (low, high) in zip(sample.values, limits, strict=True)]
-        self.block.append([y if there else float("nan") for y, there in zip(sample.values, inside, strict=True)])
+        values = enumerate(zip(sample.values, self.sensors, strict=True))
+        self.block.append([float("nan") if is_saturated(self, i, y, sensor) else y for i, (y, sensor) in values])
         self.block[-1] += sample.forces
         ready = len(self.block) // self.decimate * self.decimate
         if not ready:
@@ -123,7 +131,7 @@ class Filter:
 
     def saved(self) -> dict[str, Any]:
         """What :meth:`restored` goes on from."""
-        return {name: getattr(self, name) for name in ("memory", "block", "last", "held", "before")}
+        return {name: getattr(self, name) for name in SAVED}
 
 
 def look(interval: float) -> int:
@@ -132,14 +140,54 @@ def look(interval: float) -> int:
     return min(n, LOOK_MOST) if n >= LOOK_LEAST else 0
 
 
-def spare_decimation(samples: Sequence[Sample], interval: float) -> tuple[int, float]:
-    """Return by how much the first samples of a stream can be decimated, and the frequency (Hz) of their motion."""
+def survey(
+    samples: Sequence[Sample], interval: float, band: tuple[float, float] | None, decimate: int | None
+) -> tuple[int, str]:
+    """Return the decimation of a stream, the given one or what its first samples can spare, and what they show.
+
+    Args:
+        samples: The first samples; fewer than are needed where the stream is slow.
+        interval: Sampling interval (s).
+        band: Frequencies (Hz) that the method will be given, if not all.
+        decimate: The decimation that is asked for, if any.
+    """
+    rate, within = 1.0 / interval, "" if band is None else " in band={:g}:{:g}".format(*band)
     if len(samples) < LOOK_LEAST:
-        return 1, 0.0
+        return decimate or 1, _seen(rate, decimate or 1)
     from bench.records.problem import CYCLE_SAMPLES
 
-    times = interval * np.arange(len(samples))
+    peaks, strongest = _peaks(samples, interval, band or (0.0, rate))
+    spare = min(rate / strongest / CYCLE_SAMPLES, PASSED * rate / 2.0 / band[1] if band else np.inf)
+    thinned = decimate or max(int(spare), 1)
+    others = "".join(f", then {f:.4g} Hz ({size:.2g} of it)" for f, size in peaks[1:])
+    text = f"{_seen(rate, thinned)}; strongest{within}: {peaks[0][0]:.4g} Hz{others}"
+    mains = any(abs(strongest - base * max(round(strongest / base), 1)) < NEAR for base in MAINS)
+    if mains or spare < 1.0:
+        reason = "may be the mains" if mains else f"has {rate / strongest:.2g} samples a cycle"
+        text += (
+            f". {strongest:.4g} Hz {reason}: if it is not the motion, give band=lo:hi (Hz) about the motion's frequency"
+        )
+    return thinned, text
+
+
+def _seen(rate: float, thinned: int) -> str:
+    return f"{rate:,.6g} samples a second, decimate={thinned}" + (
+        f" leaves {rate / thinned:,.4g}" if thinned > 1 else ""
+    )
+
+
+def _peaks(
+    samples: Sequence[Sample], interval: float, band: tuple[float, float]
+) -> tuple[list[tuple[float, float]], float]:
+    """Return frequency (Hz) and relative amplitude of the strongest peaks, and the highest of the sensors' largest."""
+    from scipy.signal import find_peaks, periodogram  # slow to import, and few streams need it
+
     values = np.array([sample.values for sample in samples])
     values = np.where(np.isfinite(values), values, np.nanmean(values, axis=0))
-    frequency = max(strongest_frequency(times, column) for column in values.T)
-    return max(int(1.0 / interval / frequency / CYCLE_SAMPLES), 1), frequency
+    frequencies, power = periodogram(values, 1.0 / interval, "hann", FINER * len(values), axis=0)
+    power[(frequencies < max(band[0], 1.0 / interval / len(values))) | (frequencies > band[1])] = 0.0
+    largest = frequencies[np.argmax(power, axis=0)]
+    total = np.append(np.max(power / np.maximum(np.max(power, axis=0), 1e-300), axis=1), 0.0)
+    places = find_peaks(total, LEAST_PEAK, distance=2 * FINER)[0]
+    places = places[np.argsort(-total[places])][:PEAKS] if places.size else np.array([np.argmax(total)])
+    return [(float(frequencies[i]), float(np.sqrt(total[i]))) for i in places], max(float(np.max(largest)), 1e-300)

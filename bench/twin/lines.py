@@ -22,7 +22,7 @@ from bench.records.reading.units import LETTERS
 LOOK_S = 0.02
 """Time until a file that has not grown is looked at again (s)."""
 LONGEST = 65_536
-"""Characters of a line."""
+"""Characters of a line that can be a sample; of a longer one, not all are kept."""
 FEW, ENOUGH = 3, 20
 """Rows of numbers that show the columns of a stream, and its sampling interval as well."""
 MOST_ABOVE = 1000
@@ -126,22 +126,21 @@ def opened(place: str) -> TextIO:
         raise InputError("from", place, f"cannot be read: {error.strerror}") from None
 
 
-def lines_of(source: TextIO, place: str, follow: bool) -> Iterator[str]:
+def lines_of(source: TextIO, follow: bool) -> Iterator[str]:
     """Return the lines as they come; with ``follow`` a file is waited on for more.
 
     A line without its end is half a line: the rest is waited for, or it is the last of the stream.
     """
     text = ""
     while True:
-        text += source.readline(LONGEST)
+        part = source.readline(LONGEST)
+        text = text[:LONGEST] + part
         if text.endswith("\n"):
             yield text
             text = ""
-        elif len(text) >= LONGEST:
-            raise InputError("from", place, f"a line of more than {LONGEST} letters holds no sample")
-        elif follow:
+        elif not part and follow:
             time.sleep(LOOK_S)
-        else:
+        elif not part:
             if text:
                 yield text
             return

@@ -22,6 +22,10 @@ from methods.kalman.core import COVARIANCE, ROOT, Affine, SpreadForm, apply, mix
 
 Rule = Literal["extended", "unscented", "square_root"]
 HELD = 0.99
+LEAST_SHARE = 1e-3
+"""Share of a mixture below which a member is left out of it: a normal cannot show a belief that wide and that rare."""
+GATE = 6.0
+"""Standard deviations from its prediction beyond which a value is an outlier."""
 FLOOR = -600.0
 """Least log-weight of a member: a number that can still be summed."""
 LEAST_SPREAD = 1e-6
@@ -56,14 +60,15 @@ class Bank:
     def outcome(self) -> np.dtype[np.void]:
         """The row that a step gives.
 
-        Mean and covariance of the mixture; by sensor prediction, its variance, how many standard deviations a value is
-        from it that was used, and which (1 or 0) were taken for outliers; log-likelihood of the mixture and of each
-        member; each member's normalised moves of the log-parameters.
+        Mean and covariance of the mixture; by sensor prediction, its standard deviation, and how many of them a value
+        is from it that was used; whether (1 or 0) some value was taken for an outlier and whether all numbers are
+        finite; by how much the mean of the squared normalised innovations is above 1; log-likelihood of each member;
+        the likeliest member's normalised moves of the log-parameters.
         """
         d, c, m = self.model.size, len(self.layout.sensors), self.members
         shapes = {
-            "mean": (d,), "covariance": (d, d), "expected": (c,), "variance": (c,), "surprise": (c,), "outlier": (c,),
-            "total": (), "gained": (m,), "moves": (m, self.model.n_free),
+            "mean": (d,), "covariance": (d, d), "expected": (c,), "sd": (c,), "surprise": (c,), "outlier": (),
+            "finite": (), "excess": (), "gained": (m,), "moves": (self.model.n_free,),
         }  # fmt: skip
         return np.dtype([(name, float, shape) for name, shape in shapes.items()])
 
@@ -129,23 +134,34 @@ class Bank:
         means, spreads, *_, gained = self.form.update(start, spreads, slopes, offsets, levels, values, used)
         after = self.form.covariance(spreads)
         learned = jnp.diagonal(covs - after, axis1=1, axis2=2)[:, logs]
-        moves = (means - start)[:, logs] / jnp.sqrt(jnp.maximum(learned, 1e-300))
         weights = (weights if self.mixes else chain * weights) + gained
         total = jax.scipy.special.logsumexp(weights)
         weights = jnp.maximum(weights - total, FLOOR)
+        best = jnp.argmax(weights)
+        moves = (means - start)[best, logs] / jnp.sqrt(jnp.maximum(learned[best], 1e-300))
         mean, cov = mixture(_weighty(jax.nn.softmax(weights)), means, after)
-        surprise = jnp.where(used, jnp.abs(values - expected) / jnp.sqrt(variance), 0.0)
-        row = [mean, cov.ravel(), expected, variance, surprise, 1.0 * outlier, total[None], gained, moves.ravel()]
+        sd = jnp.sqrt(variance)
+        off = jnp.abs(values - expected) / sd
+        excess = jnp.mean(jnp.where(there, jnp.minimum(off, GATE) ** 2 - 1.0, 0.0))
+        finite = jnp.isfinite(total + jnp.sum(mean)) & (jnp.min(variance) > 0)
+        row = [mean, cov.ravel(), expected, sd, jnp.where(used, off, 0.0)]
+        row += [jnp.stack([1.0 * jnp.any(outlier), 1.0 * finite, excess]), gained, moves]
         return (means, spreads, weights), jnp.concatenate(row)
 
     def _mixed(self, means: Any, spreads: Any, weights: Any, chain: Any) -> tuple[Any, Any, Any]:
-        """Beliefs of each member given where the chain may have come from; ``chain[i, j]`` from i to j."""
+        """Beliefs of each member given where the chain may have come from; ``chain[i, j]`` from i to j.
+
+        A member's share below :data:`LEAST_SHARE` is left out: the variance of a fast rate, however rare, would else
+        be process noise of the constant parameters.
+        """
         import jax
         import jax.numpy as jnp
 
         joint = jax.nn.softmax(weights)[:, None] * chain
         after = jnp.sum(joint, axis=0)
-        means, covs = mixture((joint / after).T, means, self.form.covariance(spreads))
+        share = (joint / after).T
+        share = jnp.where(share >= LEAST_SHARE, share, 0.0)
+        means, covs = mixture(share / jnp.sum(share, axis=1, keepdims=True), means, self.form.covariance(spreads))
         return means, self.form.spread(covs), jnp.log(after)
 
 
@@ -165,7 +181,6 @@ def _weighty(share: Any) -> Any:
     """
     import jax.numpy as jnp
 
-    largest = jnp.sort(share)[::-1]
-    least = largest[jnp.searchsorted(jnp.cumsum(largest), HELD)]
-    kept = jnp.where(share >= least, share, 0.0)
+    larger = jnp.sum(jnp.where(share > share[:, None], share, 0.0), axis=1)
+    kept = jnp.where(larger < HELD, share, 0.0)
     return kept / jnp.sum(kept)

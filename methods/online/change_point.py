@@ -76,7 +76,7 @@ class ChangePointTracker(FilterTracker):
 
     def due(self, outcome: Outcome) -> bool:
         """Whether hypotheses are to be born: every so often, and as soon as a value surprises."""
-        if self.far or outcome["outlier"].any():
+        if self.far or outcome["outlier"]:
             return False  # a new one would explain all
         return self.since >= self.born or (self.since > 1 and bool(np.any(outcome["surprise"] > SURPRISE)))
 

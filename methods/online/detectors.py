@@ -46,7 +46,7 @@ class _Cusum(FilterTracker):
         self.up = self.down = np.zeros(len(self.layout.free))
 
     def judged(self, outcome: Outcome) -> float:
-        drift, moves = self.method.allowance, np.clip(outcome["moves"][0], -LARGEST_MOVE, LARGEST_MOVE)
+        drift, moves = self.method.allowance, np.clip(outcome["moves"], -LARGEST_MOVE, LARGEST_MOVE)
         self.up, self.down = np.maximum(self.up + moves - drift, 0.0), np.maximum(self.down - moves - drift, 0.0)
         alarm = float(max(self.up.max(), self.down.max()))
         if alarm > self.method.threshold:

@@ -21,29 +21,50 @@ RATES = (0.0, 3e-4, 2e-3, 1e-2)
 """Standard deviations of the random walk of a log-parameter, a sample."""
 
 
+LIKELIER = -np.log(2.0)
+WORTH = 1000.0
+"""Samples that the settings of the chain are worth beside the changes that are seen."""
+
+
 class Rates(FilterTracker):
     """Filters of several rates, mixed by a Markov chain.
 
-    Its first mode is left with probability ``changes``, for each of the others alike, and returned to with ``settles``.
+    Its first mode is left with probability ``changes``, for each of the others alike, and returned to with ``settles``;
+    both are learned as the mean of a beta distribution from how often the likeliest mode does so (``switches``) in the
+    samples that it lasted (``lasted``), each the first mode's and the others'.
     """
 
     mixes = True
+    holds = (*FilterTracker.holds, "chain", "still", "switches", "lasted")
 
     def __init__(self, layout: Layout, method: OnlineEKF) -> None:
         walk = method.walks(len(layout.free))
-        chain = np.eye(len(walk)) * (1.0 - method.settles)
-        chain[:, 0], chain[0] = method.settles, method.changes / (len(walk) - 1)
-        chain[0, 0] = 1.0 - method.changes
-        self.changing = method.changes / (method.changes + method.settles)
-        super().__init__(layout, method.warm_up, walk, chain, method.rule)
+        self.prior = np.array([method.changes, method.settles])
+        self.still, self.switches, self.lasted = True, np.zeros(2), np.zeros(2)
+        super().__init__(layout, method.warm_up, walk, self._chain(len(walk)), method.rule)
+
+    def _chain(self, members: int) -> np.ndarray:
+        changes, settles = (WORTH * self.prior + self.switches) / (WORTH + self.lasted)
+        chain = np.eye(members) * (1.0 - settles)
+        chain[:, 0], chain[0] = settles, changes / (members - 1)
+        chain[0, 0] = 1.0 - changes
+        return chain
 
     def judged(self, outcome: Outcome) -> float:
+        """Count how long the chain stays in its first mode and in the others; learn its probabilities."""
+        still = bool(np.asarray(self.weights)[0] > LIKELIER)
+        self.lasted[int(not still)] += 1
+        if still != self.still:
+            self.switches[int(still)] += 1
+            self.still, self.chain = still, self._chain(len(self.walk))
+            self.rebuild()
         return float("nan")
 
     def first_weights(self) -> np.ndarray:
         """Those that the chain has in the long run."""
+        changing = self.prior[0] / self.prior.sum()
         others = len(self.walk) - 1
-        return np.array([1.0 - self.changing] + [self.changing / others] * others)
+        return np.array([1.0 - changing] + [changing / others] * others)
 
 
 @dataclass(frozen=True)

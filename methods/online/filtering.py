@@ -33,11 +33,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench import InputError, Layout, Normal, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
-from methods.online.bank import FLOOR, Bank, Outcome, Rule
+from methods.online.bank import FLOOR, GATE, Bank, Outcome, Rule
 from methods.online.likelihood import Head, beginning, without_spikes
 
-GATE = 6.0
-"""Standard deviations."""
 WIDTH = 6.0
 """Standard deviation by which a sensor's offset is opened, over the root mean square of its first values."""
 IN_A_ROW = 5
@@ -76,8 +74,8 @@ class FilterIdentifier(OnlineIdentifier):
     """``warm_up``: samples before the filters begin; half of them where no force is known."""
 
     warm_up: int = 150
-    version: ClassVar[int] = 2
-    """2: begins when predictions are as good as an autoregression's, and again when they no longer are."""
+    version: ClassVar[int] = 3
+    """3: a rare member of the bank adds nothing to the others; the chain's probabilities are learned."""
 
     def __post_init__(self) -> None:
         if self.warm_up < 20:
@@ -92,9 +90,9 @@ class FilterTracker(Tracker):
     """
 
     holds: ClassVar[tuple[str, ...]] = (
-        "begun", "lacking", "rows", "count", "searching", "losses", "excess", "levels", "moved", "scatter",
+        "begun", "lacking", "rows", "count", "searching", "losses", "block", "levels", "scatter", "wider",
         "means", "spreads", "weights", "sigma", "push", "memory", "square",
-        "before", "far", "width", "moving", "asking",
+        "before", "far", "width", "moving", "resting", "asking",
     )  # fmt: skip
     mixes: ClassVar[bool] = False
 
@@ -106,10 +104,10 @@ class FilterTracker(Tracker):
         self.bank = Bank(driven, len(walk), rule, self.mixes)
         self.model, (self._step, self._coast) = self.bank.model, self.bank.functions()
         members, d, c = len(walk), self.model.size, len(layout.sensors)
-        self.begun, self.far, self.asking, self.searching, self.losses = False, 0, 0, False, 0
+        self.begun, self.far, self.asking, self.searching, self.losses, self.resting = False, 0, 0, False, 0, False
         self.lacking = "the first samples are kept"
-        self.moved, self.scatter = np.zeros(len(layout.free)), np.ones(len(layout.free))
-        self.excess, self.levels = 0.0, np.ones(c + len(driven.ambient))
+        self.scatter = self.wider = np.ones(len(layout.free))
+        self.block, self.levels = list[np.ndarray](), np.ones(c + len(driven.ambient))
         self.columns, self.count = c + len(layout.forced), 0
         self.rows = np.full((MOST * warm_up, self.columns + c), np.nan)
         self.means, self.spreads = np.zeros((members, d)), np.tile(np.eye(d), (members, 1, 1))
@@ -135,7 +133,7 @@ class FilterTracker(Tracker):
         import jax
 
         walk = np.zeros((len(self.walk), self.model.size))
-        walk[:, self.model.logs] = self.walk
+        walk[:, self.model.logs] = self.walk + (REST_RATE**2 if self.resting and not self.layout.forced else 0.0)
         walk[:, self.model.ambient] = self.push**2 * (1.0 - self.memory**2)
         levels = self.sigma**2, self.chain, GATE**2
         self.constants = jax.tree.map(jax.numpy.asarray, (self.layout.interval, (walk, self.memory), levels))
@@ -157,47 +155,38 @@ class FilterTracker(Tracker):
         row = np.array([*filled, *there, *sample.forces, *self.before], float)
         constants, state = self.ungated if self.asking else self.constants, (self.means, self.spreads, self.weights)
         after, numbers = self._step(state, row, constants)
-        if not _finite(outcome := np.asarray(numbers).view(self.bank.outcome)[0]):
+        if not (outcome := np.asarray(numbers).view(self.bank.outcome)[0])["finite"]:
             after, numbers = self._step(self._mended(after, outcome), row, constants)
             outcome = np.asarray(numbers).view(self.bank.outcome)[0]
         self.means, self.spreads, self.weights = after
         self.asking = max(self.asking - 1, 0)
         self.before = list(sample.forces)
-        if not _finite(outcome):
+        if not outcome["finite"]:
             self.begun, self.far, self.losses = False, 0, self.losses + 1
             return Standing(sample.time, SampleStatus.FAILED, message="the filter is lost; it begins again")
-        motion = outcome["mean"][: self.model.n_motion]
-        self.square = REMEMBERED * self.square + (1.0 - REMEMBERED) * motion * motion
-        self.moving = np.maximum(HELD * self.moving, (outcome["expected"] - outcome["mean"][self.model.offsets]) ** 2)
+        self.block.append(np.asarray(numbers))
         alarm = self.judged(outcome)
-        status, message = SampleStatus.OK, ""
-        if np.all(self.moving < (REST * self.sigma) ** 2):
-            status, message = SampleStatus.AT_REST, RESTING
-        if outcome["outlier"].any():
+        status, message = (SampleStatus.AT_REST, RESTING) if self.resting else (SampleStatus.OK, "")
+        if outcome["outlier"]:
             status, message = self._outlying()
         else:
             self.rows[(self.count - 1) % len(self.rows), self.columns :] = outcome["expected"]
             self.far = max(self.far - 1, 0)
-        left = np.minimum(np.square(np.subtract(filled, outcome["expected"])) / outcome["variance"], GATE**2)
-        self.moved = self.moved + outcome["moves"][int(np.argmax(self.weights))]
-        self.excess += float(np.mean(np.where(there, left - 1.0, 0.0)))
-        if status is SampleStatus.AT_REST and not self.layout.forced:
-            self.opened(logs=REST_RATE**2)
         self._judge()
         belief = self.belief(outcome["mean"], outcome["covariance"])
         if self.searching:
             status, message = SampleStatus.LOST, f"the mode is lost ({self.losses} so far); the search goes on"
             if not self._searched():
                 return Standing(sample.time, SampleStatus.OK, self._belief_of_first())
-        expected, sd = outcome["expected"].copy(), np.sqrt(outcome["variance"])
-        return Standing(sample.time, status, belief, expected, sd, alarm, message)
+        return Standing(sample.time, status, belief, outcome["expected"], outcome["sd"], alarm, message)
 
     def belief(self, mean: np.ndarray, cov: np.ndarray) -> Normal:
         """The log-parameters of a joint belief."""
         logs = self.model.logs
-        wider = np.sqrt(np.where(self.scatter > SCATTERED, self.scatter, 1.0))
-        widened = OPENED**2 * np.eye(wider.size) if self.searching else 0.0
-        return Normal(self.layout.free, mean[logs], cov[logs, logs] * np.outer(wider, wider) + widened, log=True)
+        covariance = cov[logs, logs] * self.wider * self.wider[:, None]
+        if self.searching:
+            covariance += OPENED**2 * np.eye(len(covariance))
+        return Normal(self.layout.free, mean[logs], covariance, log=True)
 
     def _belief_of_first(self) -> Normal:
         """The belief of a filter that has just begun: that of every member."""
@@ -252,28 +241,37 @@ class FilterTracker(Tracker):
         self.sigma, self.push, self.memory = best.levels.sigma, best.levels.push, best.levels.memory
         self.moving, self.width = np.nanmax(squares, axis=0), WIDTH * np.sqrt(np.nanmean(squares, axis=0))
         self.square = np.maximum(best.mean**2, variances)[: self.model.n_motion]
-        self.begun, self.searching, self.far, self.excess = True, False, 0, 0.0
-        self.levels = np.concatenate([self.sigma, self.push])
-        self.moved, self.scatter = 0.0 * self.moved, np.ones(self.scatter.size)
+        self.begun, self.searching, self.resting, self.far = True, False, False, 0
+        self.levels, self.block = np.concatenate([self.sigma, self.push]), []
+        self.scatter = self.wider = np.ones(self.scatter.size)
         self.rows[np.arange(n - length, n) % len(self.rows), self.columns :] = best.expected
         self.afresh()
         self.rebuild()
         return ""
 
     def _judge(self) -> None:
-        """Every few samples compare the last predictions with an autoregression's: is the mode lost, or found?"""
+        """Every few samples learn from the last, and compare their predictions with an autoregression's."""
         span = self.warm_up // 2
-        if self.count < span or self.count % max(span // 5, 1):
+        if len(self.block) < max(span // 5, 1):
             return
-        values, _, expected = self._latest(span)
-        self.scatter = self.scatter + FORGOTTEN * (self.moved**2 / max(span // 5, 1) - self.scatter)
-        self.moved = 0.0 * self.moved
+        block, self.block = np.array(self.block).view(self.bank.outcome)[:, 0], []
+        n, motion = len(block), block["mean"][:, : self.model.n_motion]
+        kept = REMEMBERED**n
+        self.square = kept * self.square + (1.0 - kept) * np.mean(motion**2, axis=0)
+        shown = np.max((block["expected"] - block["mean"][:, self.model.offsets]) ** 2, axis=0)
+        self.moving = np.maximum(HELD**n * self.moving, shown)
+        self.resting = bool(np.all(self.moving < (REST * self.sigma) ** 2))
+        self.scatter = self.scatter + FORGOTTEN * (block["moves"].sum(axis=0) ** 2 / n - self.scatter)
+        self.wider = np.sqrt(np.where(self.scatter > SCATTERED, self.scatter, 1.0))
         if self.push.size:
-            factor, self.excess = np.exp(0.5 * self.excess / span), 0.0
+            factor = np.exp(0.5 * block["excess"].sum() / span)
             sigma, push = np.split(self.levels, [self.sigma.size])
             self.sigma = np.clip(factor * self.sigma, sigma / NOISE_KNOWN, sigma * NOISE_KNOWN)
             self.push = np.clip(factor * self.push, push / PUSH_KNOWN, push * PUSH_KNOWN)
             self.rebuild()
+        if self.count < span:
+            return
+        values, _, expected = self._latest(span)
         if self.searching:
             self.searching = not explained(values, expected, moving=True)
         elif not explained(values, expected):
@@ -369,10 +367,6 @@ class FilterTracker(Tracker):
         means[:, : self.model.n_motion] = 0.0
         self.means = means
         self.opened(motion=self.square)
-
-
-def _finite(outcome: Outcome) -> bool:
-    return isfinite(outcome["total"]) and isfinite(outcome["mean"].sum()) and bool(outcome["variance"].min() > 0)
 
 
 def explained(values: np.ndarray, expected: np.ndarray, moving: bool = False) -> bool:

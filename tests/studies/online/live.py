@@ -39,7 +39,7 @@ def live(seconds: int, folder: Path) -> str:
     )
     assert twin.stdin is not None
     assert twin.stderr is not None
-    url = twin.stderr.readline().rpartition(" ")[2].strip()
+    url = next(line for line in twin.stderr if "http" in line).rpartition(" ")[2].strip()
     said: list[str] = []
     threading.Thread(target=lambda: said.extend(twin.stderr or []), daemon=True).start()
     try:
