@@ -19,7 +19,7 @@ from bench.conformance.imports import foreign_imports
 HEAVY = {"torch", "casadi", "pysindy", "emcee", "blackjax"}
 ROOMS = (
     "errors", "entry_points", "files", "isolation", "systems", "contract", "dynamics", "scenario", "likelihood",
-    "entrants", "information", "audit", "scoring", "store", "modal", "online", "atlas", "config", "engine",
+    "entrants", "information", "scoring", "audit", "store", "modal", "online", "atlas", "config", "engine",
     "conformance", "records", "rounds", "exchange", "planning", "reporting", "face", "twin", "commands",
 )  # fmt: skip
 """From the top of the house down: a module imports from its own room and from those above."""

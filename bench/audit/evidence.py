@@ -19,6 +19,7 @@ from bench.errors import InputError
 from bench.information.fisher import Information
 from bench.information.sensitivities import linear_sensitivities, stepped_sensitivities
 from bench.information.structural import structure
+from bench.scoring.verdict import DECIDED_BY_PRIOR
 from bench.systems import Quantity
 
 RARE_SMALL, RARE_LARGE = 0.01, 0.05
@@ -26,7 +27,7 @@ RARE_SMALL, RARE_LARGE = 0.01, 0.05
 DISAGREES = 1e-3
 """A chance below which samples contradict the stated equation, and a part of the largest value for a solution."""
 SIMULATED, MOST_SIMULATED, DENSE, STEP = 100_000, 10_000_000, 1000, 1e-5
-Verdict = Literal["within", "smaller", "larger", "not identifiable", "bias only", "known", "no number"]
+Verdict = Literal["within", "smaller", "larger", "not identifiable", "bias only", "prior", "known", "no number"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +153,15 @@ def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
         return replace(finding, verdict="bias only")
     scores = _scores(row, spread, truth)
     smaller, larger = np.mean(scores <= score + row.half_digit), np.mean(scores >= score - row.half_digit)
+    share = 0.0 if row.quantity == "x" else evidence.information.prior_share(evidence.quantity(row.quantity))
     verdict: Verdict = "smaller" if smaller < RARE_SMALL else "larger" if larger < RARE_LARGE else "within"
+    verdict = "no number" if row.value is None else "prior" if share > DECIDED_BY_PRIOR else verdict
     low, median, high = np.quantile(scores, [0.025, 0.5, 0.975]).tolist()
     guess = situation.setting.given.starting_value.get(row.quantity)
     return replace(
-        finding, verdict="no number" if row.value is None else verdict, bound=bound, median=median, low=low, high=high,
+        finding, verdict=verdict, bound=bound, median=median, low=low, high=high,
         smaller=float(smaller), larger=float(larger), start=None if guess is None else abs(guess - truth) / bound,
-        prior_share=0.0 if row.quantity == "x" else evidence.information.prior_share(evidence.quantity(row.quantity)),
-        sd_ratio=None if row.sd is None else row.sd / bound,
+        prior_share=share, sd_ratio=None if row.sd is None else row.sd / bound,
     )  # fmt: skip
 
 
@@ -254,6 +256,16 @@ class Audit:
     def of(self, reading: str) -> list[AuditFinding]:
         """Return the findings under a reading."""
         return [finding for finding in self.findings if finding.reading == reading]
+
+    def others(self, finding: AuditFinding) -> str:
+        """Say which verdicts the other readings have, with their bounds."""
+        number = self.of("").index(finding)
+        other = [self.of(reading)[number] for reading in self.stated.claim.readings]
+        if other and all(f.verdict == finding.verdict for f in other):
+            return f"the same, bound {min(f.bound for f in other):.3g} to {max(f.bound for f in other):.3g}"
+        return ", ".join(
+            f"{f.reading}: {f.verdict} (bound {f.bound:.3g})" for f in other if f.verdict != finding.verdict
+        )
 
 
 def decided(rivals: tuple[AuditFinding, ...]) -> bool:

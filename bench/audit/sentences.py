@@ -9,10 +9,15 @@ from bench.audit.evidence import Audit, AuditFinding, Consistency, decided
 
 ERRORS = {"value": "error", "percent error": "error in %", "absolute error": "error", "rmse": "root mean square error"}
 VERDICTS = {
-    "within": "within the range of an efficient estimator", "smaller": "smaller than the stated data allow but by luck",
-    "larger": "larger than that of an efficient estimator", "not identifiable": "not determined by the data",
-    "bias only": "bias only: no noise", "known": "follows from what was known", "no number": "not reported",
-}  # fmt: skip
+    "within": "one that an efficient estimator has in more than 5 % of draws, this large or larger",
+    "larger": "this large or larger in fewer than 5 % of an efficient estimator's draws",
+    "smaller": "this small or smaller in fewer than 1 % of an efficient estimator's draws",
+    "prior": "more than half of the bound's variance is the prior's, which is what the number tells of",
+    "not identifiable": "the data do not determine the quantity",
+    "bias only": "the data have no noise, so that the error is bias",
+    "known": "the quantity follows from what was known",
+    "no number": "none is reported; the bound is stated",
+}
 """Each verdict with its meaning."""
 FIRST_ORDER = 0.2
 """A bound over the value above which its first order in the noise may be off."""
@@ -37,6 +42,12 @@ def reported(finding: AuditFinding) -> str:
     return f"{'' if row.form == 'value' else row.form + ' '}{row.value:.6g}{many}"
 
 
+def off(finding: AuditFinding) -> str:
+    """Write a reported error: of a value in percent of the true one."""
+    relative = finding.score * (100.0 / abs(finding.truth) if finding.row.form == "value" else 1.0)
+    return f"{relative:.2g}{'' if finding.row.form in ('rmse', 'absolute error') else ' %'}"
+
+
 def placed(finding: AuditFinding) -> str:
     """Write where a reported number falls among the scores of an efficient estimator."""
     row, error = finding.row, ERRORS[finding.row.form]
@@ -45,9 +56,7 @@ def placed(finding: AuditFinding) -> str:
     if finding.verdict == "known":
         return "it follows from what was known, so that the samples decide nothing"
     if finding.verdict == "bias only":
-        off = finding.score * (100.0 / abs(finding.truth) if row.form == "value" else 1.0)
-        unit = "" if row.form in ("rmse", "absolute error") else " %"
-        return f"off by {off:.2g}{unit}, which is bias: there is no noise"
+        return f"off by {off(finding)}, which is bias: there is no noise"
     whose = "on one draw" if row.draws == 1 else f"as a mean of {row.draws} draws"
     spread = (
         f"the bound is {finding.bound:.3g}; an efficient estimator's {error} {whose} has a median of "
@@ -55,6 +64,7 @@ def placed(finding: AuditFinding) -> str:
     )
     ends = {
         "no number": "",
+        "prior": f", most of it by the prior; {finding.score:.2g} says how near that was",
         "within": f"; {percentage(finding.larger)} of draws give at least {finding.score:.2g}",
         "smaller": f"; only {percentage(finding.smaller)} of draws give at most {finding.score:.2g}: more was known "
         "than is stated here, or it is luck",
@@ -113,13 +123,13 @@ def summary(audit: Audit) -> str:
     return ", ".join([*counts, *(["data and equation differ"] if differ else [])]) or "nothing reported"
 
 
-def lines_of(audit: Audit) -> list[str]:
-    """Return the audit as sentences, in the order in which they are read."""
+def lines_of(audit: Audit, numbers: bool = True) -> list[str]:
+    """Return the audit as sentences, in the order in which they are read; those on each number can be left out."""
     claim, lines = audit.stated.claim, [agreement(case, found) for case, found in audit.consistency]
-    for number, finding in enumerate(audit.of("")):
-        row, others = finding.row, [audit.of(reading)[number] for reading in claim.readings]
+    for finding in audit.of("") if numbers else ():
+        row, others = finding.row, audit.others(finding)
         name = ", ".join(filter(None, [row.method, row.quantity, row.case, row.place]))
-        also = [f"under '{other.reading}' {other.verdict}, bound {other.bound:.3g}" for other in others]
+        also = [f"under other readings: {others}"] if others else []
         lines.append("; ".join([f"{name}, {reported(finding)}: {placed(finding)}", *given(finding), *also]))
     lines += ["; ".join(why) for why in dict.fromkeys(finding.why for finding in audit.of("") if finding.why)]
     lines += map(compared, audit.rivals)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from bench.commands.declaration import Bare, file
+
+if TYPE_CHECKING:
+    from bench.audit.claim import StatedClaim
 
 
 def audit(
@@ -22,16 +25,13 @@ def audit(
     scores of an efficient estimator, and how many of its draws do as well, or as badly; whether a comparison of methods
     is decided; what a prior or a starting value has decided. Without noise only the bias is stated.
     """
-    from bench.audit.claim import read_claim
     from bench.audit.evidence import audit as audited
     from bench.audit.sentences import as_dict, badge, lines_of, paragraph, summary
-    from bench.config.files import read_own
     from bench.face.results import nulls
     from bench.reporting.terminal import wrapped
     from bench.reporting.whole_file import check_folder, write
 
-    kind = "a claim is wanted: see docs/how_to/audit_claim.md"
-    stated = read_claim(claim.stem, read_own(str(file("claim", claim)), "claim", kind), claim.parent)
+    stated = read(claim)
     if out is not None:
         check_folder(out)
     result = audited(stated)
@@ -46,3 +46,12 @@ def audit(
             write(path, text, out)
             print(path)
     return 0
+
+
+def read(path: Path) -> StatedClaim:
+    """Read the file of a claim; raises InputError."""
+    from bench.audit.claim import read_claim
+    from bench.config.files import read_own
+
+    content = read_own(str(file("claim", path)), "claim", "a claim is wanted: see docs/how_to/audit_claim.md")
+    return read_claim(path.stem, content, path.parent)

@@ -1,4 +1,4 @@
-"""The verb ``tables``: tables, figures, claims and the reproduction of the paper, from stored cells."""
+"""The verb ``tables``: tables, figures, claims from stored cells, and the audits of published claims."""
 
 from __future__ import annotations
 
@@ -148,41 +148,34 @@ def claims(
     return 1 if wrong else 0
 
 
-def reproduction(store: StoreFolder = OWN, archive: ArchiveFolder = None, out: Out = RESULTS) -> int:
-    """Judge each of the paper's 59 numbers, under the protocol and under other readings of it.
-
-    Cells that the store lacks are run first, where it holds some.
-    """
-    from bench.engine.launch import complete
-    from bench.engine.pool import Limits
-    from bench.isolation.machine import usable_cores
-    from bench.reporting.frame import Result
-    from bench.reporting.reproduction import all_cells, ratio_verdicts, verdicts, written
+def audits(
+    claims: Annotated[Path, "folder of claims"] = Path("claims"),
+    results: Annotated[Path, "folder of Tables 2 to 5, whose verdicts stand beside the paper's numbers"] = RESULTS,
+    out: Out = RESULTS,
+) -> int:
+    """Write the audits of published claims as one page and one file of numbers."""
+    from bench.audit.evidence import audit
+    from bench.commands.audit import read
+    from bench.reporting.audits import audit_files
     from bench.reporting.whole_file import check_folder
 
-    opened = named_store(store, archive, filled=True)
+    stated = [read(path) for path in sorted(folder("claims", claims).glob("*.yaml"))]
     check_folder(out)
-    opened.prepare()
-    cells = all_cells()
-    wanted = {cell.identity: cell for places in cells.values() for cell in places.values()}
-    complete(list(wanted.values()), opened, Limits(usable_cores()))
-    results = {identity: Result.of_cell(cell, opened.load(identity)) for identity, cell in wanted.items()}
-    judged = {name: {place: results[cell.identity] for place, cell in own.items()} for name, own in cells.items()}
-    _write(written(verdicts(judged), ratio_verdicts(judged), next(iter(cells.values()))), out, out)
+    _write(audit_files([audit(claim) for claim in stated], results), out, out)
     return 0
 
 
 def everything(store: StoreFolder = OWN, archive: ArchiveFolder = None) -> int:
-    """Write tables, figures and the reproduction into results/, and fill the numbers of the documents in."""
+    """Write tables, figures and audits into results/, and fill the numbers of the documents in."""
     tables(store, archive)
     figures(store, archive)
-    reproduction(store, archive)
+    audits()
     return claims(write=True)
 
 
 VARIANTS = {
     "what=tables": tables, "what=frame": frame, "what=figures": figures, "what=claims": claims,
-    "what=reproduction": reproduction, "what=all": everything,
+    "what=audits": audits, "what=all": everything,
 }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ VERBS = {
     "track": "Track the parameters of a system in a stream of samples.",
     "identifiability": "State which quantities the data of a scenario determine.",
     "audit": "State what the data of a published claim allow, and where its numbers fall.",
-    "tables": "Write the tables of all experiments; what=frame, figures, claims, reproduction, all.",
+    "tables": "Write the tables of all experiments; what=frame, figures, claims, audits, all.",
     "report": "Build the site: the results as pages for a browser.",
     "status": "Show what is stored, failed, stale and missing, and why.",
     "reproduce": "Run a stored cell again and compare it with the stored one.",

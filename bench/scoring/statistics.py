@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -54,15 +53,6 @@ def wilson_interval(k: int, n: int) -> tuple[float, float]:
     z2 = Z95**2
     half = Z95 * math.sqrt(k * (n - k) / n + z2 / 4)
     return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))
-
-
-def holm(p_values: Sequence[float]) -> np.ndarray:
-    """Return adjusted p-values (S. Holm, Scand. J. Stat. 6:65, 1979), in the order given."""
-    p = np.asarray(p_values, float)
-    order = np.argsort(p)
-    adjusted = np.empty(p.size)
-    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
-    return adjusted
 
 
 def ljung_box(residuals: np.ndarray) -> np.ndarray:

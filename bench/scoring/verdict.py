@@ -14,8 +14,6 @@ import numpy as np
 from scipy.special import stdtr
 from scipy.stats import binom
 
-UNDECIDED = ("not decidable", "open")
-"""Words of verdicts that decide nothing: the prior decides, or what is printed leaves more than one answer."""
 BETTER = "ours better"
 DECIDED_BY_PRIOR = 0.5
 """A number is not decidable where more than this part of our mean square error is the prior's."""
@@ -65,11 +63,6 @@ def better_in_both(verdict: Verdict, other: Verdict) -> Verdict:
     return _of_readings(*found) if found != [verdict.single, verdict.mean] else verdict
 
 
-def decided(text: str) -> bool:
-    """Return whether a verdict's text decides anything, under every reading it has."""
-    return not any(word in text for word in UNDECIDED)
-
-
 def _of_readings(single: str, mean: str) -> Verdict:
     return Verdict(single, mean, single if single == mean else f"{single} (single run), {mean} (mean)")
 
@@ -94,11 +87,6 @@ def mean_tails(value: float, ours: np.ndarray) -> tuple[float, float]:
     t = (value - float(good.mean())) / max(error, np.finfo(float).tiny)
     below, above = (float(stdtr(good.size - 1, side)) for side in (t, -t))
     return spared * below, spared * above + (1.0 - spared)
-
-
-def mean_p_value(value: float, ours: np.ndarray) -> float:
-    """Return the two-sided p-value of a printed number as another mean of as many runs as ours (n,)."""
-    return min(1.0, 2.0 * min(mean_tails(value, ours)))
 
 
 def _side(tails: tuple[float, float]) -> str:

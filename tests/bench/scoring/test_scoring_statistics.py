@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.scoring.statistics import RESAMPLES, counts, holm, ljung_box, medians, whiteness
+from bench.scoring.statistics import RESAMPLES, counts, ljung_box, medians, whiteness
 
 
 @pytest.mark.parametrize("n", [1, 2, 9, 40, 301])
@@ -16,11 +16,6 @@ def test_medians_of_resamples_are_numpys(n: int) -> None:
     with np.errstate(invalid="ignore"):
         expected = np.median(values[drawn], axis=1)
     np.testing.assert_array_equal(medians(values, counts(n)), expected)
-
-
-def test_holm_by_hand() -> None:
-    """Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1, made monotone: 0.04, 0.06, 0.06, 0.06."""
-    np.testing.assert_allclose(holm([0.03, 0.01, 0.04, 0.02]), [0.06, 0.04, 0.06, 0.06])
 
 
 def test_it_is_the_sum_of_ljung_and_box() -> None:

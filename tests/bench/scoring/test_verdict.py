@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.scoring.verdict import judge, mean_p_value, mean_tails
+from bench.scoring.verdict import judge, mean_tails
 
 SPREAD = np.linspace(0.01, 1.00, 100)
 """0.01, 0.02 … 1.00: five of 101 runs lie below 0.05, as many above 0.96; its mean is 0.505 ± 0.029, so another mean of
@@ -77,7 +77,7 @@ def test_verdicts_keep_their_level_where_nothing_differs(n: int) -> None:
         other = np.abs(rng.standard_normal(n))
         outside_mean += judge(other.mean(), ours, ours, 0.0).mean != "reproduced"
         outside_single += judge(other[0], ours, ours, 0.0).single != "reproduced"
-        small += mean_p_value(other.mean(), ours) < 0.05
+        small += 2.0 * min(mean_tails(other.mean(), ours)) < 0.05
     assert outside_mean / times == pytest.approx(0.10, abs=0.03)
     assert outside_single / times == pytest.approx(0.10, abs=0.03)
     assert small / times == pytest.approx(0.05, abs=0.021)
@@ -86,7 +86,7 @@ def test_verdicts_keep_their_level_where_nothing_differs(n: int) -> None:
 def test_the_p_value_is_that_of_two_samples_of_one_spread() -> None:
     """The t-test of two samples with the same standard deviation, but for its degrees of freedom."""
     other = SPREAD + 0.05
-    found = mean_p_value(float(other.mean()), SPREAD)
+    found = 2.0 * min(mean_tails(float(other.mean()), SPREAD))
     t = stats.ttest_ind(SPREAD, other).statistic
     assert found == pytest.approx(2.0 * stats.t.sf(abs(t), 99))
 

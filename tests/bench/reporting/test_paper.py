@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,20 +10,8 @@ import pytest
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
 from bench.reporting.paper import Printed, implied, judged, printed, size_of_error
-from bench.reporting.reproduction import (
-    ASSUMPTIONS,
-    Place,
-    all_cells,
-    consistency,
-    implied_rmse,
-    ratio_verdicts,
-    simple,
-    verdicts,
-    written,
-)
-from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.scoring.verdict import Verdict, better_in_both, between, decided
+from bench.scoring.verdict import Verdict, better_in_both, between
 from bench.store.stored import StoredCell
 
 FOUND = {(b.table, b.row, b.method, b.metric): b for b in implied()}
@@ -78,8 +65,6 @@ def test_what_two_verdicts_say_together() -> None:
     assert better_in_both(better, same).text == "open (single run), ours better (mean)"
     worse = Verdict("ours worse", "ours worse", "ours worse")
     assert better_in_both(worse, better) is worse
-    texts = ("open (single run), ours better (mean)", "not decidable (99 % prior)", "ours better")
-    assert [decided(text) for text in texts] == [False, False, True]
 
 
 def spread(to: float, *metrics: str, **identifiable: bool) -> Result:
@@ -111,55 +96,3 @@ def test_an_error_of_k_may_follow_from_that_of_the_mass(identifiable: bool, text
 def test_a_bracket_is_judged_by_both_its_ends(low: float, high: float, table: int, text: str) -> None:
     number = Printed(table, "comparison", "pinn", "k_over_m_error_pct", low, high, 20.0)
     assert judged(number, spread(1.0), spread(0.1)).text == text
-
-
-def test_readings_change_what_they_say_and_nothing_else(reference: Scenario) -> None:
-    changed = {name: change(reference) for name, change in ASSUMPTIONS.items()}
-    assert changed["records of 5 s"] == replace(reference, duration=5.0)
-    assert changed["start unknown"].initial_state == "unknown"
-    # the peak is the start; noise of the same decibels from the peak is larger by peak over root mean square
-    other = changed["SNR from the peak"]
-    peak = abs(reference.initial[0][0])
-    assert other.sigmas(0)[0] == pytest.approx(peak * 10.0 ** (-reference.snr_db / 20.0), rel=1e-9)
-
-
-def test_implied_rmse_by_hand(reference: Scenario) -> None:
-    """Errors of m, c and k that are equal and of one sign change nothing; a larger error of k alone, something."""
-    low, high = implied_rmse(reference, [3.0, 3.0, 3.0])
-    assert low == pytest.approx(0.0, abs=1e-12)
-    assert high > implied_rmse(reference, [0.0, 0.0, 3.0])[1] > 0.0
-
-
-def test_verdicts_and_firmness_follow_from_the_replicates() -> None:
-    """Ours spread evenly from 0 to twice the paper's number, but ten times smaller where records are 20 s long."""
-    cells, share = all_cells(), (np.arange(100) + 0.5) / 100
-    numbers = {(p.table, p.row, p.method, p.metric): p.value for p in printed()}
-
-    def made(place: Place, scale: float) -> Result:
-        name = "pinn" if place[2] in ("oracle", "pinn_adam") else place[2]
-        own = {m: scale * v for (*where, m), v in numbers.items() if tuple(where) == (*place[:2], name)} or {"rmse": 1}
-        rows = (Row(i, Status.OK, scores={k: 2.0 * v * float(share[i]) for k, v in own.items()}) for i in range(100))
-        excess = {metric: {"excess": 1.0} for metric in own}
-        return Result.of_stored(StoredCell("x", {}, tuple(rows), excess, {"m": 1.0}, {}, 0.0, {}))
-
-    found = {
-        reading: {place: made(place, 0.1 if reading == "records of 20 s" else 1.0) for place in own}
-        for reading, own in cells.items()
-    }
-    data = verdicts(found)
-    assert len(data) == 59
-    masses = data.metric == "m_error_pct"
-    assert set(data[masses]["as in the protocol"].map(simple)) == {"not decidable"}
-    assert not data[masses].decided.any()
-    assert not data[masses].firm.any()  # what is not decided cannot be firm
-    others = data[~masses & (data.method == "pinn")]
-    assert set(others["as in the protocol"]) == {"reproduced"}
-    assert others.decided.all()
-    assert not others.firm.any()
-    assert set(others["records of 20 s"]) == {"ours better"}
-    base = next(iter(cells.values()))
-    text = written(data, ratio_verdicts(found), base)["reproduction.md"]
-    assert "no: records of 20 s" in text
-    assert f"{data.decided.sum()} of 59 numbers are decided, and 0 of these verdicts are firm" in text
-    assert "6 of the 15 mass errors that it prints exceed 3.9 %" in text  # 18.2, 13.8, 9.4, 4.3, 7.1, 11.8
-    assert len(consistency(base)) == 14  # rows that print all four numbers
