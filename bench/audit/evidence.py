@@ -27,7 +27,9 @@ RARE_SMALL, RARE_LARGE = 0.01, 0.05
 DISAGREES = 1e-3
 """A chance below which samples contradict the stated equation, and a part of the largest value for a solution."""
 SIMULATED, MOST_SIMULATED, DENSE, STEP = 100_000, 10_000_000, 1000, 1e-5
-Verdict = Literal["within", "smaller", "larger", "not identifiable", "bias only", "prior", "known", "no number"]
+Verdict = Literal[
+    "within", "smaller", "larger", "not identifiable", "bias only", "prior", "nothing unknown", "no number"
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,7 @@ def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
     situation, nan = evidence.situation, float("nan")
     truth = nan if row.quantity == "x" else situation.value(row.quantity)
     score = nan if row.value is None else abs(row.value - truth) if row.form == "value" else row.value
-    finding = AuditFinding(row, reading, "known", truth, score)
+    finding = AuditFinding(row, reading, "nothing unknown", truth, score)
     spread = evidence.spread(row.quantity)
     bound = float(np.sqrt(np.sum(spread**2)))
     if situation.decided or bound == 0.0:
@@ -283,7 +285,7 @@ def audit(stated: StatedClaim) -> Audit:
     for finding in findings[: len(rows)]:
         if finding.verdict in ("within", "smaller", "larger"):
             row = finding.row
-            groups.setdefault((row.case, row.quantity, row.form, row.draws), []).append(finding)
+            groups.setdefault((row.case, row.place, row.quantity, row.form, row.draws), []).append(finding)
     rivals = [tuple(sorted(group, key=lambda f: f.score)) for group in groups.values()]
     checks: dict[tuple[object, ...], tuple[str, Consistency]] = {}
     for case in cases:

@@ -15,7 +15,7 @@ VERDICTS = {
     "prior": "more than half of the bound's variance is the prior's, which is what the number tells of",
     "not identifiable": "the data do not determine the quantity",
     "bias only": "the data have no noise, so that the error is bias",
-    "known": "the quantity follows from what was known",
+    "nothing unknown": "the quantity follows from what was known",
     "no number": "none is reported; the bound is stated",
 }
 """Each verdict with its meaning."""
@@ -53,7 +53,7 @@ def placed(finding: AuditFinding) -> str:
     row, error = finding.row, ERRORS[finding.row.form]
     if finding.verdict == "not identifiable":
         return "the data do not determine it"
-    if finding.verdict == "known":
+    if finding.verdict == "nothing unknown":
         return "it follows from what was known, so that the samples decide nothing"
     if finding.verdict == "bias only":
         return f"off by {off(finding)}, which is bias: there is no noise"
@@ -93,10 +93,12 @@ def agreement(case: str, found: Consistency) -> str:
     """Say whether published samples, or a published solution, agree with the stated equation."""
     where, s = f"{case}: " if case else "", "" if found.what == "samples" else "s"
     largest = f"{100 * found.difference:.2g} % of the largest value"
+    chance = (
+        "" if found.chance is None else f", as noise of the stated size does in {percentage(found.chance)} of draws"
+    )
     if found.agrees:
-        return f"{where}the published {found.what} agree{s} with the stated equation, within {largest}"
+        return f"{where}the published {found.what} agree{s} with the stated equation: within {largest}{chance}"
     values = ", ".join(f"{name} {fit:.4g} where {stated:g} is stated" for name, (fit, stated) in found.fitted.items())
-    chance = "" if found.chance is None else f", as the stated noise does in {percentage(found.chance)} of draws"
     return (
         f"{where}the published {found.what} differ{s} from the stated equation by up to {largest}{chance}; what fits "
         f"best, within {100 * found.remaining:.2g} %, has {values}"
@@ -106,7 +108,7 @@ def agreement(case: str, found: Consistency) -> str:
 def compared(rivals: tuple[AuditFinding, ...]) -> str:
     """Say whether a comparison of methods is decided."""
     first, last = rivals[0], rivals[-1]
-    names = " and ".join(dict.fromkeys(f.row.method for f in rivals))
+    names = ", ".join(dict.fromkeys(finding.row.method for finding in rivals))
     where = f"{first.row.quantity}, {first.row.case}" if first.row.case else first.row.quantity
     open_ = f"{'one draw does' if first.row.draws == 1 else 'these draws do'} not decide which is nearer to the truth"
     outside = f"{last.row.method} is outside an efficient estimator's range, and {first.row.method} is not"
