@@ -164,7 +164,8 @@ from it, is decided by the prior. {ORACLE} *prior* is the nominal values without
 share of the mean square errors of k/m and c/m that is the square of their mean error, what more replicates would not
 average out (less what chance makes of no bias). Time: processor time of the median fit. Uses: what a method was told
 beyond the data; *prior after*: by one step that all such methods share. In brackets the paper's number: the verdicts on
-it are in the CSV, and what they rest on in [the reproduction](reproduction.md). All 95 % intervals are in the CSV.""",
+it are in the CSV, and what its data allow in [an audit](audits.md#karkadakattil2026). All 95 % intervals are in the
+CSV.""",
     columns=PAPER_COLUMNS, lines=paper_lines, section=start,
     panels=(
         Panel(
