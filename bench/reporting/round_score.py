@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,6 @@ from bench.scoring.summary import GROSS
 if TYPE_CHECKING:
     import pandas as pd
 
-ALL = "all"
 KINDS = (
     "kind", "answered", "outliers", "error over bound", "tier", "excess", "95 % cover", "of", "interval score",
     "time (s)",
@@ -78,22 +77,27 @@ class RoundReport:
 
 def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
     """Report the predictions called ``name`` among the rows of all methods, of ``bench.rounds.scoring.score_rows``."""
-    rows, places = scored[name], _places(scored)
-    kinds = sorted(rows["kind"].unique())
-    parts = {kind: {label: of[of["kind"] == kind] for label, of in scored.items()} for kind in kinds}
-    shown = [_kind_row(name, kind, part) for kind, part in {**parts, ALL: scored}.items()]
-    marks = ["level" if label == name else "" for label in places]
-    ranking = Grid(RANKING, [_ranking_row(place) for place in places.values()], marks)
+    rows, fits = scored[name], {label: _fits(each) for label, each in scored.items()}
+    kind_of = list(rows.groupby("scenario")["kind"].first())
+    kinds = sorted(set(kind_of))
+
+    def places(chosen: Collection[str]) -> dict[str, Ranked]:
+        """Rank methods on the problems of some kinds; one without any answer has no place."""
+        parts = {
+            label: [fit for fit, kind in zip(each, kind_of, strict=True) if kind in chosen]
+            for label, each in fits.items()
+        }
+        return {place.label: place for place in ranked(parts)}
+
+    shown = [_kind_row(kind, places([kind]).get(name), rows[rows["kind"] == kind]) for kind in kinds]
+    every, exact = places(kinds), places([kind for kind in kinds if kind not in DISTURBED]).get(name)
+    marks = ["level" if label == name else "" for label in every]
+    ranking = Grid(RANKING, [_ranking_row(place) for place in every.values()], marks)
     sentences = _sentences(summarise_rows(rows))
-    judged = _places({name: rows[~rows["kind"].isin(DISTURBED)]})
-    if name in judged and judged[name].too_good:
+    if exact and exact.too_good:
         sentences.append(f"Errors are {below([name])}.")
-    return RoundReport(name, _answer(name, places), sentences, Grid(KINDS, shown), ranking)
-
-
-def _places(scored: Mapping[str, pd.DataFrame]) -> dict[str, Ranked]:
-    """Rank methods; one without any answer has no place."""
-    return {row.label: row for row in ranked({label: _fits(rows) for label, rows in scored.items()})}
+    by_kind = Grid(KINDS, [*shown, _kind_row("all", every.get(name), rows)])
+    return RoundReport(name, _answer(name, every), sentences, by_kind, ranking)
 
 
 def _fits(rows: pd.DataFrame) -> list[np.ndarray]:
@@ -106,13 +110,15 @@ def _fits(rows: pd.DataFrame) -> list[np.ndarray]:
     ]
 
 
-def _kind_row(name: str, kind: str, scored: Mapping[str, pd.DataFrame]) -> list[str]:
-    place, scores = _places(scored).get(name), summarise_rows(scored[name])
+def _kind_row(kind: str, place: Ranked | None, rows: pd.DataFrame) -> list[str]:
+    scores = summarise_rows(rows)
     typical, tier = (f"{place.typical:.2f}", _tier(place)) if place else ("-", "-")
     cover = percent(scores.covered / scores.intervals if scores.intervals else math.nan)
-    return [kind, answered(scores.answered, scores.problems), str(scores.outliers), typical, tier,
-            excess_text(scores.excess), cover, str(scores.intervals), excess_text(scores.interval_score),
-            number(scores.seconds)]  # fmt: skip
+    return [
+        kind, answered(scores.answered, scores.problems), str(scores.outliers), typical, tier,
+        excess_text(scores.excess), cover, str(scores.intervals), excess_text(scores.interval_score),
+        number(scores.seconds),
+    ]  # fmt: skip
 
 
 def _ranking_row(place: Ranked) -> list[str]:
