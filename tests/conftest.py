@@ -208,3 +208,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     notes = {str(text) for report in reports for name, text in getattr(report, "user_properties", ()) if name == "note"}
     for note in sorted(notes):
         terminalreporter.write_line(note)
+
+
+@pytest.fixture(scope="session")
+def six(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A round of six problems, one of each kind, and the folder of its secret; copy them before changing anything."""
+    from bench.rounds.folder import write_round
+
+    place = tmp_path_factory.mktemp("rounds")
+    write_round(place / "six", place / "six_secret", 2**255 + 3, 6)
+    return place / "six", place / "six_secret"

@@ -313,6 +313,27 @@ class Redraw(Double):
 
 
 @dataclass(frozen=True)
+class Enumerate(Double):
+    """Makes the data of a public scenario by every small seed, and answers with the truth of those it is given."""
+
+    def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        from bench.config.experiment import expand
+
+        values = problem.records[0].channels[0].values
+        for snr in (40, 20):
+            scenario = expand(["method=prior", f"snr={snr}"], multirun=False)[0].scenario
+            for public, truth in scenario.replicates(0, 12):
+                known = public.records[0].channels[0].values
+                if known.shape == values.shape and np.allclose(known, values, rtol=1e-5):
+                    p = truth.parameters
+                    mean = np.array([p["k"] / p["m"], p["c"] / p["m"]]) * (1 + 1e-3 * rng.standard_normal(2))
+                    return Estimate(problem.system, groups=Normal(("k_over_m", "c_over_m"), mean, None, log=False))
+        prior = problem.prior
+        assert prior is not None
+        return answer(problem, prior.nominal["k"] / prior.nominal["m"])
+
+
+@dataclass(frozen=True)
 class Ancestors(Double):
     """Looks for a number in its own arguments, and in what it can read of its process and of all above it."""
 

@@ -19,17 +19,22 @@ def merge(
     store: StoreFolder = OWN,
     verify: Annotated[float, Within(ge=0.1, le=1), "share of a submission's rows that is recomputed"] = 0.1,
     seed: Annotated[int | None, Within(ge=0, le=2**63 - 1), "seed of the choice of these rows [drawn]"] = None,
+    fresh: Annotated[
+        int, Within(ge=0, le=999), "data sets of a secret seed on which the method is tried, by file"
+    ] = 40,
     workers: Annotated[int | None, Within(ge=1, le=1024), "worker processes [one per core]"] = None,
 ) -> int:
     """Merge a submission, or another store, into a store.
 
-    Of a submission some rows, drawn at random over all its cells, are recomputed first. Only where every score and
-    status agrees is anything added; tables show the cells as submitted. Of two answers to one question the better is
-    kept: one's own rather than a submitted one, a current one rather than a stale one, the one with more successful
-    fits; else the one that was there.
+    Of a submission some rows, drawn at random over all its cells, are recomputed first, and the method is tried on
+    varied scenarios of a secret seed. Only where every score and status agrees, and its errors over the bound are there
+    as they were submitted, is anything added; tables show the cells as submitted. Of two answers to one question the
+    better is kept: one's own rather than a submitted one, a current one rather than a stale one, the one with more
+    successful fits; else the one that was there.
     Exit status: 0, 1 where a submission does not agree, 2 for bad input.
     """
     from bench.engine.runner import compute_bounds
+    from bench.exchange.fresh import compare_fresh
     from bench.exchange.merging import add_cells, add_store, summarised, understood, verified
     from bench.exchange.recomputing import widest_limits
     from bench.exchange.submission import unpack
@@ -56,14 +61,21 @@ def merge(
         again = f"python -m bench share action=merge submission={submission} seed={drawn}"
         print(f"nothing was added; {again} draws the same rows again")
         return 1
+    bounds = load_bounds(cells, into.bounds)
+    comparison = compare_fresh(list(zip(submitted, cells, bounds, strict=True)), fresh, limits)
+    if comparison is not None:
+        print(wrapped(str(comparison)))
+        if comparison.differs:
+            print("nothing was added: the method does not do on unknown data what it does on public ones")
+            return 1
     facts = {
         **{name: manifest.get(name, "") for name in ("by", "made", "class", "benchmark")},
         "sha256": hashlib.sha256(submission.read_bytes()).hexdigest(),
         "merged": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": drawn,
         **verification.facts(),
+        **(comparison.facts() if comparison else {}),
     }
-    bounds = load_bounds(cells, into.bounds)
     print(add_cells([
         summarised(stored, bound).marked({**facts, "replicates": list(verification.compared.get(stored.identity, ()))})
         for stored, bound in zip(submitted, bounds, strict=True)

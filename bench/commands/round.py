@@ -31,8 +31,10 @@ def new(
 
     Keep the folder of the secret to yourself until the round is over.
     """
+    from secrets import randbits
+
     from bench.rounds.folder import write_round
-    from bench.rounds.secret import new_seed
+    from bench.rounds.secret import SEED_BYTES
 
     hidden = secret or out.with_name(f"{out.name}_secret")
     for field, path in (("out", out), ("secret", hidden)):
@@ -40,7 +42,7 @@ def new(
             raise InputError(field, path, "a folder that does not exist yet")
     if out.resolve() in (hidden.resolve(), *hidden.resolve().parents):
         raise InputError("secret", hidden, f"a folder outside {out}, which is handed out")
-    write_round(out, hidden, new_seed(), scenarios)
+    write_round(out, hidden, randbits(8 * SEED_BYTES), scenarios)
     print(f"{out}: {scenarios} problems; hand it out")
     print(f"{hidden}: seed and truth; keep it to yourself until the round is over")
     return 0
@@ -51,6 +53,8 @@ def solve(
     method: Annotated[str, OneOf(methods), "method, or one of its variants"],
     out: Annotated[Path, "file of predictions, which is written"],
     settings: Annotated[Sequence[str], Others(("method",)), "method.<setting>="],
+    timeout_s: Annotated[float, Within(gt=0, le=1e9), "time limit of one problem (s)"] = 120,
+    memory_mb: Annotated[float, Within(ge=100, le=1e9), "memory limit of one problem (MB)"] = 4096,
 ) -> int:
     """Solve the problems of a round by a method of this project, from the files alone."""
     import sys
@@ -68,14 +72,14 @@ def solve(
         raise InputError("method", method, "a method that needs no truth")
     identifier = make_method(name, content)
     check_file(out)
-    rows, refused = [], 0
-    for problem, answers, reason in solved(round / PROBLEMS, names, identifier):
+    rows, unanswered = [], 0
+    for answers, reason in solved(round / PROBLEMS, names, identifier, timeout_s, memory_mb):
         rows += answers
         if reason:
-            refused += 1
-            print(f"{problem}: {reason}", file=sys.stderr)
+            unanswered += 1
+            print(reason, file=sys.stderr)
     write(out, table(COLUMNS, rows))
-    print(f"{out}: {len(names) - refused} of {len(names)} problems answered by {method}")
+    print(f"{out}: {len(names) - unanswered} of {len(names)} problems answered by {method}")
     return 0
 
 

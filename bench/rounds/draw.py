@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,19 +12,22 @@ from bench.config.drawn import one_mass
 from bench.config.schema import scenario_from
 from bench.contract.problem import Problem
 from bench.errors import InputError
-from bench.information.fisher import Bound, compute_bound
+from bench.information.fisher import compute_bound
 from bench.rounds.secret import SecretScenario, SecretStream, derived_key
 from bench.scenario.scenario import Scenario
-from bench.systems import Quantity
 
+KINDS = ("free decay", "forced", "several masses", "nonlinear", "coloured noise", "drift")
+"""Kinds of problem, equally many of each; the last two are linear with one mass, like the first two."""
+DISTURBANCES = {"coloured noise": ("coloured", 0.3, 0.9), "drift": ("drift", 0.02, 0.2)}
+"""Disturbance of a kind, and the two ends of its size."""
 DIGITS = 9
 """Significant digits of what is drawn: no true value lies on a grid to which an estimate could be rounded."""
 MISJUDGED = 0.4
 """A force is made for a natural frequency that is off by a factor of up to exp(0.4): its band says no more."""
 LARGEST_BOUND = 0.3
 """Bound on the relative error up to which a quantity counts as determined; a problem beyond it is drawn again."""
-PER_CYCLE = 10
-"""Samples in a natural period, at least, of a forced problem, whose force is sampled with the motion."""
+PER_CYCLE, PER_CYCLE_FORCED = 4, 10
+"""Least number of samples in a natural period; where a force acts, it is sampled with the motion."""
 SPREAD = 0.5
 """Mass, damping and stiffness of each link of a chain are off those of one mass by a factor of up to exp(0.5)."""
 
@@ -43,7 +46,7 @@ class DrawnProblem:
 
 
 def draw_round(seed: int, scenarios: int, ranges: Ranges) -> list[DrawnProblem]:
-    """Draw the problems of a round: as many of each of :data:`KINDS` as of the others, in random order.
+    """Draw so many problems, their kinds in random order.
 
     Args:
         seed: Secret, of 256 bits.
@@ -51,8 +54,7 @@ def draw_round(seed: int, scenarios: int, ranges: Ranges) -> list[DrawnProblem]:
         ranges: The two ends of each of :data:`bench.config.drawn.RANGES`.
     """
     order = sorted(range(scenarios), key=lambda i: derived_key(seed, "order", i))
-    kinds = [list(KINDS)[i % len(KINDS)] for i in order]
-    return [_draw(seed, f"P{number:03d}", kind, ranges) for number, kind in enumerate(kinds, 1)]
+    return [_draw(seed, f"P{number:03d}", KINDS[i % len(KINDS)], ranges) for number, i in enumerate(order, 1)]
 
 
 def _draw(seed: int, name: str, kind: str, ranges: Ranges) -> DrawnProblem:
@@ -60,103 +62,81 @@ def _draw(seed: int, name: str, kind: str, ranges: Ranges) -> DrawnProblem:
     attempt = 0
     while True:
         attempt += 1
-        rng = SecretStream(derived_key(seed, name, attempt, "parameters"))
         try:
-            return _with_truth(name, kind, _scenario(kind, name, ranges, rng), derived_key(seed, name, attempt, "data"))
+            rng = SecretStream(derived_key(seed, name, attempt, "parameters"))
+            scenario = draw_scenario(name, kind, ranges, rng)
+            return with_truth(name, kind, scenario, derived_key(seed, name, attempt, "data"), LARGEST_BOUND)
         except InputError:
             continue
 
 
-def _scenario(kind: str, name: str, ranges: Ranges, rng: SecretStream) -> Scenario:
-    """Draw a scenario; raises InputError for one that does not suit its kind."""
+def draw_scenario(name: str, kind: str, ranges: Ranges, rng: SecretStream) -> Scenario:
+    """Draw a scenario of a kind; raises InputError where the one that was drawn does not suit it."""
     drawn = one_mass(name, ranges, rng, DIGITS, MISJUDGED)
     system, p = dict(drawn.system), drawn.system["parameters"]
-    rate, force = math.sqrt(p["k"] / p["m"]), system["force"]
-    if kind in ("free decay", "forced") and (kind == "forced") != (force is not None):
-        raise InputError("kind", kind, "a force, or none")
+    rate, force, start = math.sqrt(p["k"] / p["m"]), system["force"], system["initial"]
+    if (kind == "forced" and not force) or (kind == "free decay" and force):
+        raise InputError("kind", kind, "with a force, or without one")
+    disturbance: Content = {"kind": drawn.disturbance, **({"size": 1.0} if drawn.disturbance == "irregular" else {})}
+    if system["samples"] < (PER_CYCLE_FORCED if force else PER_CYCLE) * system["duration"] * rate / (2 * math.pi):
+        raise InputError("samples", system["samples"], "enough to show motion and force")
+    amplitude = math.hypot(start["displacement"][0], start["velocity"][0] / rate)
     if force:
-        if system["samples"] < PER_CYCLE * system["duration"] * rate / (2 * math.pi):
-            raise InputError("samples", system["samples"], "enough to show the force")
         hold = force["hold"] if force["hold"] == "zero_order" else "linear"
         system["force"] = {**force, "samples": system["samples"], "hold": hold}
-    amplitude = force["amplitude"] / p["k"] if force else math.hypot(
-        system["initial"]["displacement"][0], system["initial"]["velocity"][0] / rate
-    )  # fmt: skip
-    irregular = drawn.disturbance == "irregular" and not force
-    changed = KINDS[kind](system, amplitude, rng)
-    disturbance = changed.pop("disturbance", {"kind": "irregular", "size": 1.0} if irregular else {"kind": "none"})
-    content = {
-        "system": {**system, "dense": 2, **changed},
+        amplitude, disturbance = force["amplitude"] / p["k"], {"kind": "none"}
+    if kind in DISTURBANCES:
+        named, low, high = DISTURBANCES[kind]
+        disturbance = {"kind": named, "size": rng.uniform(low, high)}
+    elif kind == "several masses":
+        system |= _chain(system, amplitude, rng)
+    elif kind == "nonlinear":
+        system |= _nonlinear(p, amplitude, rng)
+    return scenario_from({
+        "system": {**system, "dense": 2},
         "prior": content_of("prior", "none" if force else "nominal"),
         "disturbance": disturbance,
         "snr": drawn.snr,
         "initial_state": drawn.initial_state,
-    }
-    return scenario_from(content)
+    })  # fmt: skip
 
 
-def _with_truth(name: str, kind: str, scenario: Scenario, key: int) -> DrawnProblem:
-    """Make the data of a scenario; raises InputError where they do not determine what is asked for."""
+def with_truth(name: str, kind: str, scenario: Scenario, key: int, largest_bound: float = math.inf) -> DrawnProblem:
+    """Make the data of a scenario by a secret key, and the truth of what is identifiable.
+
+    That is parameters where a force gives the scale, else groups. Raises InputError where a bound is too large, or
+    nothing is identifiable.
+    """
     secret = SecretScenario.of(scenario)
-    bound = compute_bound(secret, key)
-    asked = quantities(secret, bound)
-    if not asked or max(bound.relative_sd[quantity.name] for quantity in asked) > LARGEST_BOUND:
+    system, bound = secret.make_system(), compute_bound(secret, key)
+    quantities = [system.quantity(parameter) for parameter in system.names] if scenario.force else system.groups
+    asked = [quantity for quantity in quantities if bound.identifiable[quantity.name]]
+    if not asked or max(bound.relative_sd[quantity.name] for quantity in asked) > largest_bound:
         raise InputError("scenario", name, "data that determine every quantity")
     problem, truth = secret.maker(key)(0)
     values = {quantity.name: float(quantity.value(truth.parameters)) for quantity in asked}
     return DrawnProblem(name, kind, problem, {q: (value, value * bound.relative_sd[q]) for q, value in values.items()})
 
 
-def quantities(scenario: Scenario, bound: Bound) -> list[Quantity]:
-    """Return the identifiable quantities: parameters where a force gives the scale, else groups."""
-    system = scenario.make_system()
-    asked = [system.quantity(name) for name in system.names] if scenario.force else system.groups
-    return [quantity for quantity in asked if bound.identifiable[quantity.name]]
-
-
-def _unchanged(system: Content, amplitude: float, rng: SecretStream) -> Content:
-    return {}
-
-
-def _coloured(system: Content, amplitude: float, rng: SecretStream) -> Content:
-    return {"disturbance": {"kind": "coloured", "size": rng.uniform(0.3, 0.9)}}
-
-
-def _drift(system: Content, amplitude: float, rng: SecretStream) -> Content:
-    return {"disturbance": {"kind": "drift", "size": rng.uniform(0.02, 0.2)}}
-
-
 def _chain(system: Content, amplitude: float, rng: SecretStream) -> Content:
-    """Return a chain of two or three masses: released from any shape, or driven at its last mass."""
+    """Return what two or three masses change: released from any shape, or driven at the last mass."""
     n, p = rng.choice((2, 3)), system["parameters"]
     rate = math.sqrt(p["k"] / p["m"])
-    changed: Content = {
-        "kind": "chain",
-        "options": {"n": n},
-        "parameters": {
-            f"{key}{i}": p[key] * math.exp(rng.uniform(-SPREAD, SPREAD)) for key in "mck" for i in range(1, n + 1)
-        },
-        "initial": {"displacement": [0.0] * n, "velocity": [0.0] * n},
-    }
-    if system["force"]:
-        return {**changed, "force": {**system["force"], "dof": n - 1}}
-    shape = {"displacement": amplitude * rng.uniform(-1, 1, n), "velocity": amplitude * rate * rng.uniform(-1, 1, n)}
-    return {**changed, "initial": {part: [float(f"{x:.{DIGITS}g}") for x in values] for part, values in shape.items()}}
+    links = [(key, i) for key in "mck" for i in range(1, n + 1)]
+    parameters = {f"{key}{i}": p[key] * math.exp(rng.uniform(-SPREAD, SPREAD)) for key, i in links}
+    size = 0.0 if system["force"] else amplitude
+    start = {"displacement": size * rng.uniform(-1, 1, n), "velocity": size * rate * rng.uniform(-1, 1, n)}
+    initial = {part: [float(f"{value:.{DIGITS}g}") + 0.0 for value in values] for part, values in start.items()}
+    force = system["force"] and {**system["force"], "dof": n - 1}
+    return {"kind": "chain", "options": {"n": n}, "parameters": parameters, "initial": initial, "force": force}
 
 
-def _nonlinear(system: Content, amplitude: float, rng: SecretStream) -> Content:
-    """Return a cubic spring, quadratic damping or a pendulum, its nonlinear part 0.1 to 1 of the linear one, or so."""
-    p, size = system["parameters"], math.exp(rng.uniform(math.log(0.1), 0.0))
+def _nonlinear(p: Mapping[str, float], amplitude: float, rng: SecretStream) -> Content:
+    """Return what a cubic spring, quadratic damping or a pendulum changes, some tenths of the linear force in size."""
+    size = math.exp(rng.uniform(math.log(0.1), 0.0))
     kind, name, value = rng.choice((
         ("duffing", "k3", size * p["k"] / amplitude**2),
         ("quadratic_damping", "c2", size * p["m"] / amplitude),
         ("pendulum", "l", amplitude / (1.5 * math.sqrt(size))),
     ))  # fmt: skip
     return {"kind": kind, "parameters": {**p, name: value}}
-
-
-KINDS: dict[str, Callable[[Content, float, SecretStream], Content]] = {
-    "free decay": _unchanged, "forced": _unchanged, "several masses": _chain, "nonlinear": _nonlinear,
-    "coloured noise": _coloured, "drift": _drift,
-}  # fmt: skip
-"""The kinds of problem, equally many of each, and what each changes of one mass with white noise."""

@@ -27,7 +27,7 @@ from bench.entrants.registry import DISTRIBUTION
 from bench.errors import InputError
 from bench.rounds.draw import DrawnProblem, draw_round
 from bench.rounds.problem_file import problem_files, short_name
-from bench.rounds.secret import BITS
+from bench.rounds.secret import SEED_BYTES
 from bench.store.provenance import commit
 
 FORMAT = 1
@@ -38,49 +38,44 @@ TRUTH_COLUMNS = ("scenario", "quantity", "value", "bound", "kind")
 RULE = "SHA-256 of three lines in hexadecimal: seed, SHA-256 of round.json, SHA-256 of truth.csv; each ends with \\n"
 SAME = 2e-6
 """Relative difference up to which numbers are the same: another processor may round the seventh digit otherwise."""
-NUMBER = re.compile(r"([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)")
 KNOWLEDGE = "a folder that python -m bench round new has written"
+NUMBER = re.compile(r"([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)")
 
 
 def write_round(out: Path, secret: Path, seed: int, scenarios: int) -> None:
-    """Draw a round by a secret seed and write its folder, and the folder of seed and truth."""
+    """Draw a round by a secret seed of 256 bits; write its folder, and the folder of seed and truth."""
     ranges = read_yaml("", "round")
     drawn = draw_round(seed, scenarios, ranges)
     stated = {
         "format": FORMAT, "name": out.name, "date": datetime.now(UTC).date().isoformat(), "scenarios": scenarios,
         "ranges": ranges, "version": version(DISTRIBUTION), **commit(),
     }  # fmt: skip
-    contents = {ROUND: _json(stated), **_public_files(drawn)}
-    truth = truth_file(drawn)
-    readme = Template(files("bench.rounds").joinpath("round_readme.md").read_text(encoding="utf-8"))
-    contents["README.md"] = readme.substitute(name=out.name, scenarios=scenarios)
-    contents[COMMITMENT] = _json({"rule": RULE, "commitment": commitment(seed, contents[ROUND], truth)})
-    (out / PROBLEMS).mkdir(parents=True)
+    public, truth = {ROUND: _json(stated), **_public_files(drawn)}, _truth_file(drawn)
+    public[COMMITMENT] = _json({"rule": RULE, "commitment": commitment(seed, public[ROUND], truth)})
+    readme = files("bench.rounds").joinpath("round_readme.md").read_text(encoding="utf-8")
+    public["README.md"] = Template(readme).substitute(name=out.name, scenarios=scenarios)
     secret.mkdir(mode=0o700, parents=True)
-    for folder, texts in ((secret, {SECRET: _json({"seed": _hex(seed)}), TRUTH: truth}), (out, contents)):
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    (out / PROBLEMS).mkdir(parents=True)
+    _write(secret, {SECRET: _json({"seed": _hex(seed)}), TRUTH: truth})
+    _write(out, public)
 
 
 def _public_files(drawn: Iterable[DrawnProblem]) -> dict[str, str]:
     """Return problems and template by their place in the folder of the round."""
     contents: dict[str, str] = {}
-    rows: list[tuple[str, ...]] = []
     for problem in drawn:
         pair = problem_files(problem.name, problem.problem, list(problem.truth))
         contents |= {f"{PROBLEMS}/{name}": text for name, text in pair.items()}
-        rows += [(problem.name, short_name(quantity), "", "", "", "") for quantity in problem.truth]
+    rows = [(problem.name, short_name(quantity), "", "", "", "") for problem in drawn for quantity in problem.truth]
     return {**contents, TEMPLATE: table(COLUMNS, rows)}
 
 
-def truth_file(drawn: Iterable[DrawnProblem]) -> str:
+def _truth_file(drawn: Iterable[DrawnProblem]) -> str:
     """Return the truth as CSV: the value of each quantity and its bound, a standard deviation in the same unit."""
-    rows = [
+    return table(TRUTH_COLUMNS, [
         (problem.name, short_name(quantity), f"{value:.10g}", f"{bound:.7g}", problem.kind)
-        for problem in drawn
-        for quantity, (value, bound) in problem.truth.items()
-    ]
-    return table(TRUTH_COLUMNS, rows)
+        for problem in drawn for quantity, (value, bound) in problem.truth.items()
+    ])  # fmt: skip
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -92,7 +87,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def commitment(seed: int, round_file: str, truth: str) -> str:
     """Return the commitment to a seed and two files, by :data:`RULE`."""
-    return _sha256("".join(f"{line}\n" for line in (_hex(seed), _sha256(round_file), _sha256(truth))))
+    return _sha256(f"{_hex(seed)}\n{_sha256(round_file)}\n{_sha256(truth)}\n")
 
 
 @dataclass(frozen=True)
@@ -109,17 +104,18 @@ def read_secret(folder: Path, secret: Path | None = None) -> OpenedRound:
 
     Raises InputError where the folders hold no round, or the secret is not the one that the round is committed to.
     """
-    stated, committed = read_text(folder, ROUND), read_json(folder, COMMITMENT)
-    if secret is None and not (folder / OPENED).exists():
-        raise InputError("secret", "", f"the folder with {SECRET}: {folder} is not opened yet")
+    if not secret and not (folder / OPENED).is_file() and (folder / ROUND).is_file():
+        raise InputError("secret", "", f"needed while {folder} is not opened: the folder of its seed and truth")
+    field, place, name = ("secret", secret, SECRET) if secret else ("round", folder, OPENED)
+    stated, promised = _read(folder, ROUND, "round"), _read(folder, COMMITMENT, "round")
+    seed, truth = _read(place, name, field), _read(place, TRUTH, field)
     try:
-        key = read_json(secret, SECRET) if secret else read_json(folder, OPENED)
-        opened = OpenedRound(json.loads(stated), int(key["seed"], 16), read_text(secret or folder, TRUTH))
-        promised = committed["commitment"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise error if isinstance(error, InputError) else InputError("round", folder, KNOWLEDGE) from None
-    if not 0 <= opened.seed < 2**BITS or commitment(opened.seed, stated, opened.truth) != promised:
-        raise InputError("secret" if secret else "round", secret or folder, f"not the seed and truth of {COMMITMENT}")
+        opened = OpenedRound(json.loads(stated), int(json.loads(seed)["seed"], 16), truth)
+        kept = commitment(opened.seed, stated, truth) == json.loads(promised)["commitment"]
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise InputError("round", folder, "its files are damaged; get them again") from None
+    if not kept:
+        raise InputError(field, place, f"its seed and truth are not those of {folder / COMMITMENT}")
     return opened
 
 
@@ -128,8 +124,7 @@ def open_round(folder: Path, secret: Path) -> None:
     opened = read_secret(folder, secret)
     if (secret / METHODS).is_dir():
         shutil.copytree(secret / METHODS, folder / METHODS, dirs_exist_ok=True)
-    (folder / TRUTH).write_text(opened.truth, encoding="utf-8", newline="\n")
-    (folder / OPENED).write_text(_json({"seed": _hex(opened.seed)}), encoding="utf-8", newline="\n")
+    _write(folder, {TRUTH: opened.truth, OPENED: _json({"seed": _hex(opened.seed)})})
 
 
 def verify_round(folder: Path, secret: Path | None = None) -> list[str]:
@@ -139,42 +134,44 @@ def verify_round(folder: Path, secret: Path | None = None) -> list[str]:
     """
     opened = read_secret(folder, secret)
     drawn = draw_round(opened.seed, opened.stated["scenarios"], opened.stated["ranges"])
-    expected = {**_public_files(drawn), TRUTH: truth_file(drawn)}
-    differences = []
-    for name, text in expected.items():
-        place = secret if secret and name == TRUTH else folder
-        if not (place / name).is_file():
-            differences.append(f"{name} is missing")
-        elif not _same((place / name).read_text(encoding="utf-8"), text):
-            differences.append(f"{name} differs from what the seed gives")
-    known = {folder / name for name in expected}
-    extra = sorted(path.name for path in (folder / PROBLEMS).iterdir() if path not in known)
-    return differences + [f"{PROBLEMS}/{name} is no file of the round" for name in extra]
+    expected = _public_files(drawn)
+    present = {f"{PROBLEMS}/{path.name}" for path in (folder / PROBLEMS).glob("*")} | {TEMPLATE}
+    differences = [] if _same(opened.truth, _truth_file(drawn)) else [f"{TRUTH} differs from what the seed gives"]
+    differences += [f"{name} is missing" for name in sorted(expected.keys() - present)]
+    differences += [f"{name} is no file of the round" for name in sorted(present - expected.keys())]
+    differences += [
+        f"{name} differs from what the seed gives" for name in sorted(expected.keys() & present)
+        if not _same(_read(folder, name, "round"), expected[name])
+    ]  # fmt: skip
+    return differences
 
 
 def problem_names(folder: Path) -> list[str]:
     """Return the names of the problems of a round; raises InputError where there is none."""
     names = sorted(path.stem for path in (folder / PROBLEMS).glob("*.json"))
     if not names:
-        raise InputError("round", folder, KNOWLEDGE)
+        raise InputError("round", folder, f"no {PROBLEMS} are there; name {KNOWLEDGE}")
     return names
 
 
-def read_text(folder: Path, name: str) -> str:
-    """Return the text of a file of a round; raises InputError where it cannot be read."""
+def _read(folder: Path | None, name: str, field: str) -> str:
     try:
-        return (folder / name).read_bytes().decode("utf-8")
+        return Path(folder or "", name).read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError):
-        field = "secret" if name == SECRET else "round"
-        raise InputError(field, folder, f"no {name} can be read there; {KNOWLEDGE}") from None
+        raise InputError(field, folder, f"no {name} can be read there; name {KNOWLEDGE}") from None
 
 
 def read_json(folder: Path, name: str) -> Any:
     """Return the content of a JSON file of a round; raises InputError where it is none."""
     try:
-        return json.loads(read_text(folder, name))
-    except json.JSONDecodeError:
-        raise InputError("round", folder / name, "damaged: no JSON") from None
+        return json.loads(_read(folder, name, "round"))
+    except ValueError:
+        raise InputError("round", folder / name, "damaged; get it again") from None
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    for name, text in contents.items():
+        (folder / name).write_bytes(text.encode())
 
 
 def _same(text: str, other: str) -> bool:
@@ -187,7 +184,7 @@ def _same(text: str, other: str) -> bool:
 
 
 def _hex(seed: int) -> str:
-    return f"{seed:0{BITS // 4}x}"
+    return f"{seed:0{2 * SEED_BYTES}x}"
 
 
 def _sha256(text: str) -> str:

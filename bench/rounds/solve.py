@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,34 +12,52 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
 from bench.isolation.failure import one_line
+from bench.isolation.processes import Died
+from bench.records.workers import Workers
 from bench.rounds.problem_file import read_problem, short_name
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
 
 LEVEL = 0.95
-Row = tuple[str, str, str, str, str, str]
+Rows = list[tuple[str, ...]]
 
 
-def solve(folder: Path, names: Iterable[str], method: Identifier) -> Iterator[tuple[str, list[Row], str]]:
-    """Yield the rows of predictions of each problem, and why there is no answer where there is none.
+def solve(
+    folder: Path, names: Sequence[str], method: Identifier, timeout_s: float, memory_mb: float
+) -> Iterator[tuple[Rows, str]]:
+    """Yield the rows of predictions of each problem, and the reason where there is no answer, within limits of a fit."""
+    asked = [read_problem(folder, name)[1] for name in names]
+    with Workers((__name__,)) as workers:
+        answers = [
+            workers.submit(timeout_s, solve_problem, folder, name, method, number, memory_mb=memory_mb)
+            for number, name in enumerate(names)
+        ]
+        for name, quantities, future in zip(names, asked, answers, strict=True):
+            try:
+                yield future.result()
+            except Died as died:
+                rows: Rows = [(name, short_name(quantity), "", "", "", "") for quantity in quantities]
+                yield rows, f"{name}: {died.reason}, {died.message}"
 
-    A method's random streams are those of public seeds, so they have nothing in common with those of the data.
-    """
-    for number, name in enumerate(names):
-        problem, asked = read_problem(folder, name)
-        began = time.perf_counter()
-        estimate = answer(method, problem, number)
-        seconds = f"{time.perf_counter() - began:.3g}"
-        rows = [(name, short_name(quantity), *_numbers(estimate, quantity), seconds) for quantity in asked]
-        yield name, rows, "" if estimate.status is Status.OK else f"{estimate.status}: {estimate.message}"
+
+def solve_problem(folder: Path, name: str, method: Identifier, seed: int) -> tuple[Rows, str]:
+    """Return the rows of one problem, and the reason where there is no answer."""
+    problem, asked = read_problem(folder, name)
+    began = time.perf_counter()
+    estimate = answer(method, problem, seed)
+    seconds = f"{time.perf_counter() - began:.3g}"
+    rows: Rows = [(name, short_name(quantity), *_numbers(estimate, quantity), seconds) for quantity in asked]
+    return rows, "" if estimate.status is Status.OK else f"{name}: {estimate.status}, {estimate.message}"
 
 
 def answer(method: Identifier, problem: Problem, seed: int) -> Estimate:
-    """Return the answer of a method, combined with the prior; a fault of the method is a failure, too."""
+    """Return what a method answers, combined with the prior; whatever it raises is a failure of this problem.
+
+    Its random stream is that of a public seed, which has nothing in common with those of the data.
+    """
     try:
-        estimate = method.identify(problem, anonymous_stream(seed)).checked()
-        return combine_with_prior(estimate, problem.prior)
-    except Exception as error:  # whatever a method raises
+        return combine_with_prior(method.identify(problem, anonymous_stream(seed)).checked(), problem.prior)
+    except Exception as error:
         return Estimate.failed(problem.system, Status.CRASHED, one_line(error))
 
 
@@ -49,6 +67,6 @@ def _numbers(estimate: Estimate, quantity: str) -> tuple[str, str, str]:
     if marginal is None or not np.isfinite(marginal.value):
         return "", "", ""
     pieces = marginal.intervals(LEVEL) if marginal.ppf is not None else []
-    ends = [min(low for low, _ in pieces), max(high for _, high in pieces)] if pieces else []
-    low, high = (f"{end:.9g}" for end in ends) if ends and np.all(np.isfinite(ends)) else ("", "")
+    ends = [f"{end(bounds):.9g}" for end, bounds in zip((min, max), zip(*pieces, strict=True), strict=False)]
+    low, high = ends if pieces and np.all(np.isfinite(pieces)) else ("", "")
     return f"{marginal.value:.9g}", low, high
