@@ -216,5 +216,5 @@ def six(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     from bench.rounds.folder import write_round
 
     place = tmp_path_factory.mktemp("rounds")
-    write_round(place / "six", place / "six_secret", 2**255 + 3, 6)
+    write_round(place / "six", place / "six_secret", 2**255 + 7, 6)
     return place / "six", place / "six_secret"

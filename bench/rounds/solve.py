@@ -25,7 +25,7 @@ Rows = list[tuple[str, ...]]
 def solve(
     folder: Path, names: Sequence[str], method: Identifier, timeout_s: float, memory_mb: float
 ) -> Iterator[tuple[Rows, str]]:
-    """Yield the rows of predictions of each problem, and the reason where there is no answer, within limits of a fit."""
+    """Yield the rows of each problem, and the reason where there is no answer; each within the limits of a fit."""
     asked = [read_problem(folder, name)[1] for name in names]
     with Workers((__name__,)) as workers:
         answers = [
