@@ -340,7 +340,7 @@ class Frame:
         return f"python -m bench -m experiment={self.experiment} && python -m bench tables"
 
     @property
-    def origin(self) -> str:
+    def footer(self) -> str:
         """The last line of its page: when the fits were computed, and what makes the table again."""
         return f"{computed(self)}Regenerate: `{self.command}`"
 

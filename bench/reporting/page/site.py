@@ -177,6 +177,7 @@ def method_values(site: Site, label: str) -> dict[str, Any]:
         "method": described(label), "title": title(label), "address": urlencode({"Method": title(label)}),
         "places": [(one, row) for one in rankings for row in one.ranking if unmarked(row.label) == label],
         "verification": next((result.verification for result in stored if result.verification), ""),
+        "computed": computed(stored),
     }  # fmt: skip
 
 

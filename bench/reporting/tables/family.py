@@ -163,7 +163,7 @@ def family_table(frame: Frame) -> Mapping[str, str]:
     parts: list[str | Rows] = [
         f"# {frame.title}",
         _legend(family),
-        frame.origin,
+        frame.footer,
         *(part for section in family.sections for part in _section(family, section)),
         *_combinations(family),
         f"## Sources\n\n{_sources(family)}",

@@ -69,7 +69,7 @@ def leaderboard(frame: Frame) -> Mapping[str, str]:
     verifications = {result.title: result.verification for result in frame if result.verification}
     shown += [f"Errors are {below(too_good)}." if too_good else ""]
     shown += ["\n".join(f"- {name}: {said}" for name, said in verifications.items())]
-    return files("leaderboard", [*shown, frame.origin], data, COLUMNS, 5)
+    return files("leaderboard", [*shown, frame.footer], data, COLUMNS, 5)
 
 
 TIER: Columns[Line] = {"tier": lambda line: str(line["tier"])}

@@ -120,7 +120,7 @@ class TableForm:
             captioned.append((f"{frame.title}. {heading}", shown[0][1]))
             parts += [f"## {heading}", *(part for both in shown if any(both[1]) for part in both), *self.notes(members)]
         noted = [] if any(self.notes(lines)) else [failure_notes(frame)]
-        parts += [*noted, frame.origin]
+        parts += [*noted, frame.footer]
         latex = captioned if self.latex else ()
         return files(frame.name, parts, filter(self.in_csv, lines), self.columns, self.digits, latex)
 

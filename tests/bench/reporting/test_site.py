@@ -236,9 +236,11 @@ def test_what_is_missing_of_an_experiment_is_counted(monkeypatch: pytest.MonkeyP
     assert expected in origin.experiments(cells)
 
 
-def test_what_the_data_do_not_tell_is_said(cells: Cells) -> None:
+def test_what_the_data_do_not_tell_is_said_and_when_it_was_computed(cells: Cells) -> None:
     site = made(cells(stored("ls"), stored("mcmc")))
     said = text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
+    assert "Computed 2026-01-01. Reproduce with" in said
+    assert "Computed 2026-01-01. Reproduce with" in text_of(site / "methods" / "ls.html")
     said = said[said.index("What can be found here") :]
     assert re.search(r"m no 100 % c no 25 % k no 95 % k/m yes 0.1 % c/m yes 0.1 %", said)
 
