@@ -118,6 +118,10 @@ def _header(line: str, separator: str, where: str) -> list[str]:
     names = [name.strip().strip('"').lower() for name in line.split(separator)]
     if not set(names) & set(COLUMNS):
         raise InputError(where, line, f"no names of columns; the first line is {HEADER}")
+    if not names[0]:
+        raise InputError(
+            where, line, "a column without a name; no row numbers (pandas: index=False, R: row.names=FALSE)"
+        )
     for name in filter(None, names):  # a spreadsheet may write empty columns at the end
         check_name(where, name, COLUMNS)
         if names.count(name) > 1:

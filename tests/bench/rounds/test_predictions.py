@@ -92,6 +92,7 @@ MALFORMED: dict[str, tuple[str | bytes, str, str]] = {
     "a column misspelt": (GOOD.replace("high", "hihg", 1), "@1, header=hihg", "did you mean high?"),
     "an extra column": (GOOD.replace("seconds", "seconds,remark"), "@1, header=remark", "one of scenario"),
     "a column twice": (GOOD.replace("low", "high", 1), "@1, header=high", "twice"),
+    "row numbers of R": (changed(1, f'"",{HEADER}'), '@1, header="",', "row.names=FALSE"),
     "no column of values": ("scenario,quantity\nP001,k/m", "@1, header=scenario", "no column value"),
     "low alone in the header": ("scenario,quantity,value,low\nP001,k/m,8,7", "@1, header=", "no column high"),
     "separators mixed": (changed(3, ROWS[1].replace(",", ";")), "@3, row=P001;c/m", "1 columns, the header names 6"),
