@@ -127,11 +127,10 @@ def test_errors_too_small_for_chance_are_called_so(truth: pd.DataFrame) -> None:
 
 
 @pytest.fixture(scope="module")
-def round_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def round_folder(six: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A round of one problem of each kind, solved from its files by shooting and by the matrix pencil."""
-    folder = tmp_path_factory.mktemp("rounds") / "r"
-    secret = folder.with_name("r_secret")
-    write_round(folder, secret, 2**200 + 17, 6)
+    folder = shutil.copytree(six[0], tmp_path_factory.mktemp("rounds") / "r")
+    secret = shutil.copytree(six[1], folder.with_name("r_secret"))
     for method in ("shooting", "matrix_pencil"):
         assert (
             main(["round", "solve", str(folder), f"method={method}", f"out={secret / 'methods' / f'{method}.csv'}"])
@@ -190,7 +189,7 @@ def test_a_name_that_is_taken_and_a_secret_of_another_round_are_refused(
     assert main(["score", str(mine), f"round={round_folder}", f"secret={round_folder}_secret"]) == 2
     assert "name=shooting: " in capsys.readouterr().err
     other = tmp_path / "other_secret"
-    write_round(tmp_path / "other", other, 3, 6)
+    write_round(tmp_path / "other", other, 3, 1)
     assert (
         main(["score", str(mine), f"round={round_folder}", f"secret={other}", "name=a", f"out={tmp_path / 'o'}"]) == 2
     )
