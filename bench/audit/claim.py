@@ -41,7 +41,8 @@ class ClaimPart(BaseModel):
         known = [field.alias or name for name, field in cls.model_fields.items()]
         for name in values if isinstance(values, Mapping) else ():
             if name not in known:
-                raise ValueError(f"no field {name}; {did_you_mean(name, known)}there are {', '.join(known)}")
+                near = did_you_mean(name, known)
+                raise InputError(str(name), values[name], f"no such field; {near}there are {', '.join(known)}")
         return values
 
 
@@ -229,7 +230,8 @@ def read_claim(name: str, content: Mapping[str, Any], folder: Path) -> StatedCla
             }
             situations[case, reading] = _situation(claim.equation, validated(Setting, whole, paths), folder)
     for i, row in enumerate(claim.reported):
-        check_name(f"reported.{i}.case", row.case, ["", *claim.cases])
+        if row.case:
+            check_name(f"reported.{i}.case", row.case, claim.cases)
         _check_reported(f"reported.{i}", row, situations[row.case, ""])
     return StatedClaim(name, claim, situations)
 

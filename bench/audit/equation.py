@@ -88,6 +88,9 @@ class EquationSystem(System):
         for symbol in symbols:
             if symbol in (*FUNCTIONS, *motion) or not symbol.isidentifier():
                 raise InputError("parameters", symbol, "a name that no motion, force or function has")
+        for acceleration in motion[2 * n : 3 * n]:
+            if not re.search(rf"\b{acceleration}\b", " ".join(texts)):
+                raise InputError("equation", "; ".join(self.equations), f"{acceleration.replace('a', 'x')}'' is wanted")
         laws = [expression(text, [*motion, *symbols], "equation", OF_EQUATIONS) for text in texts]
         object.__setattr__(self, "_laws", (laws, motion))
         rng = np.random.default_rng(0)

@@ -22,8 +22,8 @@ from bench.information.structural import structure
 from bench.scoring.verdict import DECIDED_BY_PRIOR
 from bench.systems import Quantity
 
-RARE_SMALL, RARE_LARGE = 0.01, 0.05
-"""Shares of an efficient estimator's scores below which a smaller, or a larger, reported score is outside."""
+RARE = 0.01
+"""The share of an efficient estimator's scores below which a smaller, or a larger, reported score is outside."""
 DISAGREES = 1e-3
 """A chance below which samples contradict the stated equation, and a part of the largest value for a solution."""
 SIMULATED, MOST_SIMULATED, DENSE, STEP = 100_000, 10_000_000, 1000, 1e-5
@@ -156,7 +156,7 @@ def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
     scores = _scores(row, spread, truth)
     smaller, larger = np.mean(scores <= score + row.half_digit), np.mean(scores >= score - row.half_digit)
     share = 0.0 if row.quantity == "x" else evidence.information.prior_share(evidence.quantity(row.quantity))
-    verdict: Verdict = "smaller" if smaller < RARE_SMALL else "larger" if larger < RARE_LARGE else "within"
+    verdict: Verdict = "smaller" if smaller < RARE else "larger" if larger < RARE else "within"
     verdict = "no number" if row.value is None else "prior" if share > DECIDED_BY_PRIOR else verdict
     low, median, high = np.quantile(scores, [0.025, 0.5, 0.975]).tolist()
     guess = situation.setting.given.starting_value.get(row.quantity)
@@ -268,11 +268,6 @@ class Audit:
         return ", ".join(
             f"{f.reading}: {f.verdict} (bound {f.bound:.3g})" for f in other if f.verdict != finding.verdict
         )
-
-
-def decided(rivals: tuple[AuditFinding, ...]) -> bool:
-    """Return whether the farthest is outside an efficient estimator's range, and the nearest is not."""
-    return rivals[-1].verdict == "larger" and rivals[0].verdict != "larger"
 
 
 def audit(stated: StatedClaim) -> Audit:

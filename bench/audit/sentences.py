@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from bench.audit.evidence import Audit, AuditFinding, Consistency, decided
+from bench.audit.evidence import Audit, AuditFinding, Consistency
 
 ERRORS = {"value": "error", "percent error": "error in %", "absolute error": "error", "rmse": "root mean square error"}
 VERDICTS = {
-    "within": "one that an efficient estimator has in more than 5 % of draws, this large or larger",
-    "larger": "this large or larger in fewer than 5 % of an efficient estimator's draws",
-    "smaller": "this small or smaller in fewer than 1 % of an efficient estimator's draws",
+    "within": "an error as an efficient estimator has it",
+    "larger": "an efficient estimator has so large an error in fewer than 1 % of draws",
+    "smaller": "an efficient estimator has so small an error in fewer than 1 % of draws",
     "prior": "more than half of the bound's variance is the prior's, which is what the number tells of",
     "not identifiable": "the data do not determine the quantity",
     "bias only": "the data have no noise, so that the error is bias",
     "nothing unknown": "the quantity follows from what was known",
-    "no number": "none is reported; the bound is stated",
+    "no number": "none is stated here; the bound is",
 }
 """Each verdict with its meaning."""
 FIRST_ORDER = 0.2
@@ -37,7 +37,7 @@ def reported(finding: AuditFinding) -> str:
     """Write a number as it was reported."""
     row = finding.row
     if row.value is None:
-        return "not reported"
+        return "no number"
     many = f" (mean of {row.draws} draws)" if row.draws > 1 else ""
     return f"{'' if row.form == 'value' else row.form + ' '}{row.value:.6g}{many}"
 
@@ -106,15 +106,18 @@ def agreement(case: str, found: Consistency) -> str:
 
 
 def compared(rivals: tuple[AuditFinding, ...]) -> str:
-    """Say whether a comparison of methods is decided."""
-    first, last = rivals[0], rivals[-1]
-    names = ", ".join(dict.fromkeys(finding.row.method for finding in rivals))
-    where = f"{first.row.quantity}, {first.row.case}" if first.row.case else first.row.quantity
-    open_ = f"{'one draw does' if first.row.draws == 1 else 'these draws do'} not decide which is nearer to the truth"
-    outside = f"{last.row.method} is outside an efficient estimator's range, and {first.row.method} is not"
-    gap = f"{(last.score - first.score) / first.bound:.2g} bounds"
-    unit = f"{gap} apart" if first.row.form != "percent error" else "apart"
-    return f"{names}, {where}: {unit}; {outside if decided(rivals) else open_}"
+    """Say between which methods the draws do not decide, and which are outside an efficient estimator's range."""
+    row = rivals[0].row
+    within, outside = (
+        " and ".join(dict.fromkeys(f"'{f.row.method}'" for f in rivals if (f.verdict == "larger") == large))
+        for large in (False, True)
+    )
+    where = ", ".join(filter(None, [row.quantity, row.case, row.place]))
+    if not within:
+        return f"{where}: {outside} are outside an efficient estimator's range, so that not the noise orders them"
+    draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
+    open_ = f"{draws} not decide which is nearer to the truth, {within}" if " and " in within else f"{within} is within"
+    return f"{where}: {open_}{f'; outside an efficient range: {outside}' if outside else ''}"
 
 
 def summary(audit: Audit) -> str:

@@ -12,7 +12,8 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 
 from bench.audit.claim import read_claim
-from bench.audit.evidence import Audit, audit, decided
+from bench.audit.evidence import Audit, audit
+from bench.audit.sentences import compared
 
 KNOWN, UNKNOWN = ({"displacement": 1.0, "velocity": 0.0, "known": known} for known in (True, False))
 FREE: dict[str, Any] = {
@@ -59,7 +60,8 @@ def test_twenty_random_times() -> None:
     assert [f.bound for f in found.findings[:2]] == pytest.approx(expected[:2], rel=1e-6)
     assert expected[:2] == pytest.approx([0.308, 8.73], rel=2e-3)
     assert [f.verdict for f in found.findings] == ["within"] * 4
-    assert [decided(rivals) for rivals in found.rivals] == [False, False]
+    undecided = "one draw does not decide which is nearer to the truth, 'PINN' and 'least squares'"
+    assert list(map(compared, found.rivals)) == [f"mu: {undecided}", f"k: {undecided}"]
     # the chance of an error at least so large, from the normal distribution, the last digit printed allowed for
     chance = 2 * stats.norm.sf((0.1253 - 0.00005) / expected[0])
     assert found.findings[2].larger == pytest.approx(chance, abs=0.005)  # three standard errors of 100,000 draws
@@ -191,6 +193,26 @@ def test_a_least_squares_fit_scores_as_an_efficient_estimator() -> None:
 def test_where_a_number_falls(value: float, verdict: str) -> None:
     """The bound is 0.032. As 0.4 is printed, it may be off by 0.05, but 0.4000004 is nearer than one draw in 100."""
     assert audited(reported=[{"method": "fit", "quantity": "c", "value": value}]).findings[0].verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (
+            (0.41, 0.42, 0.9),
+            "c: one draw does not decide which is nearer to the truth, 'a' and 'b'; outside an efficient range: 'd'",
+        ),
+        ((0.41, 0.8, 0.9), "c: 'a' is within; outside an efficient range: 'b' and 'd'"),
+        (
+            (0.7, 0.8, 0.9),
+            "c: 'a' and 'b' and 'd' are outside an efficient estimator's range, so that not the noise orders them",
+        ),
+    ],
+)
+def test_which_comparisons_one_draw_decides(values: Sequence[float], said: str) -> None:
+    """The bound is 0.032."""
+    rows = [{"method": name, "quantity": "c", "value": value} for name, value in zip("abd", values, strict=True)]
+    assert [compared(rivals) for rivals in audited(reported=rows).rivals] == [said]
 
 
 def test_what_free_vibration_does_not_determine() -> None:
