@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import damaged
+from conftest import Python, damaged, install
 from stored import described, recorded, save, scored
 
 from bench.commands.main import main
@@ -22,7 +23,7 @@ from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.registry import load_method
 from bench.errors import InputError
-from bench.exchange import merging
+from bench.exchange import fresh, merging
 from bench.exchange.merging import draw
 from bench.exchange.submission import MANIFEST, pack, unpack
 from bench.scenario.scenario import Scenario
@@ -204,7 +205,8 @@ def merge(into: Store, capsys: pytest.CaptureFixture[str]) -> Merge:
 
     def run(source: Path, *words: str) -> tuple[int, str]:
         capsys.readouterr()
-        end = main(["share", "action=merge", f"submission={source}", f"store={into.folder}", "workers=1", *words])
+        fields = [f"submission={source}", f"store={into.folder}", "workers=1", "fresh=0"]
+        end = main(["share", "action=merge", *fields, *words])
         return end, "".join(capsys.readouterr())
 
     return run
@@ -272,6 +274,34 @@ def test_ones_own_cell_is_not_replaced_by_a_submitted_one_but_replaces_it(
     assert not any(stored.submitted for stored in into)
     assert "0 cells added, 0 in the place of others, 2 kept" in merge(path)[1]
     assert not any(stored.submitted for stored in into)
+
+
+@pytest.mark.parametrize(("method", "status", "words"), [
+    ("enumerate", 1, "they differ"), pytest.param("ls", 0, "they agree", marks=pytest.mark.slow),
+])  # fmt: skip
+def test_a_method_that_knows_public_data_is_found_on_fresh_ones(
+    method: str, status: int, words: str, python: Python, tmp_path: Path
+) -> None:
+    """It makes public data again and answers with their truth, and so it does where rows are recomputed."""
+    env = install(tmp_path / "site", "double", "[bench.methods]\nenumerate = misbehaving:Enumerate\n")
+    env["PYTHONPATH"] += f"{os.pathsep}{Path(__file__).parents[2]}"
+
+    def run(*fields: str) -> tuple[int, str]:
+        done = python("-m", "bench", *fields, env=env)
+        return done.returncode, " ".join(f"{done.stdout} {done.stderr}".split())
+
+    assert run(f"method={method}", "replicates=12", "store=rows")[0] == 0
+    assert run("share", "action=submit", f"method={method}", "store=rows")[0] == 0
+    end, shown = run("share", "action=merge", f"submission={method}.submission", "store=into", "fresh=16")
+    assert (end, words in shown) == (status, True), shown
+    assert "5 of 12 rows computed again, and all come out the same" in shown
+    assert "16 problems of a secret seed" in shown
+
+
+def test_fresh_errors_are_compared_by_ranks() -> None:
+    """A failure is an infinite error; the mean logarithm of 10 and 0.1 bounds is that of one."""
+    assert fresh._mean_log([(0.1, 0.01), (-0.001, 0.01)]) == pytest.approx(0.0, abs=1e-12)
+    assert fresh._mean_log([(math.nan, 0.01)]) == math.inf
 
 
 def filled(folder: Path, *labels: str) -> Store:
