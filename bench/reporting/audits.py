@@ -30,9 +30,10 @@ COLUMNS: Columns[AuditFinding] = {
     "case": lambda f: ", ".join(filter(None, [f.row.case, f.row.place])) or MISSING,
     "reported": reported,
     "error": lambda f: off(f) if f.score >= 0 else MISSING,
-    "bound": lambda f: number(f.bound) if f.bound else MISSING,
+    "bound": lambda f: number(f.bound) if 0 < f.bound < float("inf") else MISSING,
     "efficient: median (95 %)": lambda f: f"{f.median:.2g} ({f.low:.2g} to {f.high:.2g})" if f.low >= 0 else MISSING,
     "as large": lambda f: percentage(f.larger) if f.larger >= 0 else MISSING,
+    "stated sd": lambda f: f"{f.sd_ratio:.2g} bounds" if f.sd_ratio else MISSING,
     "verdict": lambda f: f.verdict,
 }
 OVERVIEW: Columns[Audit] = {

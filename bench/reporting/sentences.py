@@ -439,9 +439,26 @@ def measured(r: Published, f: Facts) -> None:
     f.hold(below_every_recurrent_network=ours < networks, a_linear_input_is_worse=lines > ours)
 
 
+def audits(r: Published, f: Facts) -> None:
+    """Audits of claims under the reading of their file, the paper's apart: what an error in per cent is worth."""
+    lines = r.table("audits.csv")
+    lines = lines[lines.reading.isna() & (lines.claim != "karkadakattil2026")].set_index("verdict")
+    parts = 100 * lines.score / lines.truth.abs()
+    single = {name: lines[lines.claim == name].sd_ratio for name in ("dixit2020_pendulum", "gerend2025")}
+    f.say(audited=len(lines), audited_claims=lines.claim.nunique(), audited_exact=len(lines.loc["bias only"]))
+    f.say(audited_within=len(lines.loc["within"]), audited_larger=len(lines.loc["larger"]))
+    f.say(wide_posterior=single["dixit2020_pendulum"], audited_far=(lines.score / lines.bound)["larger"].ge(10).sum())
+    f.say(".1f", good_posterior=single["gerend2025"], wide_within=parts["within"].max())
+    f.say(".2f", narrow_larger=parts["larger"].min(), near_undetermined=parts["not identifiable"].min())
+    f.hold(
+        per_cent_alone_decides_nothing=parts["larger"].min() < 0.1 * parts["within"].max(),
+        a_number_may_be_right_that_data_do_not_determine=parts["not identifiable"].min() < 0.1,
+    )
+
+
 TOPICS = (
     overview, free_decay, free_decay_others, open_split, systems, systems_ends, pinn,
-    pinn_family, atlas, broken, wrong_models, online, measured,
+    pinn_family, atlas, broken, wrong_models, online, measured, audits,
 )  # fmt: skip
 
 
