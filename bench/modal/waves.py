@@ -72,11 +72,12 @@ class WaveFit(PoleFit):
 
     @cached_property
     def waves(self) -> np.ndarray:
-        """``exp(pole t)``, shape (m, n)."""
+        """``exp(pole t)`` (m, n), 1 at first."""
         exponents = self.poles[:, None] * self.times
         if self.bent is not None:
             exponents[self.bent] += self.bends @ self.curves
-        return np.exp(np.minimum(exponents.real, MOST_GROWTH) + 1j * exponents.imag)
+        waves = np.exp(np.minimum(exponents.real, MOST_GROWTH) + 1j * exponents.imag)
+        return np.asarray(waves / waves[:, :1])
 
     @cached_property
     def basis(self) -> np.ndarray:
@@ -87,7 +88,7 @@ class WaveFit(PoleFit):
         waves = self.residues[0, :, :, None] * self.waves
         moving = waves * self.times
         if self.bent is not None:
-            moving = np.concatenate([moving, waves[:, self.bent, None] * self.curves], axis=1)
+            moving = np.concatenate([moving, waves[:, self.bent, None] * (self.curves - self.curves[:, :1])], axis=1)
         return np.concatenate([moving.real, -moving.imag], axis=1)[None]
 
     @property
@@ -161,16 +162,14 @@ class WaveFit(PoleFit):
 
         Where frequency and damping change a little with the amplitude ``a = exp(-rate t)``, averaging gives terms of
         the exponent in powers of it (A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, section 2.3).
-        They are taken about their line of least squares, so that the pole stays that of the mean, and are zero at
-        first, so that the shape is the amplitude there.
+        They are taken about their line of least squares, so that the pole stays that of the mean.
         """
         size = np.sum(np.linalg.norm(self.residues[0, :, :, None] * self.waves, axis=2), axis=0)
         bent = int(np.argmax(size))
         decays = np.minimum(max(-self.poles[bent].real, 1.0 / self.times[-1]) * self.times, MOST_GROWTH * 2)
         curves = [np.exp(-power * decays) for power in POWERS]
         lines = [np.polynomial.Polynomial.fit(self.times, curve, 1, w=np.exp(-decays))(self.times) for curve in curves]
-        bending = np.array(curves) - lines
-        return replace(self, bent=bent, bends=np.zeros(len(POWERS), complex), curves=bending - bending[:, :1])
+        return replace(self, bent=bent, bends=np.zeros(len(POWERS), complex), curves=np.array(curves) - lines)
 
     def largest_wave(self) -> complex:
         """Return the pole of the wave that explains most of the whitened residuals, on a grid of matched filters."""
