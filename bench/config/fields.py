@@ -97,7 +97,7 @@ RECORD = (
 """Fields of a measured record, which need ``data``."""
 MODAL = (
     "data", "modes", "band", "method", "columns", "units", "rate", "from", "to", "decimate", "detrend", "format",
-    "plot", "picture", "response", "window",
+    "plot", "picture", "response", "window", "timeout_s", "memory_mb",
 )  # fmt: skip
 """Fields of a measured record of which modes are sought; others are refused there."""
 

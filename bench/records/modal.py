@@ -28,6 +28,8 @@ from bench.contract.modal import (
     Mode,
 )
 from bench.entrants.modal import make_modal, registered_modal
+from bench.isolation.failure import LONGEST, printable
+from bench.isolation.processes import Died
 from bench.likelihood.autoregression import even_times
 from bench.modal.averages import averages, decay_needed
 from bench.modal.spectra import modal_parameters
@@ -40,6 +42,7 @@ from bench.records.response import A_CYCLE, FEWEST, MOST, ChannelResiduals, Chan
 from bench.records.saturation import at_limit
 from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
+from bench.records.workers import Workers
 from bench.scoring.statistics import whiteness
 
 FREE_METHOD, FORCED_METHOD = "waves", "spectra"
@@ -201,7 +204,10 @@ class ModalFinding:
 
 
 def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False) -> list[ModalFinding]:
-    """Return what each method of a request makes of a record; ``others``: where none is named, all that can serve."""
+    """Return what each method of a request makes of a record; ``others``: where none is named, all that can serve.
+
+    Each answers in a process of its own, within the limits of time and memory; one that does not is said to have none.
+    """
     default = FREE_METHOD if isinstance(record.data, FreeDecays) else FORCED_METHOD
     problem = ModalProblem(record.data, request.count, request.band)
     methods = dict(request.methods) or {default: make_modal(default)}
@@ -209,7 +215,28 @@ def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False)
     if others and not request.methods:
         able = ((name, make_modal(name)) for name in registered_modal())
         methods |= {name: method for name, method in able if not (_lacking(method) or method.objection(problem))}
-    return [(_free if begins else _find)(name, method, problem, record) for name, method in methods.items()]
+    answer, config = _free if begins else _find, request.config
+    findings = []
+    with Workers(preload=(__name__,)) as workers:
+        tasks = {
+            name: workers.submit(config.timeout_s, answer, name, method, problem, record, memory_mb=config.memory_mb)
+            for name, method in methods.items()
+        }
+        for name, task in tasks.items():
+            try:
+                findings.append(task.result())
+            except Died as died:
+                last = died.log.strip().splitlines()[-1:] if died.reason == Status.CRASHED else []
+                message = ": ".join([died.message, *(printable(line, LONGEST) for line in last)])
+                failed = ModalEstimate((), status=Status(died.reason), message=message)
+                findings.append(_without_modes(ModalFinding(name, record, failed, math.nan, notes=record.notes)))
+    return findings
+
+
+def _without_modes(finding: ModalFinding) -> ModalFinding:
+    estimate = finding.estimate
+    why = f"no answer ({estimate.status.value}): {estimate.message or 'no mode stands out of the noise'}"
+    return replace(finding, reasons=(Reason(Trust.NO, why),))
 
 
 def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
@@ -223,8 +250,7 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     finding = ModalFinding(name, record, estimate, time.perf_counter() - started, notes=record.notes)
     modes, notes = estimate.modes, [estimate.message] if estimate.message else []
     if estimate.status is not Status.OK or not modes:
-        why = f"no answer ({estimate.status.value}): {estimate.message or 'no mode stands out of the noise'}"
-        return replace(finding, reasons=(Reason(Trust.NO, why),))
+        return _without_modes(finding)
     if close := _close(modes):
         pairs = "; ".join(_named(*pair) for pair in close)
         notes.append(f"modes that are close, nearer than their half-power bandwidths: {pairs}")

@@ -224,3 +224,11 @@ def test_an_interrupted_record_keeps_no_cells(
     monkeypatch.setattr(measured_record, "identify_records", interrupt)
     assert main(["data=one.csv", "modes=2"]) == 130
     assert capsys.readouterr().err == "\nbench: interrupted\n"
+
+
+def test_a_fit_beyond_its_limit_of_time_is_ended_and_said_so(capsys: pytest.CaptureFixture[str]) -> None:
+    """The motion of many modes keeps a fit busy for much longer than the interval at which processes are watched."""
+    channels = [sum(wave(7.0 + 11.0 * i, 0.01, 1.0, i * k) for i in range(8)) + noise(0.02, k) for k in range(3)]
+    write("busy.csv", *channels, heads="a [g],b [g],c [g]")
+    assert main(["data=busy.csv", "modes=auto", "timeout_s=0.02"]) == 1
+    assert "no answer (timeout)" in capsys.readouterr().out
