@@ -189,6 +189,20 @@ $MERGE submission=lacking.submission              | submission=lacking.submissio
 $MERGE submission=huge.submission                 | submission=huge.submission       | 64 MB
 $MERGE submission=arrays.submission               | submission=arrays.submission     | not a whole submission
 score                                             | predictions=                     | needed
+round                                             | action=                          | needed
+round nwe                                         | action=nwe                       | did you mean new
+round new scenarios=6                             | out=                             | needed
+round new scenarios=0 out=r                       | scenarios=0                      | greater
+round new scenarios=6 out=folder                  | out=folder                       | does not exist yet
+round new scenarios=6 out=r secret=r/s            | secret=r/s                       | outside
+round solve nowhere method=ls out=p.csv           | round=nowhere                    | folder not found
+round solve round=folder method=ls out=p.csv            | round=folder                     | no problems
+round solve round=folder method=sl out=p.csv            | method=sl                        | did you mean ls
+round open round=folder secret=nowhere                  | secret=nowhere                   | folder not found
+round open round=folder secret=folder                   | round=folder                     | no round.json
+round verify nowhere                              | round=nowhere                    | folder not found
+round verify round=folder                               | round=folder                     | round.json
+$MERGE submission=x fresh=-1                      | fresh=-1                         | greater
 score good.csv                                    | round=                           | needed
 score good.csv r                                  | round=r                          | folder not found
 score good.csv round=folder                       | round=folder                     | no predictions_template.csv

@@ -815,7 +815,7 @@ def test_a_new_package_passes_its_checks(kind: str, tmp_path: Path) -> None:
 def test_submit_and_merge(folder: Path, tmp_path: Path) -> None:
     """submit, merge"""
     run(verb("share", "action=submit", "method=ls", "by=a test", f"out={tmp_path / 'ls.submission'}"), folder)
-    run(verb("share", "action=merge", "submission=ls.submission", "store=theirs", "workers=1"), tmp_path)
+    run(verb("share", "action=merge", "submission=ls.submission", "store=theirs", "workers=1", "fresh=4"), tmp_path)
     assert len(stored(tmp_path / "theirs")) == 2
 
 

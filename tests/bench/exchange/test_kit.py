@@ -28,7 +28,7 @@ def test_a_method_from_the_template_is_run_submitted_and_merged(
     for arguments in (
         ["bench", "method=quarter_car", "replicates=6", "workers=1", f"store={theirs.folder}"],
         ["bench", "share", "action=submit", "method=quarter_car", f"store={theirs.folder}", f"out={sent}"],
-        ["bench", "share", "action=merge", f"submission={sent}", f"store={ours.folder}", "workers=1"],
+        ["bench", "share", "action=merge", f"submission={sent}", f"store={ours.folder}", "workers=1", "fresh=4"],
     ):
         done = python("-m", *arguments, env=env)
         assert done.returncode == 0, done.stdout + done.stderr
