@@ -143,7 +143,7 @@ def _answer(name: str, places: Mapping[str, Ranked]) -> str:
     tier = (
         f"tier {place.tier} of {max(in_tiers)} among {len(in_tiers)} methods"
         if place.tier
-        else "beside the tiers, as it does not serve every problem"
+        else f"beside the tiers, serving {place.served} of {place.scenarios} problems"
     )
     return f"error {_typical(place)} times the Cramér-Rao bound" + (f", {tier}" if len(places) > 1 else "")
 
