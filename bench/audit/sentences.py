@@ -108,16 +108,17 @@ def agreement(case: str, found: Consistency) -> str:
 def compared(rivals: tuple[AuditFinding, ...]) -> str:
     """Say between which methods the draws do not decide, and which are outside an efficient estimator's range."""
     row = rivals[0].row
-    within, outside = (
-        " and ".join(dict.fromkeys(f"'{f.row.method}'" for f in rivals if (f.verdict == "larger") == large))
+    near, far = (
+        list(dict.fromkeys(f"'{f.row.method}'" for f in rivals if (f.verdict == "larger") == large))
         for large in (False, True)
     )
-    where = ", ".join(filter(None, [row.quantity, row.case, row.place]))
+    within, outside = " and ".join(near), " and ".join(far)
+    where = f"for {', '.join(filter(None, [row.quantity, row.case, row.place]))}"
     if not within:
-        return f"{where}: {outside} are outside an efficient estimator's range, so that not the noise orders them"
+        return f"{where}: {outside} are outside an efficient estimator's range; noise does not explain their order"
     draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
-    open_ = f"{draws} not decide which is nearer to the truth, {within}" if " and " in within else f"{within} is within"
-    return f"{where}: {open_}{f'; outside an efficient range: {outside}' if outside else ''}"
+    said = f"{draws} not decide which is nearer to the truth, {within}" if len(near) > 1 else f"{within} is within"
+    return f"{where}: {said}{f'; outside an efficient range: {outside}' if outside else ''}"
 
 
 def summary(audit: Audit) -> str:

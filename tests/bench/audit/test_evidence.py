@@ -61,7 +61,7 @@ def test_twenty_random_times() -> None:
     assert expected[:2] == pytest.approx([0.308, 8.73], rel=2e-3)
     assert [f.verdict for f in found.findings] == ["within"] * 4
     undecided = "one draw does not decide which is nearer to the truth, 'PINN' and 'least squares'"
-    assert list(map(compared, found.rivals)) == [f"mu: {undecided}", f"k: {undecided}"]
+    assert list(map(compared, found.rivals)) == [f"for mu: {undecided}", f"for k: {undecided}"]
     # the chance of an error at least so large, from the normal distribution, the last digit printed allowed for
     chance = 2 * stats.norm.sf((0.1253 - 0.00005) / expected[0])
     assert found.findings[2].larger == pytest.approx(chance, abs=0.005)  # three standard errors of 100,000 draws
@@ -200,18 +200,23 @@ def test_where_a_number_falls(value: float, verdict: str) -> None:
     [
         (
             (0.41, 0.42, 0.9),
-            "c: one draw does not decide which is nearer to the truth, 'a' and 'b'; outside an efficient range: 'd'",
+            "for c: one draw does not decide which is nearer to the truth, 'a and e' and 'b'; outside an efficient "
+            "range: 'd'",
         ),
-        ((0.41, 0.8, 0.9), "c: 'a' is within; outside an efficient range: 'b' and 'd'"),
+        ((0.41, 0.8, 0.9), "for c: 'a and e' is within; outside an efficient range: 'b' and 'd'"),
         (
             (0.7, 0.8, 0.9),
-            "c: 'a' and 'b' and 'd' are outside an efficient estimator's range, so that not the noise orders them",
+            "for c: 'a and e' and 'b' and 'd' are outside an efficient estimator's range; noise does not explain their "
+            "order",
         ),
     ],
 )
 def test_which_comparisons_one_draw_decides(values: Sequence[float], said: str) -> None:
     """The bound is 0.032."""
-    rows = [{"method": name, "quantity": "c", "value": value} for name, value in zip("abd", values, strict=True)]
+    rows = [
+        {"method": name, "quantity": "c", "value": value}
+        for name, value in zip(("a and e", "b", "d"), values, strict=True)
+    ]
     assert [compared(rivals) for rivals in audited(reported=rows).rivals] == [said]
 
 
