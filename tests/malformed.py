@@ -206,6 +206,11 @@ $MERGE submission=x fresh=-1                      | fresh=-1                    
 score good.csv                                    | round=                           | needed
 score good.csv r                                  | round=r                          | folder not found
 score good.csv round=folder                       | round=folder                     | no predictions_template.csv
+audit                                             | claim=                           | needed
+audit missing.yaml                                | claim=missing.yaml               | not found
+audit list.yaml                                   | claim=list.yaml                  | a claim is wanted
+audit twice.yaml                                  | claim=twice.yaml                 | duplicate
+tables what=audits claims=missing                 | claims=missing                   | folder not found
 """
 
 

@@ -115,7 +115,7 @@ class StatedNoise(ClaimPart):
 class PublishedColumns(ClaimPart):
     """A CSV file beside the claim, with columns of times, of samples and of the noise-free solution of one channel."""
 
-    file: str
+    file: Annotated[str, Field(pattern=r"^[\w .-]+$")]
     time: str
     x: str | None = None
     exact: str | None = None
@@ -203,8 +203,9 @@ class Situation:
     def value(self, quantity: str, sizes: Mapping[str, float] | None = None) -> float:
         """Return a quantity at the stated parameters, or at other sizes of the unknown ones."""
         signed = {n: -v if n in self.system.negative else v for n, v in (sizes or {}).items()}
-        p = {**self.setting.parameters, **signed}
-        return float(expression(quantity, list(p), "quantity")(p))
+        p = {name: np.float64(v) for name, v in {**self.setting.parameters, **signed}.items()}  # 1/0 is infinite
+        with np.errstate(all="ignore"):
+            return float(expression(quantity, list(p), "quantity")(p))
 
 
 @dataclass(frozen=True, eq=False)

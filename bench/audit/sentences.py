@@ -94,7 +94,9 @@ def agreement(case: str, found: Consistency) -> str:
     where, s = f"{case}: " if case else "", "" if found.what == "samples" else "s"
     largest = f"{100 * found.difference:.2g} % of the largest value"
     chance = (
-        "" if found.chance is None else f", as noise of the stated size does in {percentage(found.chance)} of draws"
+        ""
+        if found.chance is None
+        else f"; noise of the stated size departs as far in {percentage(found.chance)} of draws"
     )
     if found.agrees:
         return f"{where}the published {found.what} agree{s} with the stated equation: within {largest}{chance}"
@@ -115,10 +117,18 @@ def compared(rivals: tuple[AuditFinding, ...]) -> str:
     within, outside = " and ".join(near), " and ".join(far)
     where = f"for {', '.join(filter(None, [row.quantity, row.case, row.place]))}"
     if not within:
+<<<<<<< HEAD
         return f"{where}: {outside} are outside an efficient estimator's range; noise does not explain their order"
     draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
     said = f"{draws} not decide which is nearer to the truth, {within}" if len(near) > 1 else f"{within} is within"
     return f"{where}: {said}{f'; outside an efficient range: {outside}' if outside else ''}"
+=======
+        return f"{where}: the errors of {outside} are larger than an efficient estimator's: not the noise orders them"
+    draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
+    open_ = f"{draws} not decide which is nearer to the truth, {within}"
+    said = open_ if " and " in within else f"{within} has an error as an efficient estimator may have it"
+    return f"{where}: {said}{f'; the errors of {outside} are larger' if outside else ''}"
+>>>>>>> 528aa436 (A claim's data lie beside it; malformed lines of the audit in the table)
 
 
 def summary(audit: Audit) -> str:

@@ -62,6 +62,8 @@ MALFORMED = {
     "infinite force": (CLAIM + "force: 1/t", "not finite"),
     "measured": (CLAIM + "measured: y", "measured=y"),
     "data": (CLAIM + "data: {file: none.csv, time: t}", "data.file=none.csv"),
+    "data elsewhere": (CLAIM + "data: {file: ../none.csv, time: t}", "data.file=../none.csv"),
+    "infinite quantity": (CLAIM.replace("quantity: c", "quantity: 1/(c-0.4)"), "not inf"),
     "quantity": (CLAIM.replace("quantity: c", "quantity: zeta"), "zeta is unknown"),
     "quantity of nothing": (CLAIM.replace("quantity: c", "quantity: c-c"), "at the stated parameters"),
     "form": (CLAIM.replace("quantity: c,", "quantity: c, form: error,"), "reported.0.form=error"),
