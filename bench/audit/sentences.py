@@ -117,18 +117,11 @@ def compared(rivals: tuple[AuditFinding, ...]) -> str:
     within, outside = " and ".join(near), " and ".join(far)
     where = f"for {', '.join(filter(None, [row.quantity, row.case, row.place]))}"
     if not within:
-<<<<<<< HEAD
-        return f"{where}: {outside} are outside an efficient estimator's range; noise does not explain their order"
-    draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
-    said = f"{draws} not decide which is nearer to the truth, {within}" if len(near) > 1 else f"{within} is within"
-    return f"{where}: {said}{f'; outside an efficient range: {outside}' if outside else ''}"
-=======
-        return f"{where}: the errors of {outside} are larger than an efficient estimator's: not the noise orders them"
+        return f"{where}: the errors of {outside} are larger than an efficient estimator's; noise does not order them"
     draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
     open_ = f"{draws} not decide which is nearer to the truth, {within}"
-    said = open_ if " and " in within else f"{within} has an error as an efficient estimator may have it"
+    said = open_ if len(near) > 1 else f"{within} has an error as an efficient estimator may have it"
     return f"{where}: {said}{f'; the errors of {outside} are larger' if outside else ''}"
->>>>>>> 528aa436 (A claim's data lie beside it; malformed lines of the audit in the table)
 
 
 def summary(audit: Audit) -> str:

@@ -200,26 +200,17 @@ def test_where_a_number_falls(value: float, verdict: str) -> None:
     [
         (
             (0.41, 0.42, 0.9),
-<<<<<<< HEAD
-            "for c: one draw does not decide which is nearer to the truth, 'a and e' and 'b'; outside an efficient "
-            "range: 'd'",
-        ),
-        ((0.41, 0.8, 0.9), "for c: 'a and e' is within; outside an efficient range: 'b' and 'd'"),
-        (
-            (0.7, 0.8, 0.9),
-            "for c: 'a and e' and 'b' and 'd' are outside an efficient estimator's range; noise does not explain their "
-            "order",
-=======
-            "c: one draw does not decide which is nearer to the truth, 'a' and 'b'; the errors of 'd' are larger",
+            "for c: one draw does not decide which is nearer to the truth, 'a and e' and 'b'; the errors of 'd' are "
+            "larger",
         ),
         (
             (0.41, 0.8, 0.9),
-            "c: 'a' has an error as an efficient estimator may have it; the errors of 'b' and 'd' are larger",
+            "for c: 'a and e' has an error as an efficient estimator may have it; the errors of 'b' and 'd' are larger",
         ),
         (
             (0.7, 0.8, 0.9),
-            "c: the errors of 'a' and 'b' and 'd' are larger than an efficient estimator's: not the noise orders them",
->>>>>>> 528aa436 (A claim's data lie beside it; malformed lines of the audit in the table)
+            "for c: the errors of 'a and e' and 'b' and 'd' are larger than an efficient estimator's; noise does not "
+            "order them",
         ),
     ],
 )
