@@ -42,6 +42,7 @@ def new(
             raise InputError(field, path, "a folder that does not exist yet")
     if out.resolve() in (hidden.resolve(), *hidden.resolve().parents):
         raise InputError("secret", hidden, f"a folder outside {out}, which is handed out")
+    print(f"{scenarios} problems are drawn, about a second each", flush=True)
     write_round(out, hidden, randbits(8 * SEED_BYTES), scenarios)
     print(f"{out}: {scenarios} problems; hand it out")
     print(f"{hidden}: seed and truth; keep it to yourself until the round is over")

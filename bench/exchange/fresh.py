@@ -84,7 +84,7 @@ def compare_fresh(submitted: Sequence[Submitted], problems: int, limits: Limits)
         stored, cell, bound = order[number % len(order)]
         try:
             problem = _varied(f"P{number + 1:03d}", cell, rng)
-        except InputError:  # of a kind without files, or nothing is identifiable
+        except (InputError, np.linalg.LinAlgError):  # of a kind without files, or nothing is identifiable
             continue
         drawn.setdefault(repr(cell.settings), (cell, []))[1].append(problem)
         before[stored.identity] = [_submitted_error(row, problem.truth, bound) for row in stored.rows]
@@ -109,7 +109,10 @@ def _varied(name: str, cell: Cell, rng: SecretStream) -> DrawnProblem:
 
 
 def _solved(cell: Cell, drawn: Sequence[DrawnProblem], limits: Limits) -> list[float]:
-    """Return the errors of a method in a process that gets files alone; infinite where it has no answer in time."""
+    """Return the errors of a method in a process that gets files alone, infinite where it has no answer.
+
+    Raises InputError where that process cannot work at all.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / PROBLEMS).mkdir()
@@ -119,15 +122,12 @@ def _solved(cell: Cell, drawn: Sequence[DrawnProblem], limits: Limits) -> list[f
         settings = [f"method.{key}={literal(value)}" for key, value in cell.settings.items()]
         words = ["round", "solve", name, f"method={cell.method}", f"out={folder / 'answers.csv'}", *settings,
                  f"timeout_s={limits.timeout_s}", f"memory_mb={limits.memory_mb}"]  # fmt: skip
-        answers: dict[tuple[str, str], float] = {}
-        try:
-            subprocess.run([sys.executable, "-m", "bench", *words], capture_output=True, check=True)
-            lines = (folder / "answers.csv").read_text(encoding="utf-8").splitlines()
-            answers = {
-                (row["scenario"], row["quantity"]): float(row["value"] or "nan") for row in csv.DictReader(lines)
-            }
-        except (OSError, subprocess.SubprocessError):
-            pass
+        done = subprocess.run([sys.executable, "-m", "bench", *words], capture_output=True, text=True)
+        if done.returncode:
+            reason = done.stderr.strip().rpartition("\n")[2]
+            raise InputError("submission", cell.method, f"fresh problems could not be solved: {reason}")
+        lines = (folder / "answers.csv").read_text(encoding="utf-8").splitlines()
+    answers = {(row["scenario"], row["quantity"]): float(row["value"] or "nan") for row in csv.DictReader(lines)}
     return [
         _mean_log(
             (answers.get((problem.name, short_name(quantity)), math.nan) / value - 1.0, bound / value)

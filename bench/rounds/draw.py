@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from bench.config.composition import content_of
 from bench.config.drawn import one_mass
 from bench.config.schema import scenario_from
@@ -65,8 +67,9 @@ def _draw(seed: int, name: str, kind: str, ranges: Ranges) -> DrawnProblem:
         try:
             rng = SecretStream(derived_key(seed, name, attempt, "parameters"))
             scenario = draw_scenario(name, kind, ranges, rng)
-            return with_truth(name, kind, scenario, derived_key(seed, name, attempt, "data"), LARGEST_BOUND)
-        except InputError:
+            with np.errstate(all="ignore"):
+                return with_truth(name, kind, scenario, derived_key(seed, name, attempt, "data"), LARGEST_BOUND)
+        except (InputError, np.linalg.LinAlgError):  # the second of a motion that ran away
             continue
 
 
@@ -111,7 +114,7 @@ def with_truth(name: str, kind: str, scenario: Scenario, key: int, largest_bound
     system, bound = secret.make_system(), compute_bound(secret, key)
     quantities = [system.quantity(parameter) for parameter in system.names] if scenario.force else system.groups
     asked = [quantity for quantity in quantities if bound.identifiable[quantity.name]]
-    if not asked or max(bound.relative_sd[quantity.name] for quantity in asked) > largest_bound:
+    if not asked or not all(bound.relative_sd[quantity.name] <= largest_bound for quantity in asked):  # NaN, too
         raise InputError("scenario", name, "data that determine every quantity")
     problem, truth = secret.maker(key)(0)
     values = {quantity.name: float(quantity.value(truth.parameters)) for quantity in asked}

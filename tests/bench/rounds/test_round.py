@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,10 +19,13 @@ from bench.commands.main import main
 from bench.config.files import read_yaml
 from bench.entrants.registry import make_method
 from bench.errors import InputError
+from bench.information.fisher import compute_bound
+from bench.rounds import draw
 from bench.rounds.draw import KINDS, draw_round
 from bench.rounds.folder import COMMITMENT, OPENED, PROBLEMS, ROUND, TEMPLATE, TRUTH, read_secret
 from bench.rounds.problem_file import equations, read_problem, short_name
 from bench.rounds.solve import answer
+from bench.scenario.scenario import Scenario
 from bench.systems import make_system
 
 EXAMPLE = REPOSITORY / "docs" / "how_to" / "round_scipy.py"
@@ -182,3 +186,12 @@ def test_a_round_is_not_written_over_another_nor_its_secret_into_it(
         assert main(["round", "new", "scenarios=1", f"out={out}", f"secret={secret}"]) == 2
         assert capsys.readouterr().err.startswith(f"bench: {field}=")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bound_that_is_not_finite_determines_nothing(reference: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a nonlinear motion that runs away."""
+    bound = compute_bound(reference)
+    unknown = replace(bound, relative_sd=dict.fromkeys(bound.relative_sd, math.nan))
+    monkeypatch.setattr(draw, "compute_bound", lambda *_: unknown)
+    with pytest.raises(InputError, match="determine"):
+        draw.with_truth("P001", "free decay", reference, 2**200, 0.3)
