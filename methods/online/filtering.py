@@ -74,8 +74,8 @@ class FilterIdentifier(OnlineIdentifier):
     """``warm_up``: samples before the filters begin; half of them where no force is known."""
 
     warm_up: int = 150
-    version: ClassVar[int] = 3
-    """3: a rare member of the bank adds nothing to the others; the chain's probabilities are learned."""
+    version: ClassVar[int] = 4
+    """4: under a known force the sensors' noise is learned from all samples, not from the first alone."""
 
     def __post_init__(self) -> None:
         if self.warm_up < 20:
@@ -268,7 +268,9 @@ class FilterTracker(Tracker):
             sigma, push = np.split(self.levels, [self.sigma.size])
             self.sigma = np.clip(factor * self.sigma, sigma / NOISE_KNOWN, sigma * NOISE_KNOWN)
             self.push = np.clip(factor * self.push, push / PUSH_KNOWN, push * PUSH_KNOWN)
-            self.rebuild()
+        else:  # recursive maximum likelihood: the first samples tell the noise to a tenth
+            self.sigma = self.sigma * np.exp(0.5 * block["excess"].sum() / max(self.count, self.warm_up))
+        self.rebuild()
         if self.count < span:
             return
         values, _, expected = self._latest(span)

@@ -13,7 +13,7 @@ acceleration and force. One equation a degree of freedom every quarter of a span
 - ``directional``: only in the direction that the new equation tells of (R. Kulhavy, Kybernetika 23:465, 1987).
 
 **Zero.** Each equation has an unknown constant beside the parameters: a sensor whose zero is off. Where it jumps
-(:mod:`bench.contract.zero`), the jump is taken off, and the constants are open again.
+(:mod:`bench.contract.zero`), the jump is taken off, the constants are open again, and no equation reaches across it.
 
 What is left of the noise in the columns biases the answer towards too soft and too heavily damped; the interval, from
 the residuals of the equations, knows nothing of that.
@@ -45,6 +45,8 @@ DIFFUSE = 1e8
 """Variance of what is not known yet, over the square of what an equation's size suggests."""
 BUMP = 4
 """Power of the bump ``(1 - s²)^4``: its first three derivatives are zero at both ends."""
+SIDE = 3
+"""Samples that an equation waits for: as many behind a jump show it (:mod:`bench.contract.zero`)."""
 JUMPED = "the sensor's zero has jumped; the jump is taken off"
 LEAST = 0.8
 """Least factor of variable forgetting."""
@@ -57,6 +59,8 @@ class OnlineRLS(OnlineIdentifier):
     forgetting: Forgetting = "exponential"
     factor: float = 0.995
     span: int = 40
+    version: ClassVar[int] = 2
+    """2: no equation reaches across a jump of a sensor's zero."""
     card: ClassVar[OnlineCard] = OnlineCard(
         "recursive least squares with forgetting, on the equation of motion integrated against a bump",
         "M. Shinbrot, Trans. ASME 79:547, 1957; L. Ljung, System Identification, 1999, section 11.2",
@@ -108,28 +112,28 @@ class _RLSTracker(LeastSquaresTracker):
             self.values, self.pushes = self.values[:0], self.pushes[:0]
             if steps <= 1:
                 return Standing(sample.time, SampleStatus.OK, self._belief())
-        self.values = np.concatenate([self.values, [np.subtract(sample.values, self.zero)]])[-span:]
-        self.pushes = np.concatenate([self.pushes, [sample.forces]])[-span:]
+        self.values = np.concatenate([self.values, [np.subtract(sample.values, self.zero)]])[-span - SIDE :]
+        self.pushes = np.concatenate([self.pushes, [sample.forces]])[-span - SIDE :]
         self.waits += 1
-        if len(self.values) == span and self.waits >= span // 4:
-            self.waits, moved = 0, self._levelled()
-            self._learn(*self._equation())
-            if moved:
+        if len(self.values) == span + SIDE and self.waits >= span // 4:
+            self.waits = 0
+            if self._levelled():
                 return Standing(sample.time, SampleStatus.SENSOR_JUMP, self._belief(), message=JUMPED)
+            self._learn(*self._equation(self.values[:span], self.pushes[:span]))
         belief = self._belief()
         status = SampleStatus.OK if belief is not None else SampleStatus.WARMING_UP
         return Standing(sample.time, status, belief, message="" if belief else "the equations do not tell enough yet")
 
-    def _equation(self) -> tuple[np.ndarray, np.ndarray]:
+    def _equation(self, values: np.ndarray, pushes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns (n_dof, n_free + n_dof) and target (n_dof,) of the newest equations; the last are of the zeros."""
         system, w = self.layout.system, self._weights
-        by_dof = {sensor.dof: column for sensor, column in zip(self.layout.sensors, self.values.T, strict=True)}
+        by_dof = {sensor.dof: column for sensor, column in zip(self.layout.sensors, values.T, strict=True)}
         x = [np.array([w[0] @ by_dof[i]]) for i in range(system.n_dof)]
         v = [np.array([-(w[1] @ by_dof[i])]) for i in range(system.n_dof)]
         a = [np.array([w[2] @ by_dof[i]]) for i in range(system.n_dof)]
         f = [np.zeros(1) for _ in range(system.n_dof)]
         middle = 0.5 * (w[0][1:] + w[0][:-1])  # a force is held from its sample to the next
-        for dof, column in zip(self.layout.forced, self.pushes.T, strict=True):
+        for dof, column in zip(self.layout.forced, pushes.T, strict=True):
             f[dof] = f[dof] + middle @ column[:-1]
         columns, offset = regression_columns(system, x, v, a, f)
         free = [system.names.index(name) for name in self.layout.free]
@@ -163,12 +167,15 @@ class _RLSTracker(LeastSquaresTracker):
         self.forget(keep)
 
     def _levelled(self) -> bool:
-        """Take a jump of a sensor's zero off the samples behind it, and open what is left; whether there was one."""
-        moved = levelled(self.values, self.zero) is not None
-        if moved and self.weight:
+        """Look for a jump of a sensor's zero; leave out what was before it, and open the constants."""
+        jump = levelled(self.values, self.zero)
+        if jump is None:
+            return False
+        self.values, self.pushes = self.values[jump:], self.pushes[jump:]
+        if self.weight:
             zeros, weight = range(len(self.layout.free), len(self.theta)), self._weights[0].sum()
             self.inverse[zeros, zeros] += DIFFUSE * np.mean(self.values**2) / weight**2
-        return moved
+        return True
 
     def _belief(self) -> Normal | None:
         """Normal in the logarithms, by the delta method; None where an estimate is not positive."""

@@ -61,7 +61,7 @@ def test_the_three_rules_agree_where_the_motion_is_nearly_linear_in_what_is_not_
     assert np.all(np.ptp(ends, axis=0) < 0.3 * sds)
 
 
-@pytest.mark.parametrize("name", ["ekf", "imm", "change_points", "glr"])
+@pytest.mark.parametrize("name", ["ekf", "imm", "change_points", "glr", "cusum"])
 def test_a_step_is_followed(name) -> None:
     made = scenario(varying={"k": Course("step", change=-0.2)}, samples=700)
     stream = made.stream(0, 0)
@@ -69,6 +69,26 @@ def test_a_step_is_followed(name) -> None:
     left = np.abs(errors(stream, path, "k_over_m"))
     assert left[made.change_at] > 0.15
     assert left[-1] < 0.02
+
+
+def test_a_sum_that_the_likelihood_does_not_support_changes_nothing(constant) -> None:
+    """With a threshold of one standard deviation the sums ring every few samples, and no change is there."""
+    _, stream, _ = constant
+    deaf, nervous = (follow(make_online("cusum", {"threshold": threshold}), stream) for threshold in (1e6, 1.0))
+    assert np.nanmax(nervous.alarms) == 1.0  # not beyond
+    assert np.nanmax(np.abs(deaf.means - nervous.means) / deaf.sds) < 0.05
+
+
+def test_under_a_known_force_the_noise_is_learned_from_all_samples(constant) -> None:
+    made = scenario(samples=1200)
+    ratios = []
+    for replicate in range(6):
+        stream = made.stream(0, replicate)
+        tracker = make_online("cusum").start(stream.layout)
+        for sample in stream.samples():
+            tracker.update(sample)
+        ratios.append(np.log(tracker.sigma[0] / stream.truth.sigma[0]))
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.7 / np.sqrt(2 * 1200)  # 150 samples alone: 2.8 times that
 
 
 @pytest.mark.slow
@@ -162,6 +182,18 @@ def test_a_jump_of_the_sensors_zero_hardly_moves_what_is_found_behind_it(name, c
     place = list(stream.layout.free).index("k")
     assert abs(wanted.belief.mean[place] - found.belief.mean[place]) < 0.1
     assert name == "rls" or "sensor_jump" in seen
+
+
+def test_no_equation_of_recursive_least_squares_reaches_across_a_jump(constant) -> None:
+    _, stream, _ = constant
+    trackers = [make_online("rls").start(stream.layout) for _ in range(13)]
+    for i, sample in enumerate(stream.samples()):
+        for at, tracker in enumerate(trackers, 250):  # the first: without a jump
+            value = sample.values[0] + (20 * stream.truth.sigma[0] if i >= at > 250 else 0.0)
+            tracker.update(dataclasses.replace(sample, values=(value,)))
+    plain, *jumping = (tracker._belief() for tracker in trackers)
+    off = [(belief.mean - plain.mean) / np.sqrt(np.diag(plain.covariance)) for belief in jumping]
+    assert np.sqrt(np.mean(np.square(off))) < 1.0
 
 
 def test_where_nothing_moves_the_status_says_so() -> None:

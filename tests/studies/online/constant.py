@@ -42,9 +42,9 @@ ROWS = (
     Row("ukf", 0.1),
     Row("square_root", 0.1),
     Row("imm"),
-    Row("change_points", threshold=1.0, stated=0.1),  # odds of 10, a hazard of one in 10,000
-    Row("cusum", threshold=16.0, stated=1.4),  # Siegmund's formula, both sides of three parameters
-    Row("glr", threshold=9.0, stated=0.5),  # Ville's inequality: three births every 8 samples, exp(-9) each
+    Row("change_points", threshold=1.0, stated=0.002),  # odds of 10, a hazard of one in 500,000
+    Row("cusum", threshold=16.0, stated=0.009),  # as the next
+    Row("glr", threshold=13.0, stated=0.009),  # Ville's inequality: three births every 8 samples, exp(-13) each
     Row("ar"),
     Row("window_shooting", 0.1, uses=150),
 )
