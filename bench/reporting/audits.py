@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,14 +37,39 @@ COLUMNS: Columns[AuditFinding] = {
     "stated sd": lambda f: f"{f.sd_ratio:.2g} bounds" if f.sd_ratio else MISSING,
     "verdict": lambda f: f.verdict,
 }
+
+
+def says(audit: Audit) -> str:
+    """Write the first number of a claim, and how many more there are."""
+    first, more = audit.of("")[0], len(audit.of("")) - 1
+    true = "" if math.isnan(first.truth) else f" ({first.truth:.6g} is true)"
+    equal = "" if first.row.value is None or first.row.form != "value" else "= "
+    return f"{first.row.method}: {first.row.quantity} {equal}{reported(first)}{true}{f'; {more} more' if more else ''}"
+
+
+def answer(audit: Audit) -> str:
+    """Write what the data allow of the first number of a claim."""
+    first = audit.of("")[0]
+    return {
+        "within": f"an efficient estimator is as far off in {percentage(first.larger)} of draws",
+        "larger": f"off by {first.score / (first.bound or math.nan):.2g} bounds: larger",
+        "smaller": f"an efficient estimator is as near in {percentage(first.smaller)} of draws",
+        "prior": "mostly the prior's",
+        "not identifiable": "they do not determine it",
+        "bias only": f"{off(first)} is bias: no noise",
+        "nothing unknown": "nothing was unknown",
+        "no number": f"bound {number(first.bound)}",
+    }[first.verdict]
+
+
 OVERVIEW: Columns[Audit] = {
     "claim": lambda a: f"[{a.stated.name}](#{a.stated.name})",
-    "source": lambda a: f"[{a.stated.claim.source.title}]({a.stated.claim.source.url})",
-    "audit": summary,
+    "says": says,
+    "what its data say of that": answer,
+    "all numbers": summary,
     "published data": lambda a: (
         ("agree" if all(c.agrees for _, c in a.consistency) else "differ") if a.consistency else MISSING
     ),
-    "missing": lambda a: str(len(a.stated.claim.missing)),
 }
 
 
