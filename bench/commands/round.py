@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -40,6 +41,8 @@ def new(
     for field, path in (("out", out), ("secret", hidden)):
         if path.exists():
             raise InputError(field, path, "a folder that does not exist yet")
+        if not os.access(next(parent for parent in path.resolve().parents if parent.exists()), os.W_OK):
+            raise InputError(field, path, "a folder that can be made; its place cannot be written")
     if out.resolve() in (hidden.resolve(), *hidden.resolve().parents):
         raise InputError("secret", hidden, f"a folder outside {out}, which is handed out")
     print(f"{scenarios} problems are drawn, about a second each", flush=True)
