@@ -69,7 +69,11 @@ GOALS = (
     Goal("  planning, atlas", 700, rooms("bench", "planning", "atlas")),
     Goal("  tracking: online, twin", 700, rooms("bench", "tracking", "online", "twin")),
     Goal("  report", 4_200, rooms("bench", "report", "reporting")),
-    Goal("  kit: conformance, entrants, exchange", 900, rooms("bench", "kit", "conformance", "entrants", "exchange")),
+    Goal(
+        "  kit: conformance, entrants, exchange, rounds",
+        900,
+        rooms("bench", "kit", "conformance", "entrants", "exchange", "rounds"),
+    ),
     Goal("  face, commands", 1_700, rooms("bench", "face", "cli", "commands")),
     Goal("around the science, engines included", 6_500, LIGHTER),
     Goal("methods", 13_500, ("methods/",)),
