@@ -143,8 +143,7 @@ def _of_fit(fit: Linearised) -> Iterator[Reason]:
     if (cut := sum(int(np.count_nonzero(at_limit(values))) for values in forces)) and not white:
         said = f"the force sensor is saturated: {cut} samples stay at its largest or smallest value"
         yield Reason(Trust.NO, said)
-    thirds = [[float(np.std(third)) for third in np.array_split(values, 3)] for values in signals]
-    growth = max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
+    growth = growth_of(signals)
     if free and growth > GROWTH and fit.model.system.name != "van_der_pol":  # which gains energy
         yield Reason(Trust.NO, f"the motion grows {growth:.2g} times over the record, and no damping does that")
     said = f"the residuals are {share:.0%} of the signal"
@@ -318,6 +317,12 @@ def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[comp
     basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones(times.size)])
     sizes = np.linalg.lstsq(basis, values, rcond=None)[0]
     return complex(sizes[0], -sizes[1]), values - basis @ sizes
+
+
+def growth_of(signals: Iterable[np.ndarray]) -> float:
+    """Return the standard deviation of the last third over that of the first, the largest of several signals."""
+    thirds = [[float(np.std(third)) for third in np.array_split(values, 3)] for values in signals]
+    return max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
 
 
 def _channels(fit: Linearised) -> tuple[list[np.ndarray], list[np.ndarray]]:

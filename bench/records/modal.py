@@ -34,9 +34,9 @@ from bench.likelihood.autoregression import even_times
 from bench.modal.averages import averages, decay_needed
 from bench.modal.spectra import modal_parameters
 from bench.records.colour import autocorrelation
-from bench.records.diagnostics import LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE, start_up
+from bench.records.diagnostics import GROWTH, LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE, growth_of, start_up
 from bench.records.modal_data import ModalRecord
-from bench.records.modes import OfferedMode
+from bench.records.modes import MOST_OFFERED, OfferedMode
 from bench.records.request import ModalRequest
 from bench.records.response import A_CYCLE, FEWEST, MOST, ChannelResiduals, ChannelResponse, Response
 from bench.records.saturation import at_limit
@@ -269,6 +269,8 @@ def _free(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     if whole.describes or whole.estimate.status in (Status.MISSING_DEPENDENCY, Status.UNSUPPORTED):
         return whole
     assert isinstance(data, FreeDecays)
+    if growth_of(data.values) > GROWTH:  # no start makes it free
+        return whole
     best, span = whole, float(np.ptp(data.times))
     for start in _starts(data):
         kept = data.times >= start
@@ -307,7 +309,7 @@ def _fewest(name: str, method: ModalIdentifier, problem: ModalProblem, record: M
     while best.comparison is not None and best.comparison.line(best.estimate.modes)[1] > SECOND_MODE:
         count = len(best.estimate.modes) + 1
         longer = _find(name, method, replace(problem, count=count), record)
-        if longer.alike or not count == len(longer.estimate.modes) < MOST_MODES:
+        if longer.alike or not count == len(longer.estimate.modes) <= MOST_OFFERED:
             break
         best = longer
     return best
@@ -401,6 +403,8 @@ def _reasons(
         yield Reason(Trust.CAUTION, f"damping ratios are known to an order of magnitude at most: {_named(*wide)}")
     if not isinstance(data, FreeDecays):
         return
+    if left > MOST_LEFT and (growth := growth_of(data.values)) > GROWTH:
+        yield Reason(Trust.NO, f"the motion grows {growth:.2g} times over the record, as no free vibration does")
     yield from start_up(*_left(data, modes))
     if any(np.any(at_limit(values)) for values in data.values):
         yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")

@@ -23,8 +23,8 @@ from bench.records.reading.files import read_file
 from bench.records.reading.recording import recordings_of
 from bench.records.request import ModalRequest
 
-MOST_SAMPLES = 20_000
-"""Of a record whose modes are found in seconds."""
+MOST_SAMPLES, WITHOUT_BAND = 20_000, 10_000
+"""Of a record whose modes are found in seconds, and of a longer one after decimation where no band is named."""
 LEAST_SAMPLES = 32
 """Of a record in which modes are sought: a pole, its amplitude and a constant are five numbers of a single mode."""
 
@@ -87,7 +87,7 @@ def _free_decays(recording: Recording, band: tuple[float, float] | None) -> Moda
     values = np.stack([signal.values[np.isin(signal.times, times)] / signal.size for signal in sensors])
     times, values, notes = _fewer(times, values, band) if times.size > MOST_SAMPLES else (times, values, ())
     if times.size > MOST_SAMPLES:
-        remedy = f"{times.size} samples: at most {MOST_SAMPLES} for modes; choose a band=, a part by to=, or decimate="
+        remedy = f"{times.size} samples: at most {MOST_SAMPLES} for modes; choose a narrower band=, or a part by to="
         raise InputError("data", recording.source, remedy)
     roles, units = zip(*((signal.role, signal.written or signal.unit) for signal in sensors), strict=True)
     return ModalRecord(recording.source, FreeDecays(times, values), roles, units, (*recording.notes, *notes))
@@ -96,15 +96,32 @@ def _free_decays(recording: Recording, band: tuple[float, float] | None) -> Moda
 def _fewer(
     times: np.ndarray, values: np.ndarray, band: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return the samples behind a low-pass that leaves a band as it is, and what is said of it."""
+    """Return the samples behind a low-pass that leaves a band as it is, and what is said of it.
+
+    Without a band as many are left as are fitted in seconds. Raises InputError where the strongest frequency would not.
+    """
     from scipy.signal import resample_poly  # slow to import
 
-    rate = (times.size - 1) / float(np.ptp(times))
-    factor = int(PASSED * rate / (2.0 * band[1])) if band and even_times(times) else 1
+    if not even_times(times):
+        return times, values, ()
+    n, rate = times.size, (times.size - 1) / float(np.ptp(times))
+    factor = int(PASSED * rate / (2.0 * band[1])) if band else -(-n // WITHOUT_BAND)
     if factor < 2:
         return times, values, ()
-    inner = slice(REACH, (times.size - 1) // factor + 1 - REACH)
-    said = f"one in {factor} of {times.size} samples after a low-pass filter: the band needs no more"
+    said = f"one in {factor} of {n} samples after a low-pass filter: the band needs no more"
+    if band is None:
+        power, last = (
+            np.abs(np.fft.rfft(values - np.mean(values, axis=1, keepdims=True))) ** 2,
+            PASSED * rate / factor / 2,
+        )
+        frequencies = np.fft.rfftfreq(n, 1.0 / rate)
+        if (strongest := float(frequencies[np.argmax(np.max(power, axis=0))])) > last:
+            remedy = f"needed: {n} samples, and most of the signal is at {strongest:.3g} Hz"
+            raise InputError("band", "none", f"{remedy}; add band={strongest / 2:.3g}:{2 * strongest:.3g}")
+        lost = float(np.sqrt(np.sum(power[:, frequencies > last]) / np.sum(power)))
+        said = f"one in {factor} of {n} samples after a low-pass filter: above {last:.4g} Hz, where {lost:.0%} of the "
+        said += "signal is, no mode is sought; band= chooses other frequencies"
+    inner = slice(REACH, (n - 1) // factor + 1 - REACH)
     return times[::factor][inner], resample_poly(values, 1, factor, axis=1)[:, inner], (said,)
 
 

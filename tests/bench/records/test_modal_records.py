@@ -232,3 +232,18 @@ def test_a_fit_beyond_its_limit_of_time_is_ended_and_said_so(capsys: pytest.Capt
     write("busy.csv", *channels, heads="a [g],b [g],c [g]")
     assert main(["data=busy.csv", "modes=auto", "timeout_s=0.02"]) == 1
     assert "no answer (timeout)" in capsys.readouterr().out
+
+
+def test_a_long_record_without_a_band_is_decimated_and_said_or_a_band_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Two records of 24,000 samples: of 12 Hz, and of 400 Hz, which decimation would take away."""
+    t, drawn = np.arange(24_000) / 1000.0, np.random.default_rng(8).standard_normal(24_000)
+    for name, frequency, rate in (("slow.csv", 12.0, 0.5), ("fast.csv", 400.0, 5.0)):
+        decay = np.exp(-rate * t) * np.cos(2 * np.pi * frequency * t) + 0.001 * drawn
+        np.savetxt(name, np.column_stack([t, decay]), delimiter=",", header="t [s],x [mm]", comments="", fmt="%.6g")
+    result = bench.identify("slow.csv", modes=1)
+    assert any("one in 3 of 24000 samples" in note for note in result.notes)
+    assert result.modes[0].frequency == pytest.approx(12.0, rel=1e-4)
+    assert main(["data=fast.csv", "modes=1"]) == 2
+    assert "add band=200:800" in capsys.readouterr().err
