@@ -28,7 +28,14 @@ DISAGREES = 1e-3
 """A chance below which samples contradict the stated equation, and a part of the largest value for a solution."""
 SIMULATED, MOST_SIMULATED, DENSE, STEP = 100_000, 10_000_000, 1000, 1e-5
 Verdict = Literal[
-    "within", "smaller", "larger", "not identifiable", "bias only", "prior", "nothing unknown", "no number"
+    "within",
+    "smaller",
+    "larger",
+    "not identifiable",
+    "bias only",
+    "decided by the prior",
+    "known beforehand",
+    "no number",
 ]
 
 
@@ -144,7 +151,7 @@ def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
     situation, nan = evidence.situation, float("nan")
     truth = nan if row.quantity == "x" else situation.value(row.quantity)
     score = nan if row.value is None else abs(row.value - truth) if row.form == "value" else row.value
-    finding = AuditFinding(row, reading, "nothing unknown", truth, score)
+    finding = AuditFinding(row, reading, "known beforehand", truth, score)
     spread = evidence.spread(row.quantity)
     bound = float(np.sqrt(np.sum(spread**2)))
     if situation.decided or bound == 0.0:
@@ -157,7 +164,7 @@ def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
     smaller, larger = np.mean(scores <= score + row.half_digit), np.mean(scores >= score - row.half_digit)
     share = 0.0 if row.quantity == "x" else evidence.information.prior_share(evidence.quantity(row.quantity))
     verdict: Verdict = "smaller" if smaller < RARE else "larger" if larger < RARE else "within"
-    verdict = "no number" if row.value is None else "prior" if share > DECIDED_BY_PRIOR else verdict
+    verdict = "no number" if row.value is None else "decided by the prior" if share > DECIDED_BY_PRIOR else verdict
     low, median, high = np.quantile(scores, [0.025, 0.5, 0.975]).tolist()
     guess = situation.setting.given.starting_value.get(row.quantity)
     return replace(

@@ -12,10 +12,10 @@ VERDICTS = {
     "within": "an error as an efficient estimator has it",
     "larger": "an efficient estimator has so large an error in fewer than 1 % of draws",
     "smaller": "an efficient estimator has so small an error in fewer than 1 % of draws",
-    "prior": "more than half of the bound's variance is the prior's, which is what the number tells of",
+    "decided by the prior": "more than half of the bound's variance is the prior's, which is what the number tells of",
     "not identifiable": "the data do not determine the quantity",
     "bias only": "the data have no noise, so that the error is bias",
-    "nothing unknown": "the quantity follows from what was known",
+    "known beforehand": "the quantity follows from what was known",
     "no number": "none is stated here; the bound is",
 }
 """Each verdict with its meaning."""
@@ -53,7 +53,7 @@ def placed(finding: AuditFinding) -> str:
     row, error = finding.row, ERRORS[finding.row.form]
     if finding.verdict == "not identifiable":
         return "the data do not determine it"
-    if finding.verdict == "nothing unknown":
+    if finding.verdict == "known beforehand":
         return "it follows from what was known, so that the samples decide nothing"
     if finding.verdict == "bias only":
         return f"off by {off(finding)}, which is bias: there is no noise"
@@ -64,7 +64,7 @@ def placed(finding: AuditFinding) -> str:
     )
     ends = {
         "no number": "",
-        "prior": f", most of it by the prior; {finding.score:.2g} says how near that was",
+        "decided by the prior": f", most of it by the prior; {finding.score:.2g} says how near that was",
         "within": f"; {percentage(finding.larger)} of draws give at least {finding.score:.2g}",
         "smaller": f"; only {percentage(finding.smaller)} of draws give at most {finding.score:.2g}: more was known "
         "than is stated here, or it is luck",

@@ -50,16 +50,15 @@ def says(audit: Audit) -> str:
 def answer(audit: Audit) -> str:
     """Write what the data allow of the first number of a claim."""
     first = audit.of("")[0]
-    return {
-        "within": f"an efficient estimator is as far off in {percentage(first.larger)} of draws",
-        "larger": f"off by {first.score / (first.bound or math.nan):.2g} bounds: larger",
+    texts = {
         "smaller": f"an efficient estimator is as near in {percentage(first.smaller)} of draws",
-        "prior": "mostly the prior's",
         "not identifiable": "they do not determine it",
         "bias only": f"{off(first)} is bias: no noise",
-        "nothing unknown": "nothing was unknown",
         "no number": f"bound {number(first.bound)}",
-    }[first.verdict]
+    }
+    if first.verdict in ("within", "larger"):
+        return f"an efficient estimator is as far off in {percentage(first.larger)} of draws"
+    return texts.get(first.verdict, first.verdict)
 
 
 OVERVIEW: Columns[Audit] = {
@@ -76,7 +75,10 @@ OVERVIEW: Columns[Audit] = {
 def audit_files(audits: Sequence[Audit], results: Path) -> dict[str, str]:
     """Return the page and its numbers by name; ``results`` has Tables 2 to 5, with the verdicts of our replicates."""
     verdicts = "\n".join(f"- *{verdict}*: {meaning}" for verdict, meaning in VERDICTS.items())
-    parts: list[str | Rows] = [PAGE.format(verdicts=verdicts), listing(audits, OVERVIEW)]
+    parts: list[str | Rows] = [
+        PAGE.format(verdicts=verdicts),
+        listing([audit for audit in audits if audit.findings], OVERVIEW),
+    ]
     lines: list[Line] = []
     for audit in audits:
         source, stated = audit.stated.claim.source, audit.of("")

@@ -230,7 +230,7 @@ def test_what_free_vibration_does_not_determine() -> None:
     weighed = audited(
         known=[], given={"prior": {"m": {"percent": 2}}}, reported=[{"method": "fit", "quantity": "m", "value": 1.01}]
     )
-    assert weighed.findings[0].verdict == "prior"
+    assert weighed.findings[0].verdict == "decided by the prior"
     assert weighed.findings[0].bound == pytest.approx(0.02)
     assert weighed.findings[0].prior_share == pytest.approx(1.0)
 
