@@ -46,6 +46,7 @@ LEGEND = {
     "lost": "outliers, and problems served without an answer",
 }
 """What the columns are."""
+ALONE = "no method to compare with: python -m bench round solve --help"
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,11 @@ class RoundReport:
     kinds: Grid
     ranking: Grid
 
+    @property
+    def compared(self) -> bool:
+        """Whether other methods are in the ranking."""
+        return "" in self.ranking.classes
+
     def line(self, round_name: str, commitment: str) -> str:
         """Return one line of Markdown to cite."""
         of = f"{round_name} of vibration-bench {__version__}, commitment `{commitment[:12]}`"
@@ -66,13 +72,14 @@ class RoundReport:
     def text(self) -> str:
         """Return the report for a terminal."""
         head = "\n".join([wrapped(f"{self.name}: {self.answer}"), *map(wrapped, self.sentences)])
-        tables = table(self.kinds.rows, KINDS), table(self.ranking.rows, RANKING, (0, 1))
+        ranking = table(self.ranking.rows, RANKING, (0, 1)) if self.compared else ALONE
+        tables = table(self.kinds.rows, KINDS), ranking
         legend = [f"{name}: {LEGEND[name]}" for name in ("error over bound", "tier", "interval score")]
         return "\n\n".join([head, *tables, "\n".join(map(wrapped, legend))])
 
     def page(self, line: str, origin: Mapping[str, str]) -> str:
         """Return the report as a page; ``origin`` says what was scored on what."""
-        return rendered("score.html.j2", report=self, line=line, origin=origin, legend=LEGEND)
+        return rendered("score.html.j2", report=self, line=line, origin=origin, legend=LEGEND, alone=ALONE)
 
 
 def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
@@ -140,12 +147,9 @@ def _answer(name: str, places: Mapping[str, Ranked]) -> str:
     if name not in places:
         return "no answer to any problem"
     place, in_tiers = places[name], [place.tier for place in places.values() if place.tier]
-    tier = (
-        f"tier {place.tier} of {max(in_tiers)} among {len(in_tiers)} methods"
-        if place.tier
-        else f"beside the tiers, serving {place.served} of {place.scenarios} problems"
-    )
-    return f"error {_typical(place)} times the Cramér-Rao bound" + (f", {tier}" if len(places) > 1 else "")
+    served = "" if place.served == place.scenarios else f" on {place.served} of {place.scenarios} problems"
+    tier = f"tier {place.tier} of {max(in_tiers)} among {len(in_tiers)} methods" if place.tier else "beside the tiers"
+    return f"error {_typical(place)} times the Cramér-Rao bound{served}" + (f", {tier}" if len(places) > 1 else "")
 
 
 def _sentences(scores: RoundScores) -> list[str]:
