@@ -74,7 +74,7 @@ def merge(
         "merged": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": drawn,
         **verification.facts(),
-        **(comparison.facts() if comparison else {}),
+        **({"fresh_problems": comparison.problems, "fresh_p_value": comparison.p_value} if comparison else {}),
     }
     print(add_cells([
         summarised(stored, bound).marked({**facts, "replicates": list(verification.compared.get(stored.identity, ()))})

@@ -16,7 +16,6 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -54,12 +53,7 @@ class FreshComparison:
 
     @property
     def differs(self) -> bool:
-        """Whether the errors are distributed differently."""
         return self.p_value < SIGNIFICANT
-
-    def facts(self) -> dict[str, Any]:
-        """Return what a merged cell states of the comparison."""
-        return {"fresh_problems": self.problems, "fresh_p_value": float(f"{self.p_value:.2g}")}
 
     def __str__(self) -> str:
         medians = f"median error over bound {self.submitted:.2g} as submitted, {self.fresh:.2g} on fresh data"
