@@ -21,11 +21,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 
-from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing
+from bench import Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing
 from methods.discrete.ar import coefficient_slopes, coefficients_of
 from methods.online.least_squares import LeastSquaresTracker
 
@@ -48,8 +49,8 @@ LEAST_MOVE = 1e-3
 class OnlineAR(OnlineIdentifier):
     """``factor``: what is kept of what was learned, a sample; ``warm_up`` samples are kept to begin."""
 
-    factor: float = 0.995
-    warm_up: int = 150
+    factor: Annotated[float, Interval(gt=0.5, le=1.0)] = 0.995
+    warm_up: Annotated[int, Interval(ge=30)] = 150
     card: ClassVar[OnlineCard] = OnlineCard(
         "recursive maximum likelihood of a discrete ARMA model, or output error under a known force, with forgetting",
         "Söderström, Ljung and Gustavsson, Automatica 14:231, 1978",
@@ -57,12 +58,6 @@ class OnlineAR(OnlineIdentifier):
         "AR, recursive",
         110,
     )
-
-    def __post_init__(self) -> None:
-        if not 0.5 < self.factor <= 1:
-            raise InputError("method.factor", self.factor, "a number above 0.5, at most 1")
-        if self.warm_up < 30:
-            raise InputError("method.warm_up", self.warm_up, "at least 30 samples")
 
     def objection(self, layout: Layout) -> str | None:
         """It needs one linear mass with one sensor, and the force of a known force's answer as a displacement."""

@@ -13,13 +13,14 @@ Alarm: the logarithm (base 10) of the odds that something has changed within the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 
-from bench import InputError, Layout, OnlineCard
+from bench import Layout, OnlineCard
 from methods.online.bank import FLOOR, Outcome
-from methods.online.filtering import FilterIdentifier, FilterTracker
+from methods.online.filtering import FilterIdentifier, FilterTracker, Probability
 
 CHANGE = 0.3
 """Standard deviation of a jump of a log-parameter: a factor of 1.35."""
@@ -129,9 +130,9 @@ class ChangePointTracker(HypothesisTracker):
 class ChangePoint(FilterIdentifier):
     """``members`` hypotheses, born every ``born`` samples; ``hazard``: probability of a change, a sample."""
 
-    members: int = 36
-    born: int = 8
-    hazard: float = 2e-6
+    members: Annotated[int, Interval(ge=4)] = 36
+    born: Annotated[int, Interval(ge=1)] = 8
+    hazard: Probability = 2e-6
     card: ClassVar[OnlineCard] = OnlineCard(
         "Bayesian online change-point detection with extended Kalman filters of constant parameters",
         "R. P. Adams, D. J. C. MacKay, arXiv:0710.3742; P. Fearnhead, Z. Liu, JRSS B 69:589, 2007",
@@ -139,13 +140,6 @@ class ChangePoint(FilterIdentifier):
         "change points",
         40,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.hazard < 1:
-            raise InputError("method.hazard", self.hazard, "a probability between 0 and 1")
-        if self.members < 4 or self.born < 1:
-            raise InputError("method.members", self.members, "at least 4 hypotheses, born every 1 or more samples")
 
     def start(self, layout: Layout) -> ChangePointTracker:
         """A bank before its first sample."""

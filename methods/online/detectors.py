@@ -19,11 +19,12 @@ nearly certain or none is supported: a sum alone changes nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 
-from bench import InputError, Layout, OnlineCard
+from bench import Layout, OnlineCard
 from methods.online.bank import FLOOR, Outcome
 from methods.online.change_point import HypothesisTracker
 from methods.online.filtering import FilterIdentifier, FilterTracker
@@ -97,9 +98,9 @@ class _Ratio(HypothesisTracker):
 class OnlineGLR(FilterIdentifier):
     """``threshold``: natural logarithm of the likelihood ratio that rings."""
 
-    members: int = 36
-    born: int = 8
-    threshold: float = 13.0
+    members: Annotated[int, Interval(ge=4)] = 36
+    born: Annotated[int, Interval(ge=1)] = 8
+    threshold: Annotated[float, Interval(gt=0.0)] = 13.0
     card: ClassVar[OnlineCard] = OnlineCard(
         "extended Kalman filter of constants, replaced when a generalised likelihood ratio of a change rings",
         "A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21:108, 1976",
@@ -107,11 +108,6 @@ class OnlineGLR(FilterIdentifier):
         "likelihood ratio",
         70,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.threshold > 0:
-            raise InputError("method.threshold", self.threshold, "a positive logarithm of a likelihood ratio")
 
     def start(self, layout: Layout) -> FilterTracker:
         """A bank before its first sample."""
@@ -165,10 +161,10 @@ class OnlineCUSUM(FilterIdentifier):
     samples between hypotheses.
     """
 
-    allowance: float = 0.25
-    threshold: float = 16.0
-    support: float = 13.0
-    born: int = 8
+    allowance: Annotated[float, Interval(gt=0.0)] = 0.25
+    threshold: Annotated[float, Interval(gt=0.0)] = 16.0
+    support: Annotated[float, Interval(gt=0.0)] = 13.0
+    born: Annotated[int, Interval(ge=1)] = 8
     card: ClassVar[OnlineCard] = OnlineCard(
         "extended Kalman filter of constants; a two-sided CUSUM of its moves lets filters of a change compete with it",
         "E. S. Page, Biometrika 41:100, 1954",
@@ -176,14 +172,6 @@ class OnlineCUSUM(FilterIdentifier):
         "CUSUM",
         60,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("allowance", "threshold", "support"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"method.{name}", getattr(self, name), "a positive number")
-        if self.born < 1:
-            raise InputError("method.born", self.born, "at least 1 sample")
 
     def start(self, layout: Layout) -> FilterTracker:
         """A filter before its first sample."""

@@ -13,9 +13,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import InputError, Layout, OnlineCard
+from bench import Layout, OnlineCard
 from methods.online.bank import Outcome, Rule
-from methods.online.filtering import FilterIdentifier, FilterTracker
+from methods.online.filtering import FilterIdentifier, FilterTracker, Probability
 
 RATES = (0.0, 3e-4, 2e-3, 1e-2)
 """Standard deviations of the random walk of a log-parameter, a sample."""
@@ -71,8 +71,8 @@ class Rates(FilterTracker):
 class OnlineEKF(FilterIdentifier):
     """``changes``: probability a sample that the rate changes; ``settles``: that it ends."""
 
-    changes: float = 1e-5
-    settles: float = 1e-2
+    changes: Probability = 1e-5
+    settles: Probability = 1e-2
     rule: ClassVar[Rule] = "extended"
     card: ClassVar[OnlineCard] = OnlineCard(
         "extended Kalman filters with random walks of several rates, weighted by likelihood",
@@ -81,12 +81,6 @@ class OnlineEKF(FilterIdentifier):
         "EKF",
         10,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("changes", "settles"):
-            if not 0 < getattr(self, name) < 1:
-                raise InputError(f"method.{name}", getattr(self, name), "a probability between 0 and 1")
 
     def walks(self, parameters: int) -> np.ndarray:
         """Variances that the log-parameters of each member gain a sample, (M, parameters); those of the first none."""

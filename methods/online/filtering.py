@@ -28,11 +28,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 
-from bench import InputError, Layout, Normal, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from bench import Layout, Normal, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
 from methods.online.bank import FLOOR, GATE, Bank, Outcome, Rule
 from methods.online.likelihood import Head, beginning, without_spikes
 
@@ -69,17 +70,16 @@ RESTING = "nothing moves beyond the noise: the belief rests on what was learned 
 OPENING = "several samples in a row are far off: the sensor's zero or the system has jumped, the belief is opened"
 
 
+Probability = Annotated[float, Interval(gt=0.0, lt=1.0)]
+
+
 @dataclass(frozen=True)
 class FilterIdentifier(OnlineIdentifier):
     """``warm_up``: samples before the filters begin; half of them where no force is known."""
 
-    warm_up: int = 150
+    warm_up: Annotated[int, Interval(ge=20)] = 150
     version: ClassVar[int] = 4
     """4: under a known force the sensors' noise is learned from all samples, not from the first alone."""
-
-    def __post_init__(self) -> None:
-        if self.warm_up < 20:
-            raise InputError("method.warm_up", self.warm_up, "at least 20 samples")
 
 
 class FilterTracker(Tracker):

@@ -13,6 +13,7 @@ import numpy as np
 
 from bench import OnlineCard
 from methods.online.ekf import OnlineEKF
+from methods.online.filtering import Probability
 
 RATES = (2e-3, 2e-2)
 """Standard deviations of the random walk of the log-parameter that changes, a sample."""
@@ -22,8 +23,8 @@ RATES = (2e-3, 2e-2)
 class OnlineIMM(OnlineEKF):
     """``changes``: probability a sample that something begins to change; ``settles``: that it ends."""
 
-    changes: float = 1e-4
-    settles: float = 0.05
+    changes: Probability = 1e-4
+    settles: Probability = 0.05
     card: ClassVar[OnlineCard] = OnlineCard(
         "interacting multiple models of extended Kalman filters: nothing changes, or one parameter, slowly or fast",
         "H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988",

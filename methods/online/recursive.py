@@ -22,12 +22,12 @@ the residuals of the equations, knows nothing of that.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from annotated_types import Interval
 
 from bench import (
-    InputError,
     Layout,
     Normal,
     OnlineCard,
@@ -57,8 +57,8 @@ class OnlineRLS(OnlineIdentifier):
     """``span`` samples an equation; ``factor``: what is kept a sample, for the two kinds that use it."""
 
     forgetting: Forgetting = "exponential"
-    factor: float = 0.995
-    span: int = 40
+    factor: Annotated[float, Interval(gt=0.5, le=1.0)] = 0.995
+    span: Annotated[int, Interval(ge=8)] = 40
     version: ClassVar[int] = 2
     """2: no equation reaches across a jump of a sensor's zero."""
     card: ClassVar[OnlineCard] = OnlineCard(
@@ -68,14 +68,6 @@ class OnlineRLS(OnlineIdentifier):
         "RLS",
         100,
     )
-
-    def __post_init__(self) -> None:
-        if self.forgetting not in get_args(Forgetting):
-            raise InputError("method.forgetting", self.forgetting, f"one of {', '.join(get_args(Forgetting))}")
-        if not 0.5 < self.factor <= 1:
-            raise InputError("method.factor", self.factor, "a number above 0.5, at most 1")
-        if self.span < 8:
-            raise InputError("method.span", self.span, "at least 8 samples")
 
     def objection(self, layout: Layout) -> str | None:
         """It needs the displacement of every DOF, a linear system, and to be told the force."""

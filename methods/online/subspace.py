@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 
-from bench import InputError, Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from bench import Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
 from methods.modal.matrix_pencil import groups_from_poles
 from methods.online.likelihood import without_spikes
 
@@ -31,8 +32,8 @@ CYCLES = 2.0
 class OnlineSSI(OnlineIdentifier):
     """Windows of ``length`` samples, every ``every``."""
 
-    length: int = 1500
-    every: int = 25
+    length: Annotated[int, Interval(ge=200)] = 1500
+    every: Annotated[int, Interval(ge=1)] = 25
     card: ClassVar[OnlineCard] = OnlineCard(
         "covariance-driven stochastic subspace identification in windows",
         "B. Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999",
@@ -40,12 +41,6 @@ class OnlineSSI(OnlineIdentifier):
         "SSI, window",
         120,
     )
-
-    def __post_init__(self) -> None:
-        if self.length < 200:
-            raise InputError("method.length", self.length, "at least 200 samples")
-        if self.every < 1:
-            raise InputError("method.every", self.every, "at least 1 sample")
 
     def objection(self, layout: Layout) -> str | None:
         """It needs an unknown force, and one linear mass."""

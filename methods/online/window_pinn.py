@@ -9,13 +9,13 @@ a cold start, and the better of the two counts.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 
 from bench import (
     Estimate,
-    InputError,
     Layout,
     OnlineCard,
     OnlineIdentifier,
@@ -48,8 +48,8 @@ class ContinuedPINN(PINN):
 class OnlinePINN(OnlineIdentifier):
     """Windows of ``length`` samples, every ``every``; ``arrival``: with what was learned before (see the window)."""
 
-    length: int = 150
-    every: int = 10
+    length: Annotated[int, Interval(ge=20)] = 150
+    every: Annotated[int, Interval(ge=1)] = 10
     arrival: bool = False
     card: ClassVar[OnlineCard] = OnlineCard(
         "PINN in a sliding window, each training started at the parameters of the one before",
@@ -60,12 +60,6 @@ class OnlinePINN(OnlineIdentifier):
     )
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
-
-    def __post_init__(self) -> None:
-        if self.length < 20:
-            raise InputError("method.length", self.length, "at least 20 samples")
-        if self.every < 1:
-            raise InputError("method.every", self.every, "at least 1 sample")
 
     def objection(self, layout: Layout) -> str | None:
         """It needs to be told the force."""

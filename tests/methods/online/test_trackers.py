@@ -343,7 +343,9 @@ def test_one_mass_methods_object_to_more(name, made, said) -> None:
 @pytest.mark.parametrize(
     ("name", "settings"),
     [("ar", {"factor": 0.2}), ("ar", {"warm_up": 3}), ("ssi", {"length": 20}), ("ssi", {"every": 0}),
-     ("pinn", {"length": 5}), ("pinn", {"every": 0})],
+     ("pinn", {"length": 5}), ("pinn", {"every": 0}), ("cusum", {"support": 0}), ("glr", {"threshold": -1.0}),
+     ("change_points", {"hazard": 1.0}), ("change_points", {"members": 3}), ("rls", {"span": 7}),
+     ("rls", {"forgetting": "all"}), ("imm", {"settles": 0.0}), ("ekf", {"warm_up": 19})],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_said(name, settings) -> None:
     with pytest.raises(InputError, match=f"method.{next(iter(settings))}"):
