@@ -271,7 +271,8 @@ class Audit:
         number = self.of("").index(finding)
         other = [self.of(reading)[number] for reading in self.stated.claim.readings]
         if other and all(f.verdict == finding.verdict for f in other):
-            return f"the same, bound {min(f.bound for f in other):.3g} to {max(f.bound for f in other):.3g}"
+            ends = dict.fromkeys(f"{end(f.bound for f in other):.3g}" for end in (min, max))
+            return f"the same, bound {' to '.join(ends)}" if 0 < finding.bound < np.inf else "the same"
         return ", ".join(
             f"{f.reading}: {f.verdict} (bound {f.bound:.3g})" for f in other if f.verdict != finding.verdict
         )
