@@ -69,9 +69,8 @@ def score(
         "SHA-256 of the predictions": hashlib.sha256(predictions.read_bytes()).hexdigest(),
         "Version of vibration-bench": __version__,
     }  # fmt: skip
-    print(report.text(), line, sep="\n\n")
-    if out:
-        for path, text in ((out / "score.html", report.page(line, origin)), (out / "score.md", f"{line}\n")):
-            write(path, text, out)
-            print(path)
+    pages = {out / "score.html": report.page(line, origin), out / "score.md": f"{line}\n"} if out else {}
+    for path, text in pages.items():
+        write(path, text, out)
+    print(report.text(), line, "\n".join(map(str, pages)), sep="\n\n")
     return 0
