@@ -111,11 +111,18 @@ class WaveFit(PoleFit):
 
     @property
     def criterion(self) -> float:
-        n = self.times.size
-        floors = (ROUNDING * np.std(self.samples, axis=1)) ** 2 + 1e-300
-        noises = self._noises(bool(self.filters))
-        sizes = [n * np.log(noise.variance + floor) for noise, floor in zip(noises, floors, strict=True)]
-        return float(sum(sizes) + (self.unknowns + sum(noise.order for noise in noises)) * np.log(n))
+        """The Bayesian information criterion with the best noise of these residuals, by its exact likelihood.
+
+        The variance of Levinson and Durbin holds the ends of the residuals, which resonant noise makes many times too
+        large: a wave that lowers them would pass for a mode.
+        """
+        n, total = self.times.size, 0.0
+        noises, deviations = self._noises(bool(self.filters)), np.std(self.samples, axis=1)
+        for residuals, noise, deviation in zip(self.residuals[0], noises, deviations, strict=True):
+            unit = replace(noise, variance=1.0)
+            square = np.mean(unit.whitened(residuals) ** 2) + (ROUNDING * deviation) ** 2 + 1e-300
+            total += n * np.log(square) - 2.0 * np.sum(np.log(np.diag(unit.whitened(np.eye(noise.order)))))
+        return float(total + (self.unknowns + sum(noise.order for noise in noises)) * np.log(n))
 
     def _noises(self, coloured: bool, spent: float = 0.0) -> list[Autoregression]:
         """Return the noises of the residuals, which are smaller by the degrees of freedom that the fit has spent."""
