@@ -265,7 +265,8 @@ def _free(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     The earliest start is taken from which they describe the motion, or that from which they leave least: before it are
     a hand, a start-up or large amplitudes. There the method's own number of modes stands if it describes the motion.
     """
-    whole, data = _find(name, method, problem, record), problem.data
+    started, data = time.perf_counter(), problem.data
+    whole = _find(name, method, problem, record)
     if whole.describes or whole.estimate.status in (Status.MISSING_DEPENDENCY, Status.UNSUPPORTED):
         return whole
     assert isinstance(data, FreeDecays)
@@ -289,7 +290,8 @@ def _free(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
     why = "a hand, a start-up or large amplitudes, at which they may be others, are left out; from= sets another start"
     number = f"their number is the least that leaves no line above {SECOND_MODE:.0%} of the signal"
     notes = best.notes if best is again else (*(n for n in best.notes if n != best.estimate.message), number)
-    return replace(best, reasons=(Reason(Trust.CAUTION, f"{said}: {why}"), *best.reasons), notes=notes)
+    reasons = (Reason(Trust.CAUTION, f"{said}: {why}"), *best.reasons)
+    return replace(best, reasons=reasons, notes=notes, wall_s=time.perf_counter() - started)
 
 
 def _starts(data: FreeDecays) -> Iterator[float]:

@@ -248,7 +248,7 @@ class Columns:
             notes.append(f"{role} is taken in {given}, as units= says; its header says {column.label}")
         label = given or column.label
         if unit is None:
-            return replace(column, label=label) if keeps and (label or self.options.sensors) else None
+            return replace(column, label=label, unit=None) if keeps and (label or self.options.sensors) else None
         size = 1.0 if quantity == "time" else unit.size
         return replace(column, values=column.values * size, unit=unit, label=unit.symbol, written=label)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.contract.modal import FreeDecays
 from bench.records.modal import ModalFinding, modal_response
 from bench.records.response import Response, thinned
 from bench.reporting.pictures.theme import FULL, HALF, SERIES, theme
@@ -83,9 +84,9 @@ def spectra_of_modes(finding: ModalFinding) -> dict[str, Any] | None:
     if comparison is None:
         return None
     i = int(np.argmax(np.linalg.norm(comparison.measured, axis=1)))
-    measured, fitted = comparison.measured[i], comparison.fitted[i]
+    measured, fitted, free = comparison.measured[i], comparison.fitted[i], isinstance(finding.record.data, FreeDecays)
     return {
-        "frequencies": comparison.frequencies, "unit": finding.record.units[i],
+        "frequencies": comparison.frequencies, "unit": finding.record.units[i] + ("" if free else " per N"),
         "record": np.abs(measured), "modes": np.abs(fitted), "residuals": np.abs(measured - fitted),
         "natural_frequencies": [mode.frequency for mode in finding.estimate.modes],
     }  # fmt: skip

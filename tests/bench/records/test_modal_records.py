@@ -193,6 +193,9 @@ def test_one_channel_in_any_unit_needs_no_words() -> None:
     write("sound.csv", wave(*FIRST, 3.0) + noise(0.02, 5), heads="mic [Pa]")
     (mode,) = bench.identify("sound.csv", modes="auto").modes
     assert (mode.amplitude_unit, mode.shape) == ("Pa", ())
+    write("known.csv", wave(*FIRST, 3.0) + noise(0.02, 5))
+    (mode,) = bench.identify("known.csv", modes="auto", units={"x": "furlong"}).modes
+    assert round(mode.amplitude) == 3
 
 
 def test_a_blow_on_a_known_mass_gives_its_modal_mass_damping_and_stiffness(tmp_path: Path) -> None:
