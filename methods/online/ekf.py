@@ -69,7 +69,7 @@ class Rates(FilterTracker):
 
 @dataclass(frozen=True)
 class OnlineEKF(FilterIdentifier):
-    """``changes``: probability a sample that the rate changes; ``settles``: that it ends."""
+    """``changes``: probability a sample that the rate changes; ``settles``: that it ends; both before any was seen."""
 
     changes: Probability = 1e-5
     settles: Probability = 1e-2
@@ -77,7 +77,7 @@ class OnlineEKF(FilterIdentifier):
     card: ClassVar[OnlineCard] = OnlineCard(
         "extended Kalman filters with random walks of several rates, weighted by likelihood",
         "C. B. Yun, M. Shinozuka, J. Structural Mechanics 8:187, 1980; Blom and Bar-Shalom 1988",
-        "rates: a factor of five apart; a change in a thousand samples",
+        "rates: a factor of five apart; the probability of a change is learned from the stream",
         "EKF",
         10,
     )
