@@ -35,6 +35,8 @@ FOLLOWED = 4
 ITERATIONS = 80
 DRAWN = 600
 """Sets of parameters of the scan where there are several degrees of freedom."""
+UNSETTLED = 2
+"""First samples whose predictions say nothing of the parameters, for each unknown of the state at first."""
 OPEN_LOG = 3.0
 """Standard deviation of a log-parameter before any sample: a factor of 20."""
 OPEN = 10.0
@@ -94,7 +96,7 @@ class Levels:
 class Beginning:
     """What the first samples tell: mean and covariance of the joint state at the last of them, and the levels.
 
-    ``expected``, (n, n_sensors): each sample as it was expected before it was seen; NaN for the first.
+    ``expected``, (n, n_sensors): each sample as it was expected before it was seen; NaN for the first ones.
     """
 
     mean: np.ndarray
@@ -272,7 +274,8 @@ class Likelihood:
         """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.
 
         The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there. The
-        last is what each sample was expected to be before it was seen, (n, n_sensors), by the filter given ``eta``.
+        last is what each sample was expected to be before it was seen, (n, n_sensors), by the filter given ``eta``; NaN
+        for the first, whose errors are those of a motion that nobody knows yet.
         """
         import jax
         import jax.numpy as jnp
@@ -291,7 +294,9 @@ class Likelihood:
         expected = jax.vmap(lambda state, before, now: model.observe(advance(state, before), now))(
             about[:-1], forces[:-1], forces[1:]
         )
-        return means[-1], covs[-1], jnp.concatenate([jnp.full((1, model.n_sensors), jnp.nan), expected])
+        unsettled = UNSETTLED * model.logs.start
+        expected = jnp.concatenate([jnp.full((1, model.n_sensors), jnp.nan), expected]).at[:unsettled].set(jnp.nan)
+        return means[-1], covs[-1], expected
 
     def _first(self, first: Any, levels: Levels) -> Any:
         """Variances of the joint state before any sample, (d,)."""
