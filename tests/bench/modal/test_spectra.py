@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bench.contract.modal import Blows, FrequencyResponses, ModalProblem, Mode
 from bench.entrants.modal import make_modal
-from bench.modal.spectra import modal_parameters
+from bench.modal.scenario import ModalScenario
+from bench.modal.spectra import Spectra, modal_parameters
 
 HERTZ, RATIOS = np.array([35.0, 88.0, 150.0]), np.array([0.01, 0.008, 0.012])
 POLES = 2.0 * np.pi * HERTZ * (-RATIOS + 1j * np.sqrt(1.0 - RATIOS**2))
@@ -72,3 +75,63 @@ def test_mass_damping_and_stiffness_of_one_degree_of_freedom() -> None:
     assert parameters.m_sd == pytest.approx(0.01 * m)
     assert not parameters.note
     assert "90 degrees" in modal_parameters(mode, 1).note
+
+
+SHORT = ModalScenario("", (40.0,), (0.01,), (1.0,), 1024.0, 512, blows=3, band=(15.0, 120.0))
+"""Three blows on one mode, whose motion has fallen to a third at the end of a record."""
+
+
+def test_standard_errors_of_blows_are_those_of_a_fisher_information_by_finite_differences() -> None:
+    """The motion is a sum over the samples of the force, and the noise is white in time."""
+    step, n, sigma, low, high = 1e-3, 512, 2e-6, 15.0, 200.0
+    times, hertz = step * np.arange(n), np.fft.rfftfreq(n, step)
+    since = times - np.array([[0.05], [0.06]])
+    forces = np.array([[1.0], [1.6]]) * np.where((since > 0) & (since < 0.012), np.sin(np.pi * since / 0.012) ** 2, 0.0)
+
+    def responses(x: np.ndarray) -> np.ndarray:
+        pole = 2.0 * np.pi * x[0] * (-x[1] + 1j * np.sqrt(1.0 - x[1] ** 2))
+        parts = [2.0 * ((re + 1j * im) * np.exp(pole * times)).real for re, im in x[2:].reshape(2, 2)]
+        return step * np.array([np.convolve(f, part)[:n] for f, part in zip(forces, parts, strict=True)])
+
+    def lines(values: np.ndarray) -> np.ndarray:
+        spectra = step * np.fft.rfft(values)[:, (hertz >= low) & (hertz <= high)]
+        return np.concatenate([spectra.real, spectra.imag], axis=1).ravel()
+
+    x = np.array([60.0, 0.01, 1e-4, -1.3e-3, 1e-4, -1.3e-3])
+    steps = 1e-5 * np.diag(np.abs(x))
+    derivatives = [(lines(responses(x + h)) - lines(responses(x - h))) / (2.0 * h.max()) for h in steps]
+    s = 2j * np.pi * np.maximum(hertz, low)
+    for power, blow in [(power, blow) for power in range(-2, 2) for blow in range(2)]:
+        derivatives.append(lines(np.fft.irfft(np.fft.rfft(forces) * s**power, n) * (np.arange(2) == blow)[:, None]))
+    columns = np.array(derivatives).T
+    scale = np.linalg.norm(columns, axis=0)
+    bound = np.sqrt(np.diag(np.linalg.inv((columns / scale).T @ (columns / scale)))) / scale
+    bound *= step * sigma * np.sqrt(n / 2.0)
+    noise = sigma * np.random.default_rng(4).standard_normal((2, 1, n))
+    data = Blows(step, forces, responses(x)[:, None] + noise, "receptance")
+    (mode,) = make_modal("spectra").identify_modes(ModalProblem(data, 1, (low, high))).modes
+    assert [mode.frequency_sd, mode.damping_ratio_sd] == pytest.approx(bound[:2], rel=0.1)
+    assert abs(mode.frequency - x[0]) < 4.0 * bound[0]
+
+
+def test_intervals_of_blows_cover_the_truth_as_often_as_stated() -> None:
+    scores = []
+    for replicate in range(100):
+        problem, truth = SHORT.draw(11, replicate)
+        (mode,) = make_modal("spectra").identify_modes(ModalProblem(problem.data, 1, problem.band)).modes
+        errors = mode.frequency - truth.frequencies[0], mode.damping_ratio - truth.damping_ratios[0]
+        scores.append([errors[0] / mode.frequency_sd, errors[1] / mode.damping_ratio_sd])
+    assert 0.88 < np.mean(np.abs(scores) < 1.96) < 0.99
+    assert np.abs(np.mean(scores, axis=0)).max() < 0.4  # four standard errors of the mean
+
+
+def test_without_the_transient_term_the_damping_of_a_record_that_ends_early_is_biased(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, truth = replace(SHORT, snr_db=80.0, force_snr_db=80.0).draw(0, 0)
+    problem = ModalProblem(problem.data, 1, problem.band)
+    (mode,) = make_modal("spectra").identify_modes(problem).modes
+    assert mode.damping_ratio == pytest.approx(truth.damping_ratios[0], rel=0.01)
+    monkeypatch.setattr(Spectra, "free", lambda self, poles: np.zeros((2, poles.size, self.s.size)))
+    (biased,) = make_modal("spectra").identify_modes(problem).modes
+    assert biased.damping_ratio > 1.1 * truth.damping_ratios[0]

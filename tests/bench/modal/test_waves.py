@@ -94,6 +94,15 @@ def test_humps_of_coloured_noise_are_no_modes() -> None:
         assert frequencies(answer(decays(APART[:2], SHAPES[:1]) + coloured)) == pytest.approx([7.3, 19.1], rel=0.01)
 
 
+@pytest.mark.parametrize("seed", [1002, 1003, 1011])
+def test_the_ends_of_resonant_noise_make_no_mode(seed: int) -> None:
+    """Variances of Levinson and Durbin take the ends of these records for modes."""
+    resonant = lfilter([1.0], [1.0, -1.6, 0.85], noise(1.0, seed))
+    assert answer(resonant).status is Status.DIVERGED
+    estimate = answer(decays(((7.3, 0.012), (19.1, 0.02)), SHAPES[:1]) + 0.05 * resonant)
+    assert frequencies(estimate) == pytest.approx([7.3, 19.1], rel=0.02)
+
+
 def test_noise_alone_has_no_mode() -> None:
     assert answer(noise(1.0, 0)).status is Status.DIVERGED
 
