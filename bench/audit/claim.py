@@ -224,12 +224,8 @@ def read_claim(name: str, content: Mapping[str, Any], folder: Path) -> StatedCla
     for case, own in {"": {}, **claim.cases}.items():
         for reading, other in {"": {}, **claim.readings}.items():
             whole = _merged(_merged(common, own), other)
-            changed = f"readings.{reading}" if reading else f"cases.{case}"
-            paths = {
-                "": changed,
-                **{key: f"{changed}.{key}" if key in (other if reading else own) else key for key in whole},
-            }
-            situations[case, reading] = _situation(claim.equation, validated(Setting, whole, paths), folder)
+            place = f"readings.{reading}" if reading else f"cases.{case}" if case else ""
+            situations[case, reading] = _situation(claim.equation, validated(Setting, whole, place), folder)
     for i, row in enumerate(claim.reported):
         if row.case:
             check_name(f"reported.{i}.case", row.case, claim.cases)

@@ -8,7 +8,6 @@ means over many runs too, by the triangle inequality.
 from __future__ import annotations
 
 import csv
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -132,12 +131,6 @@ def paper_number(table: int | None, row: str, label: str, metric: str) -> Printe
     card = cards().get(label)
     place = (table, row, card.paper if card else "", metric)
     return next((p for p in printed() if (p.table, p.row, p.method, p.metric) == place), None)
-
-
-def paper_value(table: int, row: str, label: str, metric: str) -> float:
-    """Return the same as a value, NaN where there is none."""
-    number = paper_number(table, row, label, metric)
-    return number.value if number else math.nan
 
 
 def row_name(table: int, system: str, snr_db: float) -> str:

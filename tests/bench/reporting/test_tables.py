@@ -20,7 +20,7 @@ from bench.config.experiment import Experiment, expand
 from bench.errors import InputError
 from bench.information.fisher import Bound
 from bench.reporting.frame import ERROR, Frame, Result
-from bench.reporting.paper import paper_value, printed
+from bench.reporting.paper import paper_number, printed
 from bench.reporting.residuals import coloured, residuals
 from bench.reporting.tables import estimates
 from bench.reporting.tables.pooling import identified, modal_scores, pooled_coverage, pooled_excess
@@ -96,11 +96,12 @@ def row_of(text: str, name: str) -> list[str]:
 
 def test_the_papers_59_numbers_are_all_found_and_no_others() -> None:
     for place, values in PRINTED.items():
-        np.testing.assert_equal([paper_value(*place, key) for key in KEYS], values)
+        found = [paper_number(*place, key) for key in KEYS]
+        np.testing.assert_equal([number.value if number else math.nan for number in found], values)
     assert len(printed()) == sum(math.isfinite(value) for values in PRINTED.values() for value in values) == 59
-    assert paper_value(3, "comparison", "pinn_adam", "rmse") == 0.016
+    assert paper_number(3, "comparison", "pinn_adam", "rmse").value == 0.016  # type: ignore[union-attr]
     for place in ((3, "comparison", "oracle"), (2, "identified", "ls"), (5, "25", "pinn"), (4, "6", "pinn")):
-        assert math.isnan(paper_value(*place, "rmse"))
+        assert paper_number(*place, "rmse") is None
 
 
 def test_a_table_of_the_paper_has_bounds_numbers_and_the_verdicts_of_judge(reference: Scenario) -> None:
