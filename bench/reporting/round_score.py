@@ -108,9 +108,14 @@ def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
 
 
 def _fits(rows: pd.DataFrame) -> list[np.ndarray]:
-    """Return log error over bound of each problem (1,); none (0,) of one that the method does not serve."""
+    """Return log error over bound of each problem (1,); none (0,) of one that the method does not serve.
+
+    Where no other problem of a kind asks for the same quantities, answers to others of the kind say that it is served.
+    """
     asked = rows.groupby("scenario")["quantity"].transform(" ".join)
-    served = rows.groupby([rows["kind"], asked])["value"].transform("count") > 0
+    alike = rows.groupby([rows["kind"], asked])
+    alone = alike["scenario"].transform("nunique") == 1
+    served = (alike["value"].transform("count") > 0) | (alone & (rows.groupby("kind")["value"].transform("count") > 0))
     return [
         log_sizes(of["error"].to_numpy()[:, None]) if served[of.index[0]] else np.empty(0)
         for _, of in rows.groupby("scenario")
@@ -129,7 +134,8 @@ def _kind_row(kind: str, place: Ranked | None, rows: pd.DataFrame) -> list[str]:
 
 
 def _ranking_row(place: Ranked) -> list[str]:
-    there = f"{place.first_tier:.2f}" if place.served < place.scenarios else ""
+    partly = place.served < place.scenarios and math.isfinite(place.first_tier)
+    there = f"{place.first_tier:.2f}" if partly else ""
     served, lost = f"{place.served} of {place.scenarios}", f"{place.lost} of {place.fits}"
     return [_tier(place), title(place.label), served, _typical(place), there, lost]
 
