@@ -42,8 +42,10 @@ def certify(
     Exit status: 0, 1 where the verdict is "do not trust", 2 for bad input.
     """
     again = command_line(certify, locals())
+    from bench.records.request import ModalRequest
+
     request = _request(data, system, method, record)
-    several_modes = hasattr(request, "count")
+    several_modes = isinstance(request, ModalRequest)
     if all(path.is_file() for path in request.files):
         start_server(PRELOADED)  # it imports while this process does
     try:

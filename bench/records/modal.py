@@ -186,7 +186,7 @@ class ModalFinding:
     @property
     def alike(self) -> list[tuple[Mode, Mode]]:
         """Modes that are close and of one shape, so that they may be one."""
-        return [pair for pair in _close(self.estimate.modes) if _likeness(*pair) > ALIKE]
+        return _alike(self.estimate.modes)
 
     @property
     def rank(self) -> tuple[int, float]:
@@ -397,7 +397,7 @@ def _reasons(
         yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{said}: {why}; intervals are wider by as much")
     elif left > MOST_LEFT and share <= SECOND_MODE:
         yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
-    if alike := [pair for pair in _close(modes) if _likeness(*pair) > ALIKE]:
+    if alike := _alike(modes):
         pairs = "; ".join(_named(*pair) for pair in alike)
         said = "close and of one shape, so they may be one that does not decay as a mode"
         yield Reason(Trust.CAUTION, f"{said}: {pairs}")
@@ -419,10 +419,16 @@ def _close(modes: Sequence[Mode]) -> list[tuple[Mode, Mode]]:
     return [(a, b) for a, b in pairwise(modes) if b.frequency - a.frequency < (a.bandwidth + b.bandwidth) / 2.0]
 
 
-def _likeness(first: Mode, second: Mode) -> float:
-    """Compute the modal assurance criterion of two shapes (R. J. Allemang, Sound and Vibration 37(8):14, 2003)."""
-    product = np.abs(np.vdot(first.shape, second.shape)) / np.linalg.norm(first.shape) / np.linalg.norm(second.shape)
-    return float(product**2)
+def _alike(modes: Sequence[Mode]) -> list[tuple[Mode, Mode]]:
+    """Return close modes of one shape, by the modal assurance criterion.
+
+    R. J. Allemang, Sound and Vibration 37(8):14, 2003.
+    """
+
+    def criterion(a: np.ndarray, b: np.ndarray) -> float:
+        return float((np.abs(np.vdot(a, b)) / np.linalg.norm(a) / np.linalg.norm(b)) ** 2)
+
+    return [pair for pair in _close(modes) if criterion(*(mode.shape for mode in pair)) > ALIKE]
 
 
 def _chance_of_noise(mode: Mode, lines: int) -> float:
