@@ -20,8 +20,8 @@ from methods.online.filtering import FilterIdentifier, FilterTracker, Probabilit
 RATES = (0.0, 3e-4, 2e-3, 1e-2)
 """Standard deviations of the random walk of a log-parameter, a sample."""
 
-
 LIKELIER = -np.log(2.0)
+"""Log-weight above which a mode is likelier than all others together."""
 WORTH = 1000.0
 """Samples that the settings of the chain are worth beside the changes that are seen."""
 
