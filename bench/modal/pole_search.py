@@ -31,19 +31,16 @@ MANY = "as many as are sought: what is there may be no sum of modes"
 
 @dataclass(frozen=True, eq=False)
 class PoleFit(ABC):
-    """Modes of ``poles`` (m,), complex, in 1/s, beside data, with all linear factors of least squares.
+    """Modes of ``poles`` (m,), complex, in 1/s, beside ``values`` (blocks, outputs, n), with factors of least squares.
 
-    Data are (blocks, outputs, n): all blocks and outputs have the poles in common, and factors of their own.
-    ``level`` (outputs,): variance of the whitened errors.
+    All blocks and outputs have the poles in common, and factors of their own. ``level`` (outputs,): variance of the
+    whitened errors. ``resolution``: least distance (rad/s) between the two modes that one is split into.
     """
 
     poles: np.ndarray
     level: np.ndarray
-
-    @property
-    @abstractmethod
-    def values(self) -> np.ndarray:
-        """The data, (blocks, outputs, n)."""
+    values: np.ndarray
+    resolution: float
 
     @property
     @abstractmethod
@@ -84,11 +81,6 @@ class PoleFit(ABC):
     @abstractmethod
     def has_room(self) -> bool:
         """Whether there are data enough for one more mode."""
-
-    @property
-    @abstractmethod
-    def resolution(self) -> float:
-        """Least distance (rad/s) between the two modes that one is split into."""
 
     @property
     def nonlinear(self) -> np.ndarray:

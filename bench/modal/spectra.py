@@ -143,12 +143,9 @@ class SpectralFit(PoleFit):
     @staticmethod
     def empty(spectra: Spectra) -> SpectralFit:
         """Return the fit of the residual terms alone."""
-        outputs, lines = spectra.values.shape[1:]
-        return SpectralFit(np.zeros(0, complex), np.ones(outputs), spectra, np.ones((1, lines))).with_noise()
-
-    @property
-    def values(self) -> np.ndarray:
-        return self.spectra.values
+        level, colour = np.ones(spectra.values.shape[1]), np.ones((1, spectra.s.size))
+        spacing = float(np.ptp(np.abs(spectra.s)) / spectra.s.size)
+        return SpectralFit(np.zeros(0, complex), level, spectra.values, spacing, spectra, colour).with_noise()
 
     def whitened(self, rows: np.ndarray) -> np.ndarray:
         """Return rows (blocks, outputs or 1, k, lines) with white noise: (blocks, outputs or 1, 2 lines, k)."""
@@ -246,10 +243,6 @@ class SpectralFit(PoleFit):
             powers = np.vander((x - np.mean(x)) / (np.ptp(x) or 1.0), COLOUR + 1)
             colour = np.exp(powers @ np.linalg.lstsq(powers, np.mean(np.log(squares), axis=0))[0])[None]
         return replace(self, colour=colour, level=2.0 * blocks * np.sum(squares / colour, axis=1) / self.degrees)
-
-    @property
-    def resolution(self) -> float:
-        return float(np.ptp(np.abs(self.spectra.s)) / self.spectra.s.size)
 
     def starts(self) -> list[SpectralFit]:
         """Return fits with the largest mode of the residuals, and with each split in two.

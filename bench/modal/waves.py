@@ -38,7 +38,7 @@ PATIENCE = 2
 
 @dataclass(frozen=True, eq=False)
 class WaveFit(PoleFit):
-    """Damped waves beside ``samples`` (channels, n) at ``times`` (n,) from 0 on.
+    """Damped waves beside values (1, channels, n) at ``times`` (n,) from 0 on.
 
     ``filters``: by which the misfit of each channel is whitened, of variance 1; none where noise is taken as white.
     One mode may be ``bent``, its frequency and damping changing with its amplitude: the exponent has the terms
@@ -46,7 +46,6 @@ class WaveFit(PoleFit):
     """
 
     times: np.ndarray
-    samples: np.ndarray
     filters: tuple[Autoregression, ...] = ()
     may_bend: bool = False
     bent: int | None = None
@@ -56,12 +55,9 @@ class WaveFit(PoleFit):
     @staticmethod
     def empty(times: np.ndarray, samples: np.ndarray, may_bend: bool = False) -> WaveFit:
         """Return the fit of constants alone, with white noise of the size of the samples."""
-        level, about = np.ones(len(samples)), samples - np.mean(samples, axis=1, keepdims=True)
-        return WaveFit(np.zeros(0, complex), level, times - times[0], about, may_bend=may_bend).with_noise()
-
-    @property
-    def values(self) -> np.ndarray:
-        return self.samples[None]
+        about, apart = samples[None] - np.mean(samples, axis=1, keepdims=True), 2.0 / float(np.ptp(times))
+        first = WaveFit(np.zeros(0, complex), np.ones(len(samples)), about, apart, times - times[0], may_bend=may_bend)
+        return first.with_noise()
 
     def whitened(self, rows: np.ndarray) -> np.ndarray:
         """Return rows (1, channels or 1, k, n) as (1, channels, n, k), (1, 1, n, k) for white noise."""
@@ -107,7 +103,7 @@ class WaveFit(PoleFit):
 
     @property
     def unknowns(self) -> int:
-        return 2 * self.nonlinear.size + len(self.samples) * self.basis.shape[1]
+        return 2 * self.nonlinear.size + self.level.size * self.basis.shape[1]
 
     @property
     def criterion(self) -> float:
@@ -117,7 +113,7 @@ class WaveFit(PoleFit):
         large: a wave that lowers them would pass for a mode.
         """
         n, total = self.times.size, 0.0
-        noises, deviations = self._noises(bool(self.filters)), np.std(self.samples, axis=1)
+        noises, deviations = self._noises(bool(self.filters)), np.std(self.values[0], axis=1)
         for residuals, noise, deviation in zip(self.residuals[0], noises, deviations, strict=True):
             unit = replace(noise, variance=1.0)
             square = np.mean(unit.whitened(residuals) ** 2) + (ROUNDING * deviation) ** 2 + 1e-300
@@ -134,17 +130,13 @@ class WaveFit(PoleFit):
     def with_noise(self, coloured: bool | None = None) -> WaveFit:
         """Return the fit with noise as its residuals have it, of a colour or white, by default as it is."""
         coloured = bool(self.filters) if coloured is None else coloured
-        noises = self._noises(coloured, self.unknowns / len(self.samples))
+        noises = self._noises(coloured, self.unknowns / self.level.size)
         filters = tuple(replace(noise, variance=1.0) for noise in noises) if coloured else ()
         return replace(self, filters=filters, level=np.array([noise.variance for noise in noises]))
 
     @property
     def has_room(self) -> bool:
-        return self.samples.size > 4 * self.unknowns
-
-    @property
-    def resolution(self) -> float:
-        return 2.0 / float(self.times[-1])
+        return self.values.size > 4 * self.unknowns
 
     def starts(self) -> list[WaveFit]:
         """Return fits with the largest wave of the residuals, with a mode split in two, with the strongest bent."""
