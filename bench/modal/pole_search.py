@@ -106,6 +106,11 @@ class PoleFit(ABC):
         """Return variances (blocks, m) of the relative error of all of a block's factors together."""
         return np.zeros((len(self.values), self.poles.size))
 
+    def gradient_covariance(self, slopes: np.ndarray) -> np.ndarray:
+        """Return the covariance of the products of whitened errors with derivatives (blocks, outputs, n', size)."""
+        flat = slopes.reshape(-1, slopes.shape[-1])
+        return np.asarray(flat.T @ flat)
+
     @cached_property
     def projection(self) -> tuple[np.ndarray, np.ndarray]:
         """Orthonormal columns and triangle of the whitened basis."""
@@ -182,8 +187,9 @@ class PoleFit(ABC):
         """
         m, size = self.poles.size, self.nonlinear.size
         along, across = self.projected
-        across = across.reshape(-1, 2 * size)
-        covariance = np.linalg.pinv(across.T @ across, hermitian=True)
+        flat = across.reshape(-1, 2 * size)
+        covariance = np.linalg.pinv(flat.T @ flat, hermitian=True)
+        covariance = covariance @ self.gradient_covariance(across) @ covariance
         inverse = np.linalg.pinv(self.projection[1])
         places = np.array([np.arange(m), self.functions_count + np.arange(m)])
         own = np.mean(np.sum(inverse**2, axis=-1)[..., places], axis=-2) * self.level[:, None]

@@ -24,6 +24,7 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import matmul_toeplitz
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import fftconvolve
 
@@ -203,6 +204,20 @@ class SpectralFit(PoleFit):
     def factor_errors(self) -> np.ndarray:
         """Return what the force of a blow has as an error: one factor for all lines of a mode."""
         return self.spectra.force_errors(self.poles.imag)
+
+    def gradient_covariance(self, slopes: np.ndarray) -> np.ndarray:
+        """Allow for an exponential window in frequency responses, by which the noise of lines is correlated.
+
+        White noise times ``exp(-a t)`` has lines with the correlation ``1 / (1 + (s_k - s_l) / (2 a))``.
+        """
+        window = float(self.spectra.s[0].real)
+        if not window:
+            return super().gradient_covariance(slopes)
+        real, imaginary = np.split(slopes, 2, axis=-2)
+        correlation = 1.0 / (1.0 + (self.spectra.s - self.spectra.s[0]) / (2.0 * window))
+        rows = (real + 1j * imaginary).reshape(-1, *real.shape[-2:])
+        parts = [(row.conj().T @ matmul_toeplitz((correlation, correlation.conj()), row)).real for row in rows]
+        return np.asarray(np.sum(parts, axis=0))
 
     @property
     def unknowns(self) -> int:
