@@ -13,6 +13,7 @@ from bench.online.follow import follow, held_bytes
 from bench.online.forces import HeldForce
 from bench.online.scenario import OnlineScenario
 from bench.systems import make_system
+from tests.studies.online.faults import faulty
 
 SDOF = {"m": 0.8, "c": 0.35, "k": 14.0}
 FILTERS = ("ekf", "ukf", "square_root", "imm", "change_points", "cusum", "glr", "ar")
@@ -101,29 +102,6 @@ def test_under_an_unknown_force_the_groups_are_found() -> None:
         assert abs(errors(stream, path, name)[-1]) < 4 * np.sqrt(bound[name][-1])
 
 
-def faulty(kind: str, stream) -> list:
-    samples, sigma = stream.samples(), stream.truth.sigma[0]
-
-    def changed(i: int, value: float):
-        return dataclasses.replace(samples[i], values=(value,))
-
-    if kind == "nan":
-        samples[250:253] = [changed(i, float("nan")) for i in range(250, 253)]
-    elif kind == "gap":
-        del samples[250:262]
-    elif kind == "repeated":
-        samples.insert(251, changed(250, 5.0))
-    elif kind == "spike":
-        for i in (230, 250, 270):
-            samples[i] = changed(i, samples[i].values[0] + 10 * sigma)
-    elif kind == "saturation":  # beyond the limits that the sensor is told to have
-        limit = 0.8 * float(np.max(np.abs(stream.truth.clean)))
-        samples = [changed(i, float(np.clip(sample.values[0], -limit, limit))) for i, sample in enumerate(samples)]
-    elif kind == "jump":
-        samples[250:] = [changed(i, samples[i].values[0] + 20 * sigma) for i in range(250, len(samples))]
-    return samples
-
-
 @pytest.mark.parametrize("name", ["ekf", "change_points", "cusum", "glr", "ar"])
 @pytest.mark.parametrize("kind", ["nan", "gap", "repeated", "spike", "saturation", "jump"])
 def test_a_filter_recovers_from_a_fault(kind, name, constant) -> None:
@@ -133,7 +111,7 @@ def test_a_filter_recovers_from_a_fault(kind, name, constant) -> None:
         limit = 0.8 * float(np.max(np.abs(stream.truth.clean)))
         layout = dataclasses.replace(layout, sensors=(Sensor(limits=(-limit, limit)),))
     tracker = make_online(name).start(layout)
-    standings = [tracker.update(sample) for sample in faulty(kind, stream)]
+    standings = [tracker.update(sample) for sample in faulty(kind, stream, 250)]
     end = standings[-1].marginal(next(q for q in stream.layout.quantities if q.name == "k_over_m"))
     assert abs(np.log(end.value * SDOF["m"] / SDOF["k"])) < 4 * np.sqrt(bound["k_over_m"][-1])
     wanted = {"nan": "missing", "gap": "gap", "repeated": "repeated", "spike": "outlier", "jump": "sensor_jump",
@@ -176,7 +154,7 @@ def test_a_jump_of_the_sensors_zero_hardly_moves_what_is_found_behind_it(name, c
     settings = {"length": 100, "every": 50} if name.startswith("window") else {}
     plain, jumping = (make_online(name, settings).start(stream.layout) for _ in range(2))
     seen = set()
-    for clean, faulty_one in zip(stream.samples(), faulty("jump", stream), strict=True):
+    for clean, faulty_one in zip(stream.samples(), faulty("jump", stream, 250), strict=True):
         wanted, found = plain.update(clean), jumping.update(faulty_one)
         seen.add(found.status.value)
     place = list(stream.layout.free).index("k")

@@ -31,28 +31,28 @@ WINDOWS_SHARE = 4
 """A window is slow: one record in so many."""
 
 
-def faulty(kind: str, stream: Stream) -> list[Sample]:
-    """The samples of a stream with a fault."""
+def faulty(kind: str, stream: Stream, at: int = AT) -> list[Sample]:
+    """The samples of a stream with a fault from one of them on."""
     samples, sigma = stream.samples(), float(stream.truth.sigma[0])
 
     def with_value(i: int, value: float) -> Sample:
         return dataclasses.replace(samples[i], values=(value,))
 
     if kind == "nan":
-        samples[AT : AT + 5] = [with_value(i, float("nan")) for i in range(AT, AT + 5)]
+        samples[at : at + 5] = [with_value(i, float("nan")) for i in range(at, at + 5)]
     elif kind == "gap":
-        del samples[AT : AT + 20]
+        del samples[at : at + 20]
     elif kind == "repeated":
-        again = [with_value(i, 5.0) for i in range(AT, AT + 3)]
-        samples[AT + 3 : AT + 3] = again
+        again = [with_value(i, 5.0) for i in range(at, at + 3)]
+        samples[at + 3 : at + 3] = again
     elif kind == "saturation":
         limit = _limit(stream)
         samples = [with_value(i, float(np.clip(sample.values[0], -limit, limit))) for i, sample in enumerate(samples)]
     elif kind == "spike":
-        for i in (AT, AT + 20, AT + 40):
+        for i in (at, at + 20, at + 40):
             samples[i] = with_value(i, samples[i].values[0] + 10 * sigma)
     elif kind == "jump":
-        samples[AT:] = [with_value(i, samples[i].values[0] + 20 * sigma) for i in range(AT, len(samples))]
+        samples[at:] = [with_value(i, samples[i].values[0] + 20 * sigma) for i in range(at, len(samples))]
     return samples
 
 
