@@ -42,7 +42,7 @@ ROWS = (
     Row("ukf", 0.1),
     Row("square_root", 0.1),
     Row("imm"),
-    Row("change_points", threshold=1.0, stated=0.002),  # odds of 10, a hazard of one in 500,000
+    Row("change_points", threshold=1.0, stated=0.001),  # odds of 10, a hazard of one in a million
     Row("cusum", threshold=16.0, stated=0.009),  # as the next
     Row("glr", threshold=13.0, stated=0.009),  # Ville's inequality: three births every 8 samples, exp(-13) each
     Row("ar"),
