@@ -185,9 +185,10 @@ def _peaks(
     values = np.array([sample.values for sample in samples])
     values = np.where(np.isfinite(values), values, np.nanmean(values, axis=0))
     frequencies, power = periodogram(values, 1.0 / interval, "hann", FINER * len(values), axis=0)
-    power[(frequencies < max(band[0], 1.0 / interval / len(values))) | (frequencies > band[1])] = 0.0
+    least = 1.0 / interval / len(values)  # one cycle, also of a sensor that does not move yet
+    power[(frequencies < max(band[0], least)) | (frequencies > band[1])] = 0.0
     largest = frequencies[np.argmax(power, axis=0)]
     total = np.append(np.max(power / np.maximum(np.max(power, axis=0), 1e-300), axis=1), 0.0)
     places = find_peaks(total, LEAST_PEAK, distance=2 * FINER)[0]
     places = places[np.argsort(-total[places])][:PEAKS] if places.size else np.array([np.argmax(total)])
-    return [(float(frequencies[i]), float(np.sqrt(total[i]))) for i in places], max(float(np.max(largest)), 1e-300)
+    return [(float(frequencies[i]), float(np.sqrt(total[i]))) for i in places], max(float(np.max(largest)), least)
