@@ -130,14 +130,14 @@ class StatedPrior(ClaimPart):
 
 
 class Given(ClaimPart):
-    """What the method was given beside the data."""
+    """Prior and starting values that the method was given beside the data."""
 
     prior: Mapping[str, StatedPrior] = {}
     starting_value: Mapping[str, float] = {}
 
 
 class Setting(ClaimPart):
-    """What decides the data and what is known, as a file states it."""
+    """The setting of a case as a file states it: data and prior knowledge."""
 
     parameters: Mapping[str, float]
     initial_state: StatedStart

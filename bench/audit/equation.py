@@ -16,7 +16,7 @@ from bench.systems import Dimension, Ops, Parameter, Quantity, System
 
 OF_EQUATIONS: Mapping[str, Any] = {name: getattr(np, name) for name in ("sin", "cos", "tanh", "exp", "abs", "pi")}
 FUNCTIONS = {**OF_EQUATIONS, "sqrt": np.sqrt, "log": np.log}
-"""What an expression may call; in an equation of motion, which other libraries run too, what all of them have."""
+"""Functions that an expression may call; in an equation of motion, those that all libraries have."""
 ALLOWED = (
     ast.Expression,
     ast.BinOp,

@@ -199,7 +199,7 @@ def _reasons(situation: Situation) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Consistency:
-    """How published samples, or a published solution, agree with the stated equation.
+    """Agreement of published samples, or of a published solution, with the stated equation.
 
     ``difference``: the largest, over the largest value. ``fitted``: quantities and initial state of the equation that
     fits best, each with what is stated; ``remaining``: the difference from that. ``chance``: that noise of the stated

@@ -12,7 +12,7 @@ VERDICTS = {
     "within": "an error as an efficient estimator has it",
     "larger": "an efficient estimator has so large an error in fewer than 1 % of draws",
     "smaller": "an efficient estimator has so small an error in fewer than 1 % of draws",
-    "decided by the prior": "more than half of the bound's variance is the prior's, which is what the number tells of",
+    "decided by the prior": "more than half of the bound's variance comes from the prior",
     "not identifiable": "the data do not determine the quantity",
     "bias only": "the data have no noise, so that the error is bias",
     "known beforehand": "the quantity follows from what was known",

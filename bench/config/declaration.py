@@ -93,7 +93,7 @@ class Field:
 
     @property
     def bare(self) -> bool:
-        """Whether the value may stand without the name."""
+        """Return whether the value may stand without the name."""
         return any(isinstance(part, Bare) for part in typing.get_args(self.kind))
 
     @cached_property

@@ -80,7 +80,7 @@ class PoleFit(ABC):
     @property
     @abstractmethod
     def has_room(self) -> bool:
-        """Whether there are data enough for one more mode."""
+        """Return whether there are enough data for one more mode."""
 
     @property
     def nonlinear(self) -> np.ndarray:
@@ -94,12 +94,12 @@ class PoleFit(ABC):
 
     @property
     def plausible(self) -> bool:
-        """Whether the poles can be those of modes."""
+        """Return whether the poles can be those of modes."""
         return True
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """What is least of the best of some fits."""
+        """Return the quantity that is least for the best of some fits."""
         return not self.plausible, self.criterion
 
     def factor_errors(self) -> np.ndarray:
@@ -192,11 +192,11 @@ class PoleFit(ABC):
         covariance = covariance @ self.gradient_covariance(across) @ covariance
         inverse = np.linalg.pinv(self.projection[1])
         places = np.array([np.arange(m), self.functions_count + np.arange(m)])
-        own = np.mean(np.sum(inverse**2, axis=-1)[..., places], axis=-2) * self.level[:, None]
+        variance = np.mean(np.sum(inverse**2, axis=-1)[..., places], axis=-2) * self.level[:, None]
         by_pole = (inverse @ along)[..., places, :]
         residues = self.residues[..., :m]
-        first = np.sum(residues / own, axis=0) / np.sum(1.0 / own, axis=0)
-        variances = own + np.abs(first) ** 2 * self.factor_errors()[:, None]
+        first = np.sum(residues / variance, axis=0) / np.sum(1.0 / variance, axis=0)
+        variances = variance + np.abs(first) ** 2 * self.factor_errors()[:, None]
         weights = 1.0 / variances / np.sum(1.0 / variances, axis=0)
         shapes = np.sum(weights * residues, axis=0)
         mean_by_pole = np.sum(weights[:, :, None, :, None] * by_pole, axis=0)

@@ -150,7 +150,7 @@ class WaveFit(PoleFit):
 
     @property
     def plausible(self) -> bool:
-        """Whether no two modes are at one frequency, as friction would show them, nor one beside a bent one."""
+        """Return whether no two modes are at one frequency, as friction shows them, and none beside a bent one."""
         rates = self.poles.imag
         apart = np.abs(rates[:, None] - rates) + np.diag(np.full(rates.size, np.inf))
         beside = np.inf if self.bent is None else np.min(apart[self.bent]) / rates[self.bent]

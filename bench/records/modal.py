@@ -175,7 +175,7 @@ class ModalFinding:
 
     @property
     def describes(self) -> bool:
-        """Whether fewer modes than are sought at most leave what noise explains."""
+        """Return whether fewer modes than the largest number leave residuals that noise explains."""
         comparison, modes = self.comparison, self.estimate.modes
         if comparison is None or len(modes) == MOST_MODES or max(self.unexplained) > 1.0:
             return False

@@ -24,7 +24,7 @@ from bench.records.reading.recording import recordings_of
 from bench.records.request import ModalRequest
 
 MOST_SAMPLES, WITHOUT_BAND = 20_000, 10_000
-"""Of a record whose modes are found in seconds, and of a longer one after decimation where no band is named."""
+"""Most samples: of a record whose modes are found in seconds, and of a longer one after decimation without a band."""
 LEAST_SAMPLES = 32
 """Of a record in which modes are sought: a pole, its amplitude and a constant are five numbers of a single mode."""
 

@@ -45,13 +45,13 @@ LEGEND = {
     "first tier there": "its error over bound on the problems that a method serves",
     "lost": "outliers, and problems served without an answer",
 }
-"""What the columns are."""
+"""Meaning of the columns."""
 ALONE = "no method to compare with: python -m bench round solve --help"
 
 
 @dataclass(frozen=True)
 class RoundReport:
-    """What is said of predictions called ``name``: ``answer`` in a few words, ``sentences``, and two tables."""
+    """Report on predictions called ``name``: ``answer`` in a few words, ``sentences``, and two tables."""
 
     name: str
     answer: str
@@ -61,7 +61,7 @@ class RoundReport:
 
     @property
     def compared(self) -> bool:
-        """Whether other methods are in the ranking."""
+        """Return whether other methods are in the ranking."""
         return "" in self.ranking.classes
 
     def line(self, round_name: str, commitment: str) -> str:

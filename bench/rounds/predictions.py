@@ -30,7 +30,7 @@ Asked = Mapping[str, Sequence[str]]
 """The quantities asked for, by scenario."""
 Row = dict[str, str]
 Errors = dict[int, InputError]
-"""What is wrong with a file, by line."""
+"""Errors of a file, by line."""
 
 
 def read_template(folder: Path) -> Asked:

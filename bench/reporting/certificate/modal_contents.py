@@ -1,4 +1,4 @@
-"""What a certificate of several modes states, as plain values for the same page and JSON file."""
+"""Contents of a certificate of several modes, as plain values for the same page and JSON file."""
 
 from __future__ import annotations
 

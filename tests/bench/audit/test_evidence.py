@@ -51,20 +51,20 @@ def test_twenty_random_times() -> None:
     times = np.sort(np.random.default_rng(1).uniform(0.0, 1.0, 20))
     expected = bounds(oscillation, [4.0, 400.0, 1.0, 0.0], times, 0.05)
     numbers = {"PINN": (3.9254, 400.61), "least squares": (3.8747, 402.71)}
-    found = audited(
+    result = audited(
         equation="x'' + mu*x' + k*x = 0", parameters={"mu": 4.0, "k": 400.0}, known=[], initial_state=UNKNOWN,
         times={"from": 0, "to": 1, "n": 20, "drawn": "default_rng(1)"},
         reported=[{"method": m, "quantity": q, "value": v} for m, values in numbers.items()
                   for q, v in zip(("mu", "k"), values, strict=True)],
     )  # fmt: skip
-    assert [f.bound for f in found.findings[:2]] == pytest.approx(expected[:2], rel=1e-6)
+    assert [f.bound for f in result.findings[:2]] == pytest.approx(expected[:2], rel=1e-6)
     assert expected[:2] == pytest.approx([0.308, 8.73], rel=2e-3)
-    assert [f.verdict for f in found.findings] == ["within"] * 4
+    assert [f.verdict for f in result.findings] == ["within"] * 4
     undecided = "one draw does not decide which is nearer to the truth, 'PINN' and 'least squares'"
-    assert list(map(compared, found.rivals)) == [f"for mu: {undecided}", f"for k: {undecided}"]
+    assert list(map(compared, result.rivals)) == [f"for mu: {undecided}", f"for k: {undecided}"]
     # the chance of an error at least so large, from the normal distribution, the last digit printed allowed for
     chance = 2 * stats.norm.sf((0.1253 - 0.00005) / expected[0])
-    assert found.findings[2].larger == pytest.approx(chance, abs=0.005)  # three standard errors of 100,000 draws
+    assert result.findings[2].larger == pytest.approx(chance, abs=0.005)  # three standard errors of 100,000 draws
 
 
 @pytest.mark.parametrize(
@@ -79,12 +79,12 @@ def test_ten_times_of_a_known_mass_and_stiffness(velocity: float, known: bool, v
 
     times = np.arange(0.5, 10.0)
     expected = bounds(response, [0.1] if known else [0.1, 1.0, velocity], times, 0.05)[0]
-    found = audited(
+    result = audited(
         parameters={"m": 1.0, "c": 0.1, "k": 1.0}, known=["m", "k"], times=times.tolist(),
         initial_state={"displacement": 1.0, "velocity": velocity, "known": known},
         reported=[{"method": "PINN", "quantity": "c", "value": 0.0922}],
     )  # fmt: skip
-    assert found.findings[0].bound == pytest.approx(expected, rel=1e-6)
+    assert result.findings[0].bound == pytest.approx(expected, rel=1e-6)
     assert expected == pytest.approx(value, abs=6e-5)
 
 
@@ -92,11 +92,11 @@ def test_forty_times_of_a_known_stiffness() -> None:
     """m 1, k 400, mu 4 of even times: 0.114."""
     times = np.linspace(0.0, 1.0, 40)
     expected = bounds(lambda th, t: oscillation(np.array([th[0], 400.0, 1.0, 0.0]), t), [4.0], times, 0.04)[0]
-    found = audited(
+    result = audited(
         parameters={"m": 1.0, "c": 4.0, "k": 400.0}, known=["m", "k"], times={"from": 0, "to": 1, "n": 40},
         noise={"definition": "standard deviation", "value": 0.04},
     )  # fmt: skip
-    assert found.findings[0].bound == pytest.approx(expected, rel=1e-6)
+    assert result.findings[0].bound == pytest.approx(expected, rel=1e-6)
     assert expected == pytest.approx(0.114, abs=5e-4)
 
 
@@ -115,7 +115,7 @@ def test_two_masses_between_walls_under_a_step() -> None:
 
     expected = bounds(response, [100.0, 110.0, 120.0], np.linspace(0.0, 2.0, 1001), 1.5)
     assert expected == pytest.approx([5.8, 8.5, 20.9], abs=0.08)
-    found = audited(
+    result = audited(
         equation=["m1*x1'' + c1*x1' + c2*(x1' - x2') + k1*x1 + k2*(x1 - x2) = f1",
                   "m2*x2'' + c2*(x2' - x1') + c3*x2' + k2*(x2 - x1) + k3*x2 = 0"],
         parameters={"m1": 20, "m2": 10, "k1": 2e3, "k2": 1e3, "k3": 5e3, "c1": 100, "c2": 110, "c3": 120},
@@ -124,8 +124,8 @@ def test_two_masses_between_walls_under_a_step() -> None:
         initial_state={"displacement": [0, 0], "velocity": [0, 0], "known": True},
         reported=[{"method": "network", "quantity": q} for q in ("c1", "c2", "c3")],
     )  # fmt: skip
-    assert [f.bound for f in found.findings] == pytest.approx(expected, rel=1e-4)
-    assert {f.verdict for f in found.findings} == {"no number"}
+    assert [f.bound for f in result.findings] == pytest.approx(expected, rel=1e-4)
+    assert {f.verdict for f in result.findings} == {"no number"}
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -142,13 +142,13 @@ def test_a_nonlinear_equation_with_velocities(sign: float) -> None:
         return np.asarray(solve_ivp(rate, (0, t[-1]), [1.0, 0.0], t_eval=t, rtol=1e-11, atol=1e-13).y)
 
     expected = bounds(response, p, times, 0.02)
-    found = audited(
+    result = audited(
         equation="x'' + c*x' + k*x + b*x**3 = f", parameters=dict(zip("kcb", p.tolist(), strict=True)), known=[],
         force="0.5*cos(1.2*t)", times=times.tolist(), measured=["x", "v"],
         noise={"definition": "standard deviation", "value": 0.02},
         reported=[{"method": "fit", "quantity": q} for q in "kcb"],
     )  # fmt: skip
-    assert [f.bound for f in found.findings] == pytest.approx(expected, rel=1e-3)
+    assert [f.bound for f in result.findings] == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -243,9 +243,9 @@ def test_which_comparisons_one_draw_decides(values: Sequence[float], said: str) 
 
 
 def test_what_free_vibration_does_not_determine() -> None:
-    found = audited(known=[], reported=[{"method": "fit", "quantity": q, "value": 1} for q in ("m", "k/m", "k/c")])
-    assert [f.verdict == "not identifiable" for f in found.findings] == [True, False, False]
-    assert "multiplied by one constant" in " ".join(found.findings[0].why)
+    result = audited(known=[], reported=[{"method": "fit", "quantity": q, "value": 1} for q in ("m", "k/m", "k/c")])
+    assert [f.verdict == "not identifiable" for f in result.findings] == [True, False, False]
+    assert "multiplied by one constant" in " ".join(result.findings[0].why)
     weighed = audited(
         known=[], given={"prior": {"m": {"percent": 2}}}, reported=[{"method": "fit", "quantity": "m", "value": 1.01}]
     )

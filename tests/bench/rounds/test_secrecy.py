@@ -1,4 +1,4 @@
-"""What an attacker with the repository and the folder of a round would try."""
+"""Attacks that an attacker with the repository and the folder of a round would try."""
 
 from __future__ import annotations
 
