@@ -50,7 +50,7 @@ class EMA(ModalIdentifier):
     order: int = 60
 
     serves: ClassVar[tuple[type, ...]] = (Blows, FrequencyResponses)
-    requires: ClassVar[tuple[str, ...]] = ("sdypy.EMA", "pyFRF")
+    requires: ClassVar[tuple[str, ...]] = ("sdypy", "pyFRF")
     extra: ClassVar[str] = "rivals"
     card: ClassVar[ModalCard] = ModalCard(
         "LSCF and LSFD of the package sdypy-EMA, poles that stay on its chart; averages H1 of the package pyFRF",
