@@ -166,9 +166,14 @@ class PoleFit(ABC):
         return fit
 
     def longer(self) -> Self:
-        """Return the best fit with one more mode."""
+        """Return the best fit with one more mode.
+
+        Two poles may pass close by each other on their way: of the starts that rank behind, the one of least criterion
+        is tried, too.
+        """
         screened = sorted((start.refined(SCREENING) for start in self.starts()), key=lambda fit: fit.rank)
-        return min((fit.refined(TRIAL) for fit in screened[:KEPT]), key=lambda fit: fit.rank).settled()
+        behind = sorted(screened[KEPT:], key=lambda fit: fit.rank[1])
+        return min((fit.refined(TRIAL) for fit in [*screened[:KEPT], *behind[:1]]), key=lambda fit: fit.rank).settled()
 
     def splits(self) -> list[Self]:
         """Return fits with each mode split in two, as a line between two close ones leaves no line beside it."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from bench.config.modal import modal_scenario
 from bench.contract.estimate import Status
 from bench.contract.modal import FreeDecays, ModalEstimate, ModalProblem
 from bench.entrants.modal import make_modal
@@ -124,6 +125,11 @@ def test_only_modes_in_the_band_are_answered() -> None:
     assert frequencies(estimate) == pytest.approx([19.1], rel=1e-3)
     asked = answer(decays(APART, SHAPES) + noise(0.02, 0, 3), band=(15.0, 40.0), count=2)
     assert frequencies(asked) == pytest.approx([19.1, 33.0], rel=1e-3)
+
+
+def test_poles_that_pass_close_by_each_other_on_their_way_are_two_modes() -> None:
+    problem, _ = modal_scenario("half_a_bandwidth_apart").draw(0, 23)
+    assert frequencies(make_modal("waves").identify_modes(problem)) == pytest.approx([15.0, 15.15], rel=1e-3)
 
 
 def test_uneven_times_and_a_mode_that_soon_dies_out() -> None:
