@@ -106,8 +106,8 @@ class Children:
     The server is shared by all that this process has, and so is the list of its children.
     """
 
-    _starting = threading.Lock()
-    """Held while a child is started, or one that is not known is looked for."""
+    starting = threading.Lock()
+    """Held while a child is started, an exit status is read, or a child that is not known is looked for."""
     known: ClassVar[set[int]] = set()
     """The children of the server that this process has started and not ended."""
     preloaded: ClassVar[frozenset[str]] = frozenset()
@@ -134,7 +134,7 @@ class Children:
         lacking: Exception | None = None
         for attempt in range(STARTS):
             self._closed.wait(PAUSE_S * min(attempt, 1))
-            with self._starting:
+            with self.starting:
                 if self._closed.is_set():
                     raise Died("killed", "the run is over", "")
                 try:
@@ -161,7 +161,7 @@ class Children:
     def end_orphans(self) -> None:
         """End what children have left to the server."""
         _signal(_server(), signal.SIGCONT)  # else a start that is under way is never over
-        with self._starting:
+        with self.starting:
             if server := _server():
                 end_orphans(server, self.known)
 
@@ -282,7 +282,8 @@ class Child:
 
     def _died(self) -> Died:
         if self._verdict is None:
-            self.process.join(5)
+            with self._children.starting:  # a start reads the exit status of every child, and it can be read once
+                self.process.join(5)
             code = self.process.exitcode
             if code is None or code >= 0:
                 self._verdict = "crashed", f"its process exited with status {code}"
