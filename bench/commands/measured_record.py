@@ -54,12 +54,12 @@ def identify_records(overrides: Overrides) -> int:
 def _answers(request: Request, plot: bool, picture: bool) -> Shown:
     """Return results, what a terminal plots, and the content of a picture."""
     from bench.face.identification import identified
-    from bench.records.find import find_all
+    from bench.records.identification import identify_all
     from bench.records.problem import read_measured
     from bench.records.response import best_of, response_of
     from bench.reporting.certificate.pictures import fit_picture
 
-    findings = find_all(request, read_measured(request))
+    findings = identify_all(request, read_measured(request))
     response = response_of(best_of(findings)) if plot or picture else None
     return (
         [identified(finding) for finding in findings],

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from bench.config.overrides import overrides_of
 from bench.errors import InputError
 from bench.face.results import nulls
-from bench.records.find import find_all
 from bench.records.finding import Finding
+from bench.records.identification import identify_all
 from bench.records.intervals import StatedInterval
 from bench.records.modal import ModalFinding, find_modes, residuals_of_modes
 from bench.records.modal_data import read_modal
@@ -212,7 +212,7 @@ def identify(
     if len(request.jobs) > 1:
         raise InputError("method", method, "one method at a time")
     recordings = () if paths else (of_arrays(data, displacement, force, request.options),)  # type: ignore[arg-type]
-    return identified(find_all(request, read_measured(request, recordings))[0])
+    return identified(identify_all(request, read_measured(request, recordings))[0])
 
 
 def _written(field: str, pairs: Mapping[str, Any] | None, example: str) -> str | None:
@@ -253,7 +253,7 @@ def identified(finding: Finding) -> Identification:
         withdrawn=finding.withdrawn,
         modes=finding.modes,
         residuals=residuals_of(finding),
-        scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.told_mass is None,
+        scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.known_mass is None,
         runs={r.name: RunAnswer(r.finding.trust.value, r.left_out, r.finding.intervals) for r in finding.runs},
     )
 

@@ -9,8 +9,8 @@ import numpy as np
 from bench.errors import InputError
 from bench.planning.free_decay import QUANTITIES, Oscillator
 from bench.planning.longer import Taken, start_of
-from bench.records.find import find
 from bench.records.finding import Finding
+from bench.records.identification import identify
 from bench.records.intervals import HALF
 from bench.records.problem import read_measured
 from bench.records.request import Overrides, request_of
@@ -24,7 +24,7 @@ def taken(overrides: Overrides) -> Taken:
     record = measured.problem.records[0]
     if len(measured.problem.records) > 1 or len(record.channels) > 1 or record.forces:
         raise InputError("given", request.files[0], "one record of one displacement, without a force")
-    finding = find(request.job, measured)
+    finding = identify(request.job, measured)
     if finding.trust is Trust.NO or not set(QUANTITIES) <= set(finding.intervals):
         why = "; ".join(reason.text for reason in finding.reasons) or finding.estimate.message
         raise InputError("given", request.files[0], f"a record whose answer can be trusted ({why})")

@@ -19,11 +19,11 @@ from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.records.classes import NAME, best_class, class_fit, compare_classes
-from bench.records.find import find, judged
 from bench.records.finding import Finding
-from bench.records.held_out import EarlyFit, early_fit
+from bench.records.identification import assess, identify
 from bench.records.intervals import StatedInterval
 from bench.records.models import ClassComparison, ModelClass
+from bench.records.prediction import HeldOutPrediction, predict_held_out
 from bench.records.problem import Measured, spare_factor, with_fewer_samples
 from bench.records.replicas import ReplicaCoverage, coverage_on_replicas
 from bench.records.request import AUTO, Request
@@ -40,7 +40,7 @@ OTHERS_SAMPLES = 5000
 COMPARED = 2
 """Quantities in which methods are compared."""
 Say = Callable[[str], None]
-Answer = tuple[Finding, EarlyFit | None, tuple[WhatIf, ...]]
+Answer = tuple[Finding, HeldOutPrediction | None, tuple[WhatIf, ...]]
 """The primary method's finding, the prediction of what was held out from its fit, and what would help."""
 
 
@@ -54,7 +54,7 @@ class Certificate:
     measured: Measured
     findings: tuple[Finding, ...]
     classes: tuple[ModelClass, ...] = ()
-    prediction: EarlyFit | None = None
+    prediction: HeldOutPrediction | None = None
     replicas: tuple[ReplicaCoverage, ...] = ()
     what_if: tuple[WhatIf, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
@@ -136,7 +136,7 @@ def _answers(request: Request, measured: Measured, workers: Workers, on_look: On
             answers[number] = future.result()
         except Died as died:
             estimate = Estimate.failed(measured.problem.system, Status(died.reason), died.message)
-            answers[number] = judged(jobs[number].label, measured, estimate, limits[number]), None, ()
+            answers[number] = assess(jobs[number].label, measured, estimate, limits[number]), None, ()
         except InputError:
             if number == 0:
                 raise
@@ -146,18 +146,18 @@ def _answers(request: Request, measured: Measured, workers: Workers, on_look: On
 
 def primary_answer(job: Job, measured: Measured) -> Answer:
     """Find the primary method's answer; raises InputError."""
-    return _with_consequences(find(job, measured))
+    return _with_consequences(identify(job, measured))
 
 
 def _with_consequences(finding: Finding) -> Answer:
-    early = None if finding.fit is None else early_fit(finding.fit)
+    early = None if finding.fit is None else predict_held_out(finding.fit)
     return finding, early, () if finding.trust is Trust.NO else what_if(finding)
 
 
 def other_answer(job: Job, measured: Measured) -> Answer:
     """Find the answer of a method beside the first, which only checks it; raises InputError."""
     factor = min(spare_factor(measured.problem), measured.problem.n // OTHERS_SAMPLES)
-    return find(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured), None, ()
+    return identify(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured), None, ()
 
 
 def _of_class(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer | None:
@@ -165,7 +165,7 @@ def _of_class(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer
     estimate = class_fit(chosen, measured.problem) if len(measured.problem.records) == 1 else None
     if estimate is None:
         return None
-    finding = judged(NAME, measured, estimate)
+    finding = assess(NAME, measured, estimate)
     said = f"{failed.method} found no answer: {failed.estimate.message}; this is the class's own fit"
     return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
 

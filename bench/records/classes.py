@@ -19,7 +19,7 @@ from bench.likelihood.output_error import estimate_at
 from bench.records.colour import criterion_error
 from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerpt
 from bench.records.intervals import HALF
-from bench.records.linearised import at_theta
+from bench.records.linearised_fit import at_theta
 from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity, unit_over_mass
 from bench.records.problem import Measured, of_system, with_system
 from bench.systems import LENGTH, MEASURED

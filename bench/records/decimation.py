@@ -15,8 +15,8 @@ from scipy.signal import resample_poly
 
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.reading import Recording, Signal
-from bench.records.strongest import strongest_frequency
 
 REACH = 10
 """New samples that the filter reaches to either side."""
@@ -54,7 +54,7 @@ def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
         most = max(n // (2 * REACH + MIN_SAMPLES), 1)
         raise InputError("decimate", factor, f"{path} has {n} samples of {signal.role}: at most {most}")
     passed = PASSED / (2.0 * factor * step)
-    strongest = strongest_frequency(signal.times, signal.values)
+    strongest = dominant_frequency(signal.times, signal.values)
     if signal.measures != "force" and strongest > passed:
         remedy = f"the motion is strongest at {strongest:.4g} Hz and only {passed:.4g} Hz would pass; a smaller one"
         raise InputError("decimate", factor, remedy)

@@ -9,11 +9,11 @@ import numpy as np
 from bench.contract.problem import Channel, Problem
 from bench.likelihood.autoregression import even_times
 from bench.records.colour import autocorrelation
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.intervals import StatedInterval
-from bench.records.linearised import Linearised
+from bench.records.linearised_fit import LinearisedFit
 from bench.records.modes import OfferedMode, alias_of, modes_of
 from bench.records.saturation import at_limit
-from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
 from bench.scoring.statistics import whiteness
 
@@ -71,7 +71,7 @@ SETTLED = 1.1
 
 
 def diagnose(
-    fit: Linearised | None,
+    fit: LinearisedFit | None,
     problem: Problem,
     intervals: Mapping[str, StatedInterval],
     missing: Sequence[str],
@@ -129,7 +129,7 @@ def readable(name: str) -> str:
     return name.replace("_over_", "/").replace("_", " ")
 
 
-def _of_fit(fit: Linearised) -> Iterator[Reason]:
+def _of_fit(fit: LinearisedFit) -> Iterator[Reason]:
     """Yield the reasons that record and residuals give, the gravest first."""
     signals = [channel.values for _, channel in fit.model.channels if channel.n > 3]
     forced, free = fit.model.problem.forced, not fit.model.problem.forced
@@ -164,7 +164,7 @@ def _of_fit(fit: Linearised) -> Iterator[Reason]:
         yield Reason(Trust.CAUTION, f"{outliers} {OUTLIERS}")
 
 
-def _chance_of_noise(fit: Linearised, signals: Sequence[np.ndarray]) -> float:
+def _chance_of_noise(fit: LinearisedFit, signals: Sequence[np.ndarray]) -> float:
     """Return the chance that the best of the record's frequencies explains as much of white noise as the fit does."""
     from scipy.stats import f as f_distribution
 
@@ -177,16 +177,14 @@ def _chance_of_noise(fit: Linearised, signals: Sequence[np.ndarray]) -> float:
     return min(1.0, n / 2.0 * float(f_distribution.sf(statistic, used, n - used)))
 
 
-def _cycles(fit: Linearised) -> float:
+def _cycles(fit: LinearisedFit) -> float:
     """Count the cycles in the first record, by the answer or by the fitted motion."""
     channel = fit.model.channels[0][1]
     fitted = fit.model.data[: channel.n] - fit.residuals[: channel.n]
-    return fit.model.problem.records[0].duration * (
-        natural_frequency(fit) or strongest_frequency(channel.times, fitted)
-    )
+    return fit.model.problem.records[0].duration * (natural_frequency(fit) or dominant_frequency(channel.times, fitted))
 
 
-def _outliers(fit: Linearised) -> int:
+def _outliers(fit: LinearisedFit) -> int:
     """Count the samples that are far off, by the median of their distance to the median."""
     count = 0
     for rows in fit.channels:
@@ -196,7 +194,7 @@ def _outliers(fit: Linearised) -> int:
     return count
 
 
-def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[OfferedMode, ...]]:
+def _lines(fit: LinearisedFit, problem: Problem) -> tuple[list[Reason], tuple[OfferedMode, ...]]:
     """Look for a line in the residuals, or an alias of a free motion's frequency: then the modes are offered."""
     channel = problem.records[0].channels[0]
     reasons, is_mode = _line(fit)
@@ -233,13 +231,13 @@ def _lines(fit: Linearised, problem: Problem) -> tuple[list[Reason], tuple[Offer
     return [*reasons, Reason(Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION, said)], (modes[0], alias)
 
 
-def _line(fit: Linearised) -> tuple[list[Reason], bool]:
+def _line(fit: LinearisedFit) -> tuple[list[Reason], bool]:
     """Look for a line in the spectrum of the residuals of each channel; return whether it may be a mode."""
     for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
         if not even_times(channel.times) or rows.size < 16:
             continue
         frequency, share = line(channel.times, fit.residuals[rows], fit.model.data[rows] - fit.residuals[rows])
-        harmonic = frequency / (natural_frequency(fit) or strongest_frequency(channel.times, channel.values))
+        harmonic = frequency / (natural_frequency(fit) or dominant_frequency(channel.times, channel.values))
         if share > SECOND_MODE and abs(harmonic - 1.0) > SAME_LINE:
             said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
             slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
@@ -325,7 +323,7 @@ def growth_of(signals: Iterable[np.ndarray]) -> float:
     return max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
 
 
-def _channels(fit: Linearised) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _channels(fit: LinearisedFit) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Return residuals and samples of each channel."""
     return [fit.residuals[rows] for rows in fit.channels], [channel.values for _, channel in fit.model.channels]
 
@@ -344,7 +342,7 @@ def start_up(residuals: Iterable[np.ndarray], values: Iterable[np.ndarray]) -> l
     return []
 
 
-def _force_is_turned(fit: Linearised) -> bool:
+def _force_is_turned(fit: LinearisedFit) -> bool:
     """Decide whether a linear equation of motion describes the first motion with a force of the opposite sign.
 
     Integrated twice, ``x = -c/m I x - k/m I² x + 1/m I² f + a + b t + d t²``, with an offset of x, is linear in all
@@ -369,7 +367,7 @@ def _force_is_turned(fit: Linearised) -> bool:
     return bool(coefficients[0] < 0 and np.std(left) < TURNED * np.std(fit.residuals[fit.channels[0]]))
 
 
-def part_of_signal(fit: Linearised) -> float:
+def part_of_signal(fit: LinearisedFit) -> float:
     """Compute the root mean square of the residuals over that of the signal about its mean, over all channels."""
     total, left = 0.0, 0.0
     for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
@@ -379,7 +377,7 @@ def part_of_signal(fit: Linearised) -> float:
     return float(np.sqrt(left / total))
 
 
-def whiteness_level(fit: Linearised) -> float:
+def whiteness_level(fit: LinearisedFit) -> float:
     """Compute the smallest p-value of the channels that their residuals are white, by Ljung and Box."""
     levels = [1.0]
     for rows in fit.channels:
@@ -389,12 +387,12 @@ def whiteness_level(fit: Linearised) -> float:
     return min(levels)
 
 
-def lag_one(fit: Linearised) -> float:
+def lag_one(fit: LinearisedFit) -> float:
     """Compute the autocorrelation of the first channel's residuals at one sample."""
     return float(autocorrelation(fit.residuals[fit.channels[0]], 1)[1])
 
 
-def natural_frequency(fit: Linearised) -> float | None:
+def natural_frequency(fit: LinearisedFit) -> float | None:
     """Compute the frequency by the answer's own k/m, in cycles per unit of its time; None for a system without them."""
     p = fit.model.parameters(fit.theta)
     if not {"k", "m"} <= set(p):

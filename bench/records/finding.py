@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from bench.contract.estimate import Estimate
 from bench.contract.problem import Problem
 from bench.records.intervals import StatedInterval
-from bench.records.linearised import Linearised
+from bench.records.linearised_fit import LinearisedFit
 from bench.records.modes import OfferedMode
 from bench.records.problem import Measured
 from bench.records.verdict import Reason, Trust, verdict
@@ -47,7 +47,7 @@ class Finding:
     wall_s: float = math.nan
     stated: Mapping[str, StatedInterval] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
-    fit: Linearised | None = None
+    fit: LinearisedFit | None = None
     modes: tuple[OfferedMode, ...] = ()
     runs: tuple[Run, ...] = ()
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.modal.waves import WaveFit
-from bench.records.strongest import strongest_frequency
+from bench.records.dominant_frequency import dominant_frequency
 
 REACH = 2.0
 """Cycles on either side of a place."""
@@ -185,7 +185,7 @@ def _even(times: np.ndarray, values: np.ndarray) -> EvenMotion | None:
     level = values - np.polynomial.Polynomial.fit(times, values, 1)(times)
     if not np.any(level):
         return None
-    frequency = strongest_frequency(times, level)
+    frequency = dominant_frequency(times, level)
     block = max(int((times.size - 1) / (float(np.ptp(times)) * frequency * A_CYCLE)), 1)
     n = times.size // block
     times, values = (part[: n * block].reshape(n, block).mean(axis=1) for part in (times, values))

@@ -19,7 +19,7 @@ from bench.contract.belief import standard_quantile
 from bench.contract.problem import Channel, Record
 from bench.likelihood.autoregression import MOST_ORDER, SAMPLES_PER_ORDER, Autoregression, autoregression
 from bench.likelihood.least_squares import SETTLED, Linearisation, covariances, minimise
-from bench.records.strongest import strongest_frequency
+from bench.records.dominant_frequency import dominant_frequency
 
 COEFFICIENTS = ("1/m", "c", "k", "pendulum", "k3", "c2", "mu", "b", "1/l")
 """Coefficients over the mass (the first and the last as named), in the order of the unknowns."""
@@ -96,7 +96,7 @@ class Excerpt:
 def excerpt(record: Record) -> Excerpt:
     """Cut a record into what is compared, in its own units, at sizes that many records share."""
     first = record.channels[0]
-    strongest = rate = 2 * np.pi * strongest_frequency(first.times, first.values)
+    strongest = rate = 2 * np.pi * dominant_frequency(first.times, first.values)
     if record.forces:
         rate = max(rate, LEAST_STEPS * STEP / record.duration)
     size = (float(np.ptp(first.values)) / 2.0 or 1.0) / strongest ** ORDER[first.measures]

@@ -3,7 +3,7 @@
 The logarithms of the free parameters are jointly normal, so every quantity that is a product of their powers (k/m, c/m,
 the frequency, the damping ratio) has intervals that agree with those of the others.
 
-*This record*: the covariance of a fit whose noise has the colour of the residuals (:mod:`bench.records.linearised`),
+*This record*: the covariance of a fit whose noise has the colour of the residuals (``linearised_fit``),
 wider where the method's own interval is wider than that of least squares, and the error of the clock.
 
 *A repeat*: to this the variance between repeats is added. It is estimated from the differences between parts of the
@@ -27,7 +27,7 @@ import numpy as np
 
 from bench.contract.belief import standard_quantile
 from bench.contract.estimate import Estimate
-from bench.records.linearised import Linearised
+from bench.records.linearised_fit import LinearisedFit
 from bench.records.models import ClassComparison
 from bench.records.parts import PartFit
 
@@ -89,7 +89,7 @@ class StatedInterval:
 
 def stated_intervals(
     estimate: Estimate,
-    fit: Linearised | None,
+    fit: LinearisedFit | None,
     parts: Sequence[PartFit] = (),
     rate_error: float = 0.0,
     classes: ClassComparison | None = None,
@@ -168,7 +168,7 @@ class JointCovariance:
         return replace(interval, low=low, high=high, record_low=record_low, record_high=record_high)
 
 
-def joint_covariance(fit: Linearised, parts: Sequence[PartFit], rate_error: float) -> JointCovariance | None:
+def joint_covariance(fit: LinearisedFit, parts: Sequence[PartFit], rate_error: float) -> JointCovariance | None:
     """Compute the variances of an answer, see :func:`stated_intervals`; None where a direction is open."""
     if fit.white is None or fit.coloured is None:
         return None

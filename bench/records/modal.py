@@ -35,12 +35,12 @@ from bench.modal.averages import averages, decay_needed
 from bench.modal.spectra import modal_parameters
 from bench.records.colour import autocorrelation
 from bench.records.diagnostics import GROWTH, LINE_LEVEL, MOST_LEFT, SECOND_MODE, WIDE, growth_of, start_up
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.modal_data import ModalRecord
 from bench.records.modes import MOST_OFFERED, OfferedMode
 from bench.records.request import ModalRequest
 from bench.records.response import A_CYCLE, FEWEST, MOST, ChannelResiduals, ChannelResponse, Response
 from bench.records.saturation import at_limit
-from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust, verdict
 from bench.records.workers import Workers
 from bench.scoring.statistics import whiteness
@@ -299,7 +299,7 @@ def _starts(data: FreeDecays) -> Iterator[float]:
     size = np.std(data.values, axis=1, keepdims=True)
     motion = np.abs(data.values - np.mean(data.values, axis=1, keepdims=True)) / np.where(size > 0, size, 1.0)
     channel, largest = np.unravel_index(np.argmax(motion), motion.shape)
-    cycle = 1.0 / strongest_frequency(data.times[largest:], data.values[channel, largest:])
+    cycle = 1.0 / dominant_frequency(data.times[largest:], data.values[channel, largest:])
     for start in (data.times[largest] + cycles * cycle for cycles in LATER):
         if data.times[-1] - start >= FEWEST_LEFT * cycle:
             yield float(start)
@@ -504,5 +504,5 @@ def modal_response(finding: ModalFinding) -> Response | None:
         n = int(np.clip(A_CYCLE * modes[-1].frequency * np.ptp(times), FEWEST, MOST))
         even = np.linspace(times[0], times[-1], n)
         fit = ChannelResponse(even, motion(data, modes, even)[0] + residuals.offset, residuals)
-    frequency = strongest_frequency(times, values)
+    frequency = dominant_frequency(times, values)
     return Response(finding.method, finding.trust, record.channels[0], record.units[0], times, values, frequency, fit)

@@ -16,7 +16,7 @@ from bench.contract.modal import Blows, FreeDecays, FrequencyResponses, ModalDat
 from bench.errors import InputError
 from bench.likelihood.autoregression import even_times
 from bench.records.decimation import PASSED, REACH, decimated
-from bench.records.forced import forced_motion, frequency_responses, has_force
+from bench.records.forced_response import forced_motion, frequency_responses, has_force
 from bench.records.prepare import prepare
 from bench.records.reading import Recording
 from bench.records.reading.files import read_file

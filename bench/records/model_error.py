@@ -15,8 +15,8 @@ import numpy as np
 from bench.likelihood.autoregression import even_times
 from bench.likelihood.output_error import OutputError
 from bench.records.colour import information_criterion
-from bench.records.linearised import Linearised
-from bench.records.strongest import strongest_frequency
+from bench.records.dominant_frequency import dominant_frequency
+from bench.records.linearised_fit import LinearisedFit
 from bench.systems.sums import TERMS, Sum
 
 NAMES = {"coulomb": "dry friction", "quadratic": "quadratic damping", "cubic": "a cubic spring"}
@@ -33,7 +33,7 @@ MOST_SAMPLES, MOST_CYCLES = 2000, 100.0
 motion with an added force is simulated step by step."""
 
 
-def missing_forces(fit: Linearised) -> tuple[str, ...]:
+def missing_forces(fit: LinearisedFit) -> tuple[str, ...]:
     """Name the forces that the residuals of a fit of one displacement record show to be missing in a sum of terms."""
     system, records = fit.model.system, fit.model.problem.records
     if not isinstance(system, Sum) or len(records) > 1 or not {"c", "k"} <= set(system.names):
@@ -41,7 +41,7 @@ def missing_forces(fit: Linearised) -> tuple[str, ...]:
     channel = records[0].channels[0]
     if len(records[0].channels) > 1 or channel.measures != "displacement" or not even_times(channel.times):
         return ()
-    cycles = channel.times * strongest_frequency(channel.times, channel.values)
+    cycles = channel.times * dominant_frequency(channel.times, channel.values)
     end = int(np.searchsorted(cycles, MOST_CYCLES))
     kept = slice(0, end, -(-end // MOST_SAMPLES))
     slopes, residuals = fit.slopes[kept], fit.residuals[kept]
@@ -55,7 +55,7 @@ def missing_forces(fit: Linearised) -> tuple[str, ...]:
     return tuple(NAMES[term] for term in max(gains, key=gains.__getitem__))
 
 
-def _columns(fit: Linearised, system: Sum, kept: slice) -> dict[str, np.ndarray]:
+def _columns(fit: LinearisedFit, system: Sum, kept: slice) -> dict[str, np.ndarray]:
     """Return the differences of the prediction at the kept samples that a little of each force makes, by term."""
     model, record = fit.model, fit.model.problem.records[0]
     terms = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
-from bench.records.strongest import strongest_frequency
+from bench.records.dominant_frequency import dominant_frequency
 from bench.systems.sums import GROUPS, TERMS, Sum
 
 TIED = 10.0
@@ -109,7 +109,7 @@ def smoothing_velocity(times: np.ndarray, values: np.ndarray, measures: str = "d
     """
     even = np.linspace(times[0], times[-1], times.size)
     step = float(even[1] - even[0])
-    frequency = strongest_frequency(times, values)
+    frequency = dominant_frequency(times, values)
     x = np.interp(even, times, values)
     if measures == "displacement":
         most = x.size - 1 + x.size % 2

@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.likelihood.autoregression import autoregression, even_times
 from bench.likelihood.least_squares import covariances
-from bench.records.linearised import CORRELATED_CYCLES, Linearised, even_scores, uneven_scores
+from bench.records.linearised_fit import CORRELATED_CYCLES, LinearisedFit, even_scores, uneven_scores
 
 MOST_PARTS = 6
 CYCLES, MEAN_CYCLES = 2.0, 3.0
@@ -38,7 +38,7 @@ class PartFit:
     amplitude: float
 
 
-def parts_of(whole: Linearised, frequency: float) -> list[PartFit]:
+def parts_of(whole: LinearisedFit, frequency: float) -> list[PartFit]:
     """Fit the parts of a record, or each of several records, alone, from the answer to the whole; below two: none.
 
     ``frequency``: cycles per unit of the problem's time.
@@ -58,7 +58,7 @@ def parts_of(whole: Linearised, frequency: float) -> list[PartFit]:
 
 
 def _fitted(
-    whole: Linearised, rows: np.ndarray, times: np.ndarray, motion: np.ndarray, frequency: float
+    whole: LinearisedFit, rows: np.ndarray, times: np.ndarray, motion: np.ndarray, frequency: float
 ) -> PartFit | None:
     """Fit the samples in ``rows`` alone; None where they leave a direction open, or follow something else."""
     model, k, n = whole.model, len(whole.model.free), rows.size
@@ -92,7 +92,7 @@ def _fitted(
     return PartFit(whole.theta[:k] + change[:k], (white @ middle @ white)[:k, :k], amplitude)
 
 
-def _edges(whole: Linearised, motion: np.ndarray, frequency: float) -> list[float]:
+def _edges(whole: LinearisedFit, motion: np.ndarray, frequency: float) -> list[float]:
     """Return the times that divide a record into parts of equal energy, none shorter than some cycles."""
     record = whole.model.problem.records[0]
     times = record.channels[0].times

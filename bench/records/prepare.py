@@ -16,10 +16,10 @@ import numpy as np
 from bench.contract.problem import MIN_SAMPLES
 from bench.errors import InputError
 from bench.records.decimation import decimated
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.free_motion import changes, drift, silence
 from bench.records.reading import ReadOptions, Recording, Signal
 from bench.records.saturation import at_limit
-from bench.records.strongest import strongest_frequency
 
 LEAST_CYCLES, LEAST_SAMPLES = 3.0, 20
 """Of a run that is kept as one, after a cut."""
@@ -131,7 +131,7 @@ def _once(recording: Recording) -> Recording:
     n = motion.values.size
     blocks = (p for p in range(LEAST_SAMPLES, n // 2 + 1) if n % p == 0)
     block = next((p for p in blocks if all(_repeats(signal.values, p) for signal in recording.signals)), n)
-    cycles = block / n * float(np.ptp(motion.times)) * strongest_frequency(motion.times, motion.values)
+    cycles = block / n * float(np.ptp(motion.times)) * dominant_frequency(motion.times, motion.values)
     if block == n or cycles < BLOCK_CYCLES:  # a sine without noise repeats itself
         return recording
     first = tuple(_kept(signal, slice(block)) for signal in recording.signals)
@@ -173,7 +173,7 @@ def _noise(first: Signal, second: Signal) -> tuple[float, tuple[float, float]]:
         return unknown
     rate, block = (n - 1) / float(np.ptp(first.times)), 2 * n // (BLOCKS + 1)
     frequencies, coherent = coherence(first.values, second.values, rate, nperseg=block)
-    above = frequencies > NOISE_BAND * strongest_frequency(first.times, first.values)
+    above = frequencies > NOISE_BAND * dominant_frequency(first.times, first.values)
     if np.count_nonzero(above) < 8:
         return unknown
     powers = [welch(signal.values, rate, nperseg=block)[1][above] for signal in (first, second)]
@@ -251,7 +251,7 @@ def _is_run(piece: Signal) -> bool:
     if piece.values.size < LEAST_SAMPLES or np.ptp(piece.values) == 0:
         return False
     early, late = (np.mean(half**2) for half in np.array_split(piece.values - np.mean(piece.values), 2))
-    cycles = float(np.ptp(piece.times)) * strongest_frequency(piece.times, piece.values)
+    cycles = float(np.ptp(piece.times)) * dominant_frequency(piece.times, piece.values)
     return bool(late <= GROWTH * early and cycles >= LEAST_CYCLES)
 
 
@@ -270,7 +270,7 @@ def _within_limits(signal: Signal) -> tuple[Signal, str]:
 def _straightened(signal: Signal, wanted: bool, source: str) -> tuple[Signal, str]:
     """Take off the drift of the sensor: where the user wants it, or where it is significant."""
     level = signal.values - np.polynomial.Polynomial.fit(signal.times, signal.values, 1)(signal.times)
-    cycles = float(np.ptp(signal.times)) * strongest_frequency(signal.times, level)
+    cycles = float(np.ptp(signal.times)) * dominant_frequency(signal.times, level)
     if wanted and cycles < DETREND_CYCLES:
         remedy = f"{source} has {cycles:.2g} cycles of {signal.role}; at least {DETREND_CYCLES:g} are needed"
         raise InputError("detrend", "true", remedy)

@@ -12,13 +12,13 @@ from bench.config.schema import Job
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
+from bench.records.base_excitation import with_base_excitation
 from bench.records.decimation import decimated
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.models import ClassComparison, smoothing_velocity
-from bench.records.moving_ground import on_moving_ground
 from bench.records.prepare import prepare
 from bench.records.reading import Recording, read_recordings
 from bench.records.request import AUTO, Request
-from bench.records.strongest import strongest_frequency
 from bench.systems import System, make_system
 from bench.systems.sums import Sum, sum_from
 
@@ -32,13 +32,13 @@ CYCLE_SAMPLES, FEWEST = 10, 200
 class Measured:
     """Recordings and the problem that they pose; ``notes`` say what was done to them.
 
-    ``told_mass``: the mass (kg) that the user knows, which scales the ratios where the data leave it open.
+    ``known_mass``: the mass (kg) that the user knows, which scales the ratios where the data leave it open.
     """
 
     recordings: tuple[Recording, ...]
     problem: Problem
     notes: tuple[str, ...]
-    told_mass: float | None = None
+    known_mass: float | None = None
     comparison: ClassComparison | None = None
 
     @property
@@ -64,7 +64,7 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     if not recordings:
         recordings = [recording for path in request.files for recording in read_recordings(path, request.options)]
     job, start = request.job, _start(request.job)
-    recordings = [on_moving_ground(recording, job.config.motion) for recording in recordings]
+    recordings = [with_base_excitation(recording, job.config.motion) for recording in recordings]
     n_dof = _system(request, recordings[0]).n_dof
     recordings = prepare(recordings, request.options, known_state=start is not None, n_dof=n_dof)
     system = _system(request, recordings[0])
@@ -175,7 +175,7 @@ def spare_factor(problem: Problem) -> int:
     """Compute by how much samples can be decimated that still describe the motion of every channel; 1: not at all."""
     factors = []
     for channel in (channel for record in problem.records for channel in record.channels):
-        per_cycle = (channel.n - 1) / float(np.ptp(channel.times)) / strongest_frequency(channel.times, channel.values)
+        per_cycle = (channel.n - 1) / float(np.ptp(channel.times)) / dominant_frequency(channel.times, channel.values)
         factors.append(min(per_cycle / CYCLE_SAMPLES, channel.n / FEWEST))
     return max(int(min(factors)), 1)
 

@@ -25,7 +25,7 @@ from bench.entrants.registry import make_method
 from bench.isolation.processes import Died
 from bench.records.finding import Finding
 from bench.records.intervals import StatedInterval, stated_intervals
-from bench.records.linearised import Linearised, linearised
+from bench.records.linearised_fit import LinearisedFit, linearise
 from bench.records.workers import AT_ONCE, Workers
 from bench.scenario.stream import anonymous_stream
 from bench.scoring.combination import combine_with_prior
@@ -113,13 +113,13 @@ def determined_quantities(problem: Problem) -> tuple[Quantity, ...]:
 # ------------------------------------------------------------------------------------------------ drawing
 
 
-def true_values(at: Linearised, problem: Problem) -> dict[str, float]:
+def true_values(at: LinearisedFit, problem: Problem) -> dict[str, float]:
     """Return the parameters of all replicas, in the problem's units: those of the fit."""
     units, natural = problem.natural_units(), at.model.parameters(at.theta)
     return {p.name: float(natural[p.name]) * units.of(p.dimension) for p in problem.system.parameters}
 
 
-def drawn(at: Linearised, problem: Problem, numbers: Sequence[int], seed: int) -> Iterator[Problem]:
+def drawn(at: LinearisedFit, problem: Problem, numbers: Sequence[int], seed: int) -> Iterator[Problem]:
     """Draw replicas of a problem, in its units; the i-th depends on the seed and on i alone.
 
     The nominal values of a prior are drawn too, about the true ones, as a prior assumes.
@@ -172,7 +172,7 @@ def rounding_step(values: np.ndarray) -> float:
 # ------------------------------------------------------------------------------------------------ fitting
 
 
-def answered(job: Job, at: Linearised, problem: Problem, numbers: Sequence[int]) -> list[Intervals]:
+def answered(job: Job, at: LinearisedFit, problem: Problem, numbers: Sequence[int]) -> list[Intervals]:
     """Fit replicas and state the intervals of each answer; a replica without an answer has none."""
     seed, method = int(job.config.seed), make_method(job.config.method["name"], job.settings())
     replicas = list(drawn(at, problem, numbers, seed))
@@ -184,7 +184,7 @@ def answered(job: Job, at: Linearised, problem: Problem, numbers: Sequence[int])
         if estimate.status is Status.OK:
             estimate = combine_with_prior(estimate, replica.prior)
             with np.errstate(all="ignore"):
-                answers.append(stated_intervals(estimate, linearised(replica, estimate)))
+                answers.append(stated_intervals(estimate, linearise(replica, estimate)))
     return answers
 
 

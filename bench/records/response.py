@@ -9,9 +9,9 @@ import numpy as np
 
 from bench.likelihood.compiled import compiled_output_error
 from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.finding import Finding
 from bench.records.problem import Measured
-from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Trust
 
 A_CYCLE, FEWEST, MOST = 32, 1000, 20_000
@@ -115,7 +115,7 @@ def response_of(finding: Finding) -> Response:
     """Return the first channel of the first record, and what the finding makes of it."""
     channel = finding.problem.records[0].channels[0]
     unit, size = file_unit(finding.measured)
-    frequency = strongest_frequency(channel.times, channel.values)
+    frequency = dominant_frequency(channel.times, channel.values)
     return Response(
         method=finding.method,
         trust=finding.trust,

@@ -21,9 +21,9 @@ import numpy as np
 from bench.config.schema import Job
 from bench.entrants.registry import load_method
 from bench.errors import InputError
-from bench.records.find import find_all
-from bench.records.held_out import held_out_fit
+from bench.records.identification import identify_all
 from bench.records.intervals import StatedInterval
+from bench.records.prediction import held_out_fit
 from bench.records.problem import Measured, read_measured, with_system
 from bench.records.reading import Recording, Signal, read_recording
 from bench.records.request import Request, request_of
@@ -104,7 +104,7 @@ class MeasuredFit:
         """Fit the sibling; return a row for each quantity, or one that says why there is none."""
         head = {**self.head, "timeout_s": self.timeout_s}
         try:
-            (finding,) = find_all(replace(self.request, jobs=(self.job,)), self.measured())
+            (finding,) = identify_all(replace(self.request, jobs=(self.job,)), self.measured())
         except InputError as error:
             return [{**head, "status": "refused", "message": str(error), "trust": Trust.NO.value, "withdrawn": 0}]
         fit, estimate, held_out, offset = finding.fit, finding.estimate, math.nan, math.nan

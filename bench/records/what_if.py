@@ -1,7 +1,7 @@
 """What more, denser or quieter data would make of the errors of a record's answer, before anybody measures them.
 
 The covariance of the fit of a changed record follows from its derivatives at today's answer (Fisher information, R. A.
-Fisher, Proc. Camb. Phil. Soc. 22:700, 1925; with coloured noise as in :mod:`bench.records.linearised`). The noise is
+Fisher, Proc. Camb. Phil. Soc. 22:700, 1925; with coloured noise as in ``linearised_fit``). The noise is
 taken to stay as it is, its colour too.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from bench.contract.problem import Channel, Force, Problem, Record
 from bench.likelihood.autoregression import Autoregression
 from bench.records.finding import Finding
-from bench.records.linearised import Linearised
+from bench.records.linearised_fit import LinearisedFit
 from bench.records.replicas import determined_quantities
 
 LONGER_S = 10.0
@@ -79,14 +79,14 @@ def what_if(finding: Finding) -> tuple[WhatIf, ...]:
 
 
 def _errors(
-    finding: Finding, at: Linearised, problem: Problem, factor: float, noises: list[Autoregression]
+    finding: Finding, at: LinearisedFit, problem: Problem, factor: float, noises: list[Autoregression]
 ) -> dict[str, float]:
     """Return the standard deviations of the logarithms of what is determined, with ``factor`` times the noise."""
     model = replace(at.model, problem=problem)
     _, slopes = model.jacobian(at.theta)
     n = model.data.size
     residuals = factor * at.sigma[model.channel_of] * np.sqrt(max(1.0 - at.used / n, 1.0 / n))  # their size is used
-    changed = Linearised(model, at.theta, residuals, slopes, tuple(noises))
+    changed = LinearisedFit(model, at.theta, residuals, slopes, tuple(noises))
     if changed.white is None or at.white is None or at.coloured is None:
         return {}
     uneven = any(noise is None for noise in at.noises)

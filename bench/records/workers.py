@@ -17,7 +17,7 @@ AT_ONCE = 2
 """Processes side by side."""
 MEMORY_MB = 4096.0
 """Limit of the resident memory of a process, where a call names none."""
-PRELOADED = ("bench.records.find", "bench.records.replicas", "bench.records.what_if")
+PRELOADED = ("bench.records.identification", "bench.records.replicas", "bench.records.what_if")
 """Modules that the processes find imported."""
 
 

@@ -22,7 +22,7 @@ from bench.contract.estimate import Cost
 from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.intervals import StatedInterval, stated_intervals
-from bench.records.linearised import at_theta, linearised
+from bench.records.linearised_fit import at_theta, linearise
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
@@ -85,7 +85,7 @@ def intervals_of(kind: str, rng: np.random.Generator) -> tuple[dict[str, StatedI
     if there is None or there.white is None:
         return None
     estimate = estimate_at(model, theta, there.white, there.used, Cost())
-    found = stated_intervals(estimate, linearised(problem, estimate))
+    found = stated_intervals(estimate, linearise(problem, estimate))
     return found, {"k_over_m": truth["k"], "c_over_m": truth["c"]}
 
 

@@ -17,8 +17,8 @@ from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Problem, Record
 from bench.entrants.registry import make_method
 from bench.likelihood.autoregression import Autoregression
-from bench.records.find import judged
 from bench.records.finding import Finding
+from bench.records.identification import assess
 from bench.records.problem import Measured
 from bench.records.replicas import answered, coverage_of, true_values, widened
 from bench.records.request import request_of
@@ -67,7 +67,7 @@ def found(problem: Problem, seed: int) -> Finding | None:
     estimate = make_method(METHOD, {}).identify(problem, np.random.default_rng(seed))
     if estimate.status is not Status.OK:
         return None
-    return replace(judged(METHOD, Measured((), problem, ()), estimate), reasons=())
+    return replace(assess(METHOD, Measured((), problem, ()), estimate), reasons=())
 
 
 def covers(finding: Finding, replicas: int, job: Job) -> dict[tuple[str, str], bool]:

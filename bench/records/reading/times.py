@@ -26,7 +26,7 @@ INCREMENT = re.compile(r"d_?t\b|Δ ?t|delta|diff|since (the )?(last|previous)|in
 """Names of a column of increments."""
 
 
-class Clock(NamedTuple):
+class SampleTimes(NamedTuple):
     """Times from stamps, notes of what was done to them, and the relative standard uncertainty of their rate."""
 
     times: np.ndarray
@@ -34,7 +34,7 @@ class Clock(NamedTuple):
     rate_error: float = 0.0
 
 
-def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
+def increments_summed(stamps: np.ndarray, name: str) -> SampleTimes | None:
     """Return the running sum of stamps that are times since the sample before, in their unit; None for other stamps.
 
     They are, where the column's name says so, or where they do not grow and are alike. Rounding by ``q`` of increments
@@ -54,17 +54,17 @@ def increments_summed(stamps: np.ndarray, name: str) -> Clock | None:
     distinct = np.unique(later)
     rounding = float(np.min(np.diff(distinct), initial=middle)) if distinct.size > 1 else 0.0
     error = rounding / (float(np.mean(later)) * np.sqrt(12.0 * later.size))
-    return Clock(np.where(there, np.nancumsum(stamps), np.nan), (note,), error)
+    return SampleTimes(np.where(there, np.nancumsum(stamps), np.nan), (note,), error)
 
 
-def rebuilt(stamps: np.ndarray, unit: float) -> Clock:
+def rebuilt(stamps: np.ndarray, unit: float) -> SampleTimes:
     """Return times (s) from stamps that do not decrease, in a unit of so many seconds.
 
     Stamps that repeat or are rounded are replaced by those of an even sampling, where none moves by as much as one step
     of their resolution. Gaps stay, and so does sampling that is not even. Stamps that repeat stay in the times where no
     even sampling explains them.
     """
-    as_they_are = Clock(stamps * unit)
+    as_they_are = SampleTimes(stamps * unit)
     steps = np.diff(stamps)
     repeats = int(np.sum(steps == 0))
     if stamps.size < 3 or repeats == steps.size:
@@ -78,7 +78,7 @@ def rebuilt(stamps: np.ndarray, unit: float) -> Clock:
         return as_they_are
     moved = np.abs(start + step * numbers - since)
     if not repeats and np.max(moved) <= max(IMMATERIAL * step, 4 * _spacing(stamps)):
-        return Clock(stamps * unit, _gaps(lost, step * unit))
+        return SampleTimes(stamps * unit, _gaps(lost, step * unit))
     if np.any(moved >= tick * (1 + 1e-6)):
         return as_they_are
     start, step, error = _bounded(since, numbers, start, step, np.broadcast_to(rounding, since.shape) / 2)
@@ -87,7 +87,7 @@ def rebuilt(stamps: np.ndarray, unit: float) -> Clock:
     if repeats:
         why = f"{repeats} of {stamps.size} time stamps repeat"
     notes = (f"{why}: times are rebuilt from {rate}", *_gaps(lost, step * unit))
-    return Clock((stamps[0] + start + step * numbers) * unit, notes, error)
+    return SampleTimes((stamps[0] + start + step * numbers) * unit, notes, error)
 
 
 def _gaps(lost: np.ndarray, step: float) -> tuple[str, ...]:

@@ -77,7 +77,7 @@ def test_json_is_json_with_a_picture_too(capsys: pytest.CaptureFixture[str]) -> 
 def test_what_cannot_be_is_said_before_the_work(
     fields: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.records.find.find_all", None)
+    monkeypatch.setattr("bench.records.identification.identify_all", None)
     assert main(["data=record.csv", "method=matrix_pencil", *fields]) == 2
     out, err = capsys.readouterr()
     assert (out, len(err.splitlines())) == ("", 1)

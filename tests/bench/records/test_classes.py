@@ -10,10 +10,10 @@ from bench.config.overrides import overrides_of
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
 from bench.records.classes import best_class, class_fit, compare_classes, needless_terms
-from bench.records.find import find
-from bench.records.held_out import HELD_OUT, held_out_fit
-from bench.records.linearised import at_theta
+from bench.records.identification import identify
+from bench.records.linearised_fit import at_theta
 from bench.records.models import ClassComparison
+from bench.records.prediction import HELD_OUT, held_out_fit
 from bench.records.problem import Measured, read_measured
 from bench.records.reading import Recording, Signal
 from bench.records.request import request_of
@@ -284,7 +284,7 @@ def test_friction_that_a_record_does_not_need_has_a_limit_with_any_method(method
     x = x + 0.01 * np.random.default_rng(0).standard_normal(x.size)
     recording = Recording((Signal("x", "displacement", 0, x, "m", T),), (), "simulated", "")
     request = request_of(overrides_of({"method": method, "data": "simulated"}) | {"system": ["sdof+coulomb"]})
-    found = find(request.jobs[0], read_measured(request, (recording,)))
+    found = identify(request.jobs[0], read_measured(request, (recording,)))
     mu = found.intervals["mu_over_m"]
     assert (mu.low, mu.limit) == (0.0, "at most")
     assert mu.value < 1e-3

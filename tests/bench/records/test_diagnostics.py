@@ -19,8 +19,8 @@ from bench.config.overrides import overrides_of
 from bench.contract.problem import Problem
 from bench.entrants.registry import make_method
 from bench.records.diagnostics import steady_sine
-from bench.records.find import judged
 from bench.records.finding import Finding
+from bench.records.identification import assess
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
@@ -51,7 +51,7 @@ def judge(times: np.ndarray, x: np.ndarray, force: np.ndarray | None = None, **f
     measured = read_measured(request, (of_arrays(times, x, force),))
     method = make_method("output_error", request.job.settings())
     estimate = method.identify(measured.problem, np.random.default_rng(0))
-    return judged("output_error", measured, estimate)
+    return assess("output_error", measured, estimate)
 
 
 def reasons(finding: Finding) -> str:

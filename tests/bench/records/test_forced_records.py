@@ -10,7 +10,7 @@ import pytest
 
 from bench.contract.modal import Blows, FrequencyResponses
 from bench.errors import InputError
-from bench.records.forced import Forced, forced_motion, frequency_responses
+from bench.records.forced_response import Forced, forced_motion, frequency_responses
 from bench.records.modal_data import read_modal
 from bench.records.reading import ReadOptions, read_recordings
 from bench.records.reading.files import read_file

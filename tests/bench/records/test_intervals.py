@@ -29,7 +29,7 @@ from bench.records.intervals import (
     paule_mandel,
     stated_intervals,
 )
-from bench.records.linearised import Linearised, at_theta, linearised
+from bench.records.linearised_fit import LinearisedFit, at_theta, linearise
 from bench.records.model_error import missing_forces
 from bench.records.parts import parts_of
 from bench.systems.sums import sum_from
@@ -40,7 +40,7 @@ T = np.linspace(0.0, 10.0, 300)
 MOTION = np.exp(-ZETA * OMEGA * T) * np.cos(OMEGA * np.sqrt(1 - ZETA**2) * T)
 
 
-def fitted(x: np.ndarray, times: np.ndarray = T) -> tuple[Problem, Linearised, dict[str, StatedInterval]]:
+def fitted(x: np.ndarray, times: np.ndarray = T) -> tuple[Problem, LinearisedFit, dict[str, StatedInterval]]:
     """The least squares from the truth on, and the intervals that are stated of it."""
     problem = Problem(sum_from("sdof"), (Record((Channel(times, x, offset=True),)),))
     model = OutputError(problem)
@@ -48,7 +48,7 @@ def fitted(x: np.ndarray, times: np.ndarray = T) -> tuple[Problem, Linearised, d
     found = at_theta(model, theta)
     assert found is not None
     estimate = estimate_at(model, theta, found.white, found.used, Cost())
-    at = linearised(problem, estimate)
+    at = linearise(problem, estimate)
     assert at is not None
     return problem, at, stated_intervals(estimate, at, parts_of(at, natural_frequency(at) or 1.0))
 
@@ -242,7 +242,7 @@ def test_records_fitted_together_have_the_interval_of_their_spread() -> None:
     assert at is not None
     parts = parts_of(at, OMEGA / (2 * np.pi))
     assert [float(np.exp(part.logs[1])) for part in parts] == pytest.approx([35.3, 36.8], rel=0.01)
-    fit = linearised(problem, estimate_at(model, at.theta, at.white, at.used, Cost()))
+    fit = linearise(problem, estimate_at(model, at.theta, at.white, at.used, Cost()))
     assert fit is not None
     k = stated_intervals(estimate_at(model, at.theta, at.white, at.used, Cost()), fit, parts)["k_over_m"]
     assert k.low < 35.3 < 36.8 < k.high < 40.0

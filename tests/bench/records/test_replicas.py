@@ -16,8 +16,8 @@ from bench.entrants.registry import make_method
 from bench.errors import InputError
 from bench.isolation.processes import Died
 from bench.likelihood.autoregression import Autoregression, autoregression
-from bench.records.find import judged
 from bench.records.finding import Finding
+from bench.records.identification import assess
 from bench.records.intervals import StatedInterval
 from bench.records.problem import Measured
 from bench.records.replicas import (
@@ -52,7 +52,7 @@ def record(seed: int = 0, step: float = 0.0, rho: float = 0.0, times: np.ndarray
 def finding_of(problem: Problem) -> Finding:
     estimate = make_method("output_error", {}).identify(problem, np.random.default_rng(0))
     assert estimate.status is Status.OK
-    return judged("output_error", Measured((), problem, ()), estimate)
+    return assess("output_error", Measured((), problem, ()), estimate)
 
 
 def replicas(problem: Problem, n: int = 20, seed: int = 0) -> list[Problem]:

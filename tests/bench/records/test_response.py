@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.records.find import find_all
 from bench.records.finding import Finding
+from bench.records.identification import identify_all
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
@@ -32,7 +32,7 @@ def findings() -> list[Finding]:
     times = times[(times < GAP[0]) | (times > GAP[1])]
     values = decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size)
     request = request_of({"data": ["arrays"], "method": ["ls", "shooting"]})
-    return find_all(request, read_measured(request, (of_arrays(times, values),)))
+    return identify_all(request, read_measured(request, (of_arrays(times, values),)))
 
 
 def test_the_curve_runs_between_the_samples_and_through_a_gap(findings: list[Finding]) -> None:
@@ -68,7 +68,7 @@ def test_what_is_shown_is_in_the_unit_of_the_file(tmp_path: Path) -> None:
     values = 1e3 * (decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size))
     np.savetxt(path, np.column_stack([times, values]), delimiter=",", header="t (s),x (mm)", comments="")
     request = request_of({"data": [str(path)], "method": ["shooting"]})
-    response = response_of(find_all(request, read_measured(request))[0])
+    response = response_of(identify_all(request, read_measured(request))[0])
     assert (response.unit, response.measures) == ("mm", "displacement")
     np.testing.assert_allclose(response.values, values)
     assert response.fit is not None
@@ -100,7 +100,7 @@ def test_the_best_is_trusted_most_then_leaves_least(findings: list[Finding]) -> 
 def test_without_a_fit_there_are_the_samples_alone() -> None:
     times = np.arange(0.0, 5.0, 0.05)
     request = request_of({"data": ["arrays"], "method": ["shooting"]})
-    (finding,) = find_all(request, read_measured(request, (of_arrays(times, np.ones(times.size)),)))
+    (finding,) = identify_all(request, read_measured(request, (of_arrays(times, np.ones(times.size)),)))
     response = response_of(finding)
     assert response.fit is None
     assert best_of([finding]) is finding

@@ -11,9 +11,9 @@ from bench.contract.estimate import Status
 from bench.contract.problem import Channel, Force, Problem, Record
 from bench.entrants.registry import make_method
 from bench.likelihood.autoregression import Autoregression
-from bench.records.find import judged
 from bench.records.finding import Finding
-from bench.records.linearised import Linearised
+from bench.records.identification import assess
+from bench.records.linearised_fit import LinearisedFit
 from bench.records.problem import Measured
 from bench.records.what_if import WhatIf, what_if
 from bench.scenario.truth import closed_form
@@ -29,7 +29,7 @@ def found(times: np.ndarray, force: Force | None = None, colour: float = 0.0, c:
     problem = Problem(SDOF(), (Record((Channel(times, x + noise, offset=True),), (force,) if force else ()),))
     estimate = make_method("output_error", {}).identify(problem, np.random.default_rng(0))
     assert estimate.status is Status.OK
-    return judged("output_error", Measured((), problem, ()), estimate)
+    return assess("output_error", Measured((), problem, ()), estimate)
 
 
 def with_noise(finding: Finding, noise: Autoregression) -> Finding:
@@ -37,7 +37,7 @@ def with_noise(finding: Finding, noise: Autoregression) -> Finding:
     at = finding.fit
     assert at is not None
     told = Autoregression(noise.coefficients, noise.variance * float(at.sigma[0]) ** 2)
-    return replace(finding, fit=Linearised(at.model, at.theta, at.residuals, at.slopes, (told,)))
+    return replace(finding, fit=LinearisedFit(at.model, at.theta, at.residuals, at.slopes, (told,)))
 
 
 WHITE = Autoregression(np.zeros(0), 1.0)
@@ -118,7 +118,7 @@ def test_a_short_record_is_taken_as_long_again() -> None:
     milli = replace(finding.problem.records[0].channels[0], times=np.arange(301) / 30e3)
     problem = replace(finding.problem, records=(replace(finding.problem.records[0], channels=(milli,)),))
     estimate = make_method("output_error", {}).identify(problem, np.random.default_rng(0))
-    quick = judged("output_error", Measured((), problem, ()), estimate)
+    quick = assess("output_error", Measured((), problem, ()), estimate)
     assert what_if(quick)[0].change == "another 0.01 s"
 
 

@@ -24,9 +24,9 @@ from bench.records.certificate import (
     with_reasons,
 )
 from bench.records.classes import NAME
-from bench.records.held_out import held_out_fit
 from bench.records.intervals import StatedInterval
 from bench.records.models import ClassComparison
+from bench.records.prediction import held_out_fit
 from bench.records.problem import Measured, read_measured
 from bench.records.reading import of_arrays
 from bench.records.replicas import ReplicaCoverage

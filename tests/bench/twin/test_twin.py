@@ -23,8 +23,8 @@ from scipy.signal import decimate, lsim
 from bench import InputError, Layout, Sample, Sensor
 from bench.commands.main import main
 from bench.entrants.online import make_online
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.reading.table import ReadOptions
-from bench.records.strongest import strongest_frequency
 from bench.systems import make_system
 from bench.twin.filtering import Filter, survey
 from bench.twin.lines import Form, form_of, head_of, lines_of
@@ -149,7 +149,7 @@ def test_a_fast_record_is_decimated_and_the_user_told() -> None:
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(found) == 8000 // 17
     at, measured = np.array([one["t"] for one in found]), np.array([one["measured"][0] for one in found])
-    assert strongest_frequency(at, measured) == pytest.approx(28, rel=0.01)
+    assert dominant_frequency(at, measured) == pytest.approx(28, rel=0.01)
     assert np.max(np.abs(measured)) == pytest.approx(1.0, abs=0.05)
 
 

@@ -18,11 +18,11 @@ from bench.commands.declaration import Within
 from bench.contract.estimate import Cost
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError, estimate_at
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.intervals import StatedInterval, stated_intervals
-from bench.records.linearised import Linearised, at_theta, linearised
+from bench.records.linearised_fit import LinearisedFit, at_theta, linearise
 from bench.records.parts import parts_of
 from bench.records.siblings import KINDS, interval_score
-from bench.records.strongest import strongest_frequency
 from bench.systems.sums import sum_from
 from tests.studies.common import study, tracked
 from tests.studies.repeats.groups import Group, measured, simulated
@@ -30,10 +30,10 @@ from tests.studies.repeats.groups import Group, measured, simulated
 MAIN = ("k_over_m", "c_over_m")
 
 
-def fitted(t: np.ndarray, y: np.ndarray, measures: Literal["displacement", "velocity"]) -> Linearised | None:
+def fitted(t: np.ndarray, y: np.ndarray, measures: Literal["displacement", "velocity"]) -> LinearisedFit | None:
     """Fit one linear mode with an unknown start and offset, from several damping ratios."""
     model = OutputError(Problem(sum_from("sdof"), (Record((Channel(t, y, measures, offset=True),)),)))
-    rate = 2 * np.pi * strongest_frequency(t, y)
+    rate = 2 * np.pi * dominant_frequency(t, y)
     starts = [
         model.vector({"m": 1.0, "c": 2 * ratio * w, "k": w**2})
         for ratio in (0.003, 0.02, 0.06)
@@ -43,10 +43,10 @@ def fitted(t: np.ndarray, y: np.ndarray, measures: Literal["displacement", "velo
     return at_theta(model, min(thetas, key=model.profile))
 
 
-def stated(fit: Linearised) -> dict[str, StatedInterval]:
+def stated(fit: LinearisedFit) -> dict[str, StatedInterval]:
     """State the intervals of a fit, as of a record."""
     estimate = estimate_at(fit.model, fit.theta, fit.white, fit.used, Cost())
-    at = linearised(fit.model.problem, estimate)
+    at = linearise(fit.model.problem, estimate)
     assert at is not None
     frequency = float(np.exp(fit.theta[1] / 2)) / (2 * np.pi)
     return stated_intervals(estimate, at, parts_of(at, frequency * fit.model.problem.natural_units().time))

@@ -23,7 +23,7 @@ from bench.likelihood.compiled import compiled_output_error
 from bench.likelihood.least_squares import degrees_used
 from bench.likelihood.output_error import OutputError
 from bench.records.colour import local_spectrum
-from bench.records.strongest import strongest_frequency
+from bench.records.dominant_frequency import dominant_frequency
 from bench.scoring.score import point_parameters
 from bench.systems import Quantity
 
@@ -37,7 +37,7 @@ CORRELATED_CYCLES = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearisedFit:
     """Residuals (N,) of a problem in natural units at ``theta``, with the derivatives (N, size) of the predictions.
 
     ``known_noises``: the colour of each channel's noise, where these residuals are not what shows it.
@@ -98,7 +98,7 @@ class Linearised:
         ):
             slopes, residuals = self.slopes[rows], self.residuals[rows]
             if noise is None:
-                reach = CORRELATED_CYCLES / max(strongest_frequency(channel.times, channel.values), 1e-12)
+                reach = CORRELATED_CYCLES / max(dominant_frequency(channel.times, channel.values), 1e-12)
                 scores = uneven_scores(slopes, residuals, channel.times, reach)
             else:
                 scores = even_scores(slopes, None if self.known_noises else residuals, noise)
@@ -135,7 +135,7 @@ def uneven_scores(slopes: np.ndarray, residuals: np.ndarray, times: np.ndarray, 
     return total * n / max(n - p, 1)
 
 
-def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
+def linearise(problem: Problem, estimate: Estimate) -> LinearisedFit | None:
     """Compute the likelihood of the problem at an answer; None where the answer has no parameters or no response.
 
     The initial state and the offset are those that fit the data best at the answer's parameters, or the answer's own
@@ -157,13 +157,13 @@ def linearised(problem: Problem, estimate: Estimate) -> Linearised | None:
         return at_theta(model, _without_turns(model, theta))
 
 
-def at_theta(model: OutputError, theta: np.ndarray) -> Linearised | None:
+def at_theta(model: OutputError, theta: np.ndarray) -> LinearisedFit | None:
     """Compute the likelihood at a vector of unknowns; None where its response, or a neighbour's, is not finite."""
     with np.errstate(all="ignore"):
         predicted, slopes = model.jacobian(theta)
     if not (np.all(np.isfinite(predicted)) and np.all(np.isfinite(slopes))):
         return None
-    return Linearised(model, theta, model.data - predicted, slopes)
+    return LinearisedFit(model, theta, model.data - predicted, slopes)
 
 
 def _without_turns(model: OutputError, theta: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ BASE = "b"
 RELATIVE, ABSOLUTE = "relative", "absolute"
 
 
-def on_moving_ground(recording: Recording, motion: str | None) -> Recording:
+def with_base_excitation(recording: Recording, motion: str | None) -> Recording:
     """Return a recording with ``-a_g`` as the force (N on a mass of 1 kg), and with relative motion.
 
     Args:

@@ -12,7 +12,7 @@ from scipy.signal import lsim
 
 from bench import InputError
 from bench.face.identification import identify
-from bench.records.moving_ground import on_moving_ground
+from bench.records.base_excitation import with_base_excitation
 from bench.records.reading import ReadOptions, read_recording
 
 K, C, G = 60.0, 0.5, 9.80665
@@ -67,4 +67,4 @@ def test_a_force_beside_the_moving_ground_is_refused(shaken: Path) -> None:
     ground = recording.signals[-1]
     force = replace(ground, role="f", measures="force")
     with pytest.raises(InputError, match="base=b: it is for one mass without another force"):
-        on_moving_ground(replace(recording, signals=(*recording.signals, force)), "relative")
+        with_base_excitation(replace(recording, signals=(*recording.signals, force)), "relative")

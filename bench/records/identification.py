@@ -17,23 +17,23 @@ from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
 from bench.records.classes import best_class, compare_classes, needless_terms
 from bench.records.diagnostics import OUTLIERS, diagnose, natural_frequency, steady_sine
+from bench.records.dominant_frequency import dominant_frequency
 from bench.records.finding import Finding
 from bench.records.fit import fit
 from bench.records.intervals import ENDS, StatedInterval, stated_intervals
-from bench.records.linearised import Linearised, linearised
+from bench.records.linearised_fit import LinearisedFit, linearise
 from bench.records.model_error import missing_forces
 from bench.records.models import unit_over_mass, without
 from bench.records.parts import parts_of
 from bench.records.problem import Measured, spare_factor, with_system
 from bench.records.repeats import combined, runs_of
 from bench.records.request import AUTO, Request
-from bench.records.strongest import strongest_frequency
 from bench.records.verdict import Reason, Trust
 from bench.scoring.combination import combine_with_prior
 from bench.systems.sums import Sum
 
 
-def find_all(request: Request, measured: Measured) -> list[Finding]:
+def identify_all(request: Request, measured: Measured) -> list[Finding]:
     """Identify the records with each method of a request, of one class that is chosen first with ``system=auto``.
 
     Raises:
@@ -41,10 +41,10 @@ def find_all(request: Request, measured: Measured) -> list[Finding]:
     """
     if request.system == AUTO:
         measured = best_class(measured, compare_classes(measured))
-    return [find(job, measured) for job in request.jobs]
+    return [identify(job, measured) for job in request.jobs]
 
 
-def find(job: Job, measured: Measured) -> Finding:
+def identify(job: Job, measured: Measured) -> Finding:
     """Identify the records with the job's method, in a process of its own: repeats alone, and then by their spread.
 
     Repeats that are too short to be answered alone are fitted together.
@@ -94,21 +94,21 @@ def _answered(job: Job, measured: Measured) -> Finding:
     if sine := steady_sine(measured.problem):
         estimate = Estimate.failed(measured.problem.system, Status.UNSUPPORTED, sine)
         return Finding(job.label, measured, estimate, reasons=(Reason(Trust.NO, sine),))
-    finding = judged(job.label, measured, *fit(job, measured.problem))
+    finding = assess(job.label, measured, *fit(job, measured.problem))
     settings = robust_settings(job.config.method["name"])
     outliers = any(reason.text.endswith(OUTLIERS) for reason in finding.reasons)
     if not (outliers and settings) or "method.likelihood" in job.explicit:
         return finding
     estimate, wall_s = fit(job, measured.problem, {**job.settings(), **settings})
     note = "samples are far off: fitted with errors of Student's t, which expects outliers"
-    robust = judged(job.label, replace(measured, notes=(*measured.notes, note)), estimate, wall_s)
+    robust = assess(job.label, replace(measured, notes=(*measured.notes, note)), estimate, wall_s)
     pairs = [
         (interval, robust.stated[name].value) for name, interval in finding.stated.items() if name in robust.stated
     ]
     return finding if all(interval.record_low <= value <= interval.record_high for interval, value in pairs) else robust
 
 
-def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = math.nan) -> Finding:
+def assess(method: str, measured: Measured, estimate: Estimate, wall_s: float = math.nan) -> Finding:
     """State the intervals that the records support of a method's answer, and the reasons for caution."""
     problem = measured.problem
     if estimate.status is not Status.OK:
@@ -116,7 +116,7 @@ def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = 
         return Finding(method, measured, estimate, wall_s, reasons=(Reason(Trust.NO, reason),))
     scaled = combine_with_prior(estimate, problem.prior)
     with np.errstate(all="ignore"):
-        likelihood = linearised(problem, scaled)
+        likelihood = linearise(problem, scaled)
         parts = [] if likelihood is None else parts_of(likelihood, _frequency(likelihood))
         missing = () if likelihood is None or measured.comparison is not None else missing_forces(likelihood)
         rate_error = max((recording.rate_error for recording in measured.recordings), default=0.0)
@@ -127,9 +127,9 @@ def judged(method: str, measured: Measured, estimate: Estimate, wall_s: float = 
     return Finding(method, measured, estimate, wall_s, intervals, reasons, likelihood, modes)
 
 
-def _frequency(likelihood: Linearised) -> float:
+def _frequency(likelihood: LinearisedFit) -> float:
     channel = likelihood.model.channels[0][1]
-    return natural_frequency(likelihood) or strongest_frequency(channel.times, channel.values)
+    return natural_frequency(likelihood) or dominant_frequency(channel.times, channel.values)
 
 
 def _fewer_samples(measured: Measured, status: Status) -> str:
@@ -140,7 +140,7 @@ def _fewer_samples(measured: Measured, status: Status) -> str:
 
 def _with_mass(intervals: Mapping[str, StatedInterval], measured: Measured) -> dict[str, StatedInterval]:
     """Return intervals of the parameters themselves where their ratios were found and the mass is known."""
-    mass, system, scaled = measured.told_mass, measured.problem.system, {}
+    mass, system, scaled = measured.known_mass, measured.problem.system, {}
     for parameter in system.parameters if mass is not None else ():
         ratio = intervals.get(f"{parameter.name}_over_{system.gauge}")
         if ratio is not None:

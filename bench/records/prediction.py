@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.likelihood.compiled import compiled_output_error
-from bench.records.linearised import Linearised
+from bench.records.linearised_fit import LinearisedFit
 
 HELD_OUT = 0.4
 """Part of the record that the fit does not see."""
@@ -18,7 +18,7 @@ ITERATIONS = 15
 
 
 @dataclass(frozen=True, eq=False)
-class EarlyFit:
+class HeldOutPrediction:
     """The record's samples (N,) as a fit of those before ``split`` predicts them; ``late``: which it has not seen.
 
     ``split`` is the time of the last sample of the first channel that the fit has seen, in natural units.
@@ -40,7 +40,7 @@ class EarlyFit:
         return float(100.0 * (1.0 - np.linalg.norm(y - h) / scale)) if scale > 0 and np.all(np.isfinite(h)) else np.nan
 
 
-def early_fit(at: Linearised) -> EarlyFit | None:
+def predict_held_out(at: LinearisedFit) -> HeldOutPrediction | None:
     """Fit the first part of a record from its answer; None for several records, or without the same unknowns."""
     problem = at.model.problem
     if len(problem.records) > 1:
@@ -56,10 +56,10 @@ def early_fit(at: Linearised) -> EarlyFit | None:
     with np.errstate(all="ignore"):
         predicted = at.model.predict(model.settle(at.theta[None], iterations=ITERATIONS)[0])
     late = np.concatenate([np.arange(c.n) >= n for c, n in zip(channels, counts, strict=True)])
-    return EarlyFit(float(channels[0].times[counts[0] - 1]), predicted, late)
+    return HeldOutPrediction(float(channels[0].times[counts[0] - 1]), predicted, late)
 
 
-def held_out_fit(at: Linearised) -> float:
+def held_out_fit(at: LinearisedFit) -> float:
     """Return the fit (%) of the last part by that of the first; NaN where that fit is not possible."""
-    early = early_fit(at)
+    early = predict_held_out(at)
     return np.nan if early is None else early.fit_percent(at.model.data)

@@ -8,7 +8,7 @@ FINER = 4
 """Frequencies of the search, over those that the record resolves."""
 
 
-def strongest_frequency(times: np.ndarray, values: np.ndarray) -> float:
+def dominant_frequency(times: np.ndarray, values: np.ndarray) -> float:
     """The frequency (1/time) at which the values, joined by lines, have most power: from a cycle in the record on."""
     span = float(times[-1] - times[0]) or 1.0
     even = np.interp(np.linspace(times[0], times[-1], times.size), times, values)

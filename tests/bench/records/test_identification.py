@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.records.find import find_all
+from bench.records.identification import identify_all
 from bench.records.problem import read_measured
 from bench.records.reading import of_arrays
 from bench.records.request import request_of
@@ -17,7 +17,7 @@ def test_samples_far_off_do_not_move_the_answer_of_a_method_that_can_expect_them
     x = np.exp(-0.2 * times) * np.cos(6.0 * times) + 0.01 * rng.standard_normal(times.size)
     x[rng.choice(np.flatnonzero((x > 0.0) & (times > 5.0)), 10, replace=False)] += 0.4
     request = request_of({"data": ["arrays"], "method": ["shooting", "matrix_pencil"]})
-    shooting, other = find_all(request, read_measured(request, (of_arrays(times, x),)))
+    shooting, other = identify_all(request, read_measured(request, (of_arrays(times, x),)))
     assert any("Student's t" in note for note in shooting.measured.notes)
     assert not any("Student's t" in note for note in other.measured.notes)
     assert shooting.trust is Trust.CAUTION
