@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +18,7 @@ from bench.contract.problem import Channel, Record
 from bench.likelihood.autoregression import MOST_ORDER, SAMPLES_PER_ORDER, Autoregression, autoregression
 from bench.likelihood.least_squares import SETTLED, Linearisation, covariances, minimise
 from bench.records.dominant_frequency import dominant_frequency
+from bench.records.law_simulation import STEP, STILL, simulator
 
 COEFFICIENTS = ("1/m", "c", "k", "pendulum", "k3", "c2", "mu", "b", "1/l")
 """Coefficients over the mass (the first and the last as named), in the order of the unknowns."""
@@ -31,14 +30,8 @@ LITTLE = 1e-3
 """Their first values."""
 POSITIVE = np.array([False, True, False, False, False, True, True, False, False])
 """Coefficients of damping, which are left out where they come out negative."""
-STEP = 0.08
-"""Length of a Runge-Kutta step in radians of the strongest frequency: 79 a cycle."""
-SMOOTHING = 0.05
-"""The speed over which friction changes its sign, over the amplitude of the speed: a thousandth less work per cycle."""
 LEAST_STEPS = 3000
 """In a forced record, which may be of no oscillator."""
-STILL = 1e-3
-"""Least amplitude for this smoothing, so that friction stays smooth where nothing moves."""
 MOST_CYCLES = 40.0
 """Cycles that are compared; of a longer record as many in three windows: first, middle and last."""
 SAMPLES_PER_CYCLE = 24.0
@@ -160,50 +153,6 @@ def _averaged(channel: Channel, low: float, high: float, rate: float) -> tuple[n
     return times[:whole].reshape(-1, by).mean(axis=1), values[:whole].reshape(-1, by).mean(axis=1)
 
 
-@cache
-def _simulator() -> Any:
-    """Compile (coefficients and state, steps, push, places, force, order, still) -> predictions and derivatives."""
-    import jax
-    import jax.numpy as jnp
-
-    jax.config.update("jax_enable_x64", True)
-
-    def acceleration(q: Any, x: Any, v: Any, f: Any, still: Any) -> Any:
-        of_force, c, k, pendulum, k3, c2, mu, b, turn = (q[i] for i in range(len(COEFFICIENTS)))
-        speed = SMOOTHING * jnp.where(still > STILL, still, jnp.sqrt(v * v + x * x + STILL**2))
-        pull = k * x + pendulum * jnp.sin(turn * x) / turn + k3 * x * x * x
-        return of_force * f - pull - c * v - c2 * jnp.abs(v) * v - mu * jnp.tanh(v / speed) - b
-
-    def predict(q: Any, steps: Any, push: Any, places: Any, force: Any, order: Any, still: Any) -> Any:
-        def rate(s: Any, f: Any) -> Any:
-            return jnp.stack([s[1], acceleration(q, s[0], s[1], f, still)])
-
-        def step(j: Any, path: Any) -> Any:
-            s, f = path[j], push[j]
-            k1 = rate(s, f)
-            k2 = rate(s + STEP / 2 * k1, f)
-            k3 = rate(s + STEP / 2 * k2, f)
-            k4 = rate(s + STEP * k3, f)
-            return path.at[j + 1].set(s + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-
-        path = jnp.zeros((push.shape[0] + 1, 2)).at[0].set(q[-2:])
-        path = jax.lax.fori_loop(0, steps, step, path)
-        node = jnp.minimum((places / STEP).astype(int), push.shape[0] - 1)
-        t = places / STEP - node
-        (x0, v0), (x1, v1) = jnp.moveaxis(path[node], -1, 0), jnp.moveaxis(path[node + 1], -1, 0)
-        x = (1 + 2 * t) * (1 - t) ** 2 * x0 + t * t * (3 - 2 * t) * x1
-        x += STEP * t * (1 - t) * ((1 - t) * v0 - t * v1)
-        v = 6 * t * (1 - t) * (x1 - x0) / STEP + (1 - t) * (1 - 3 * t) * v0 + t * (3 * t - 2) * v1
-        return jnp.select([order == 0, order == 1], [x, v], acceleration(q, x, v, force, still))
-
-    def with_slopes(q: Any, *data: Any) -> Any:
-        moves = jnp.eye(q.size)
-        return jax.vmap(lambda move: jax.jvp(lambda q: predict(q, *data), (q,), (move,)), out_axes=(None, -1))(moves)
-
-    cases = jax.vmap(with_slopes, in_axes=(0, None, None, None, None, None, None))
-    return jax.jit(jax.vmap(cases, in_axes=(1, None, 0, 0, 0, 0, None), out_axes=1))
-
-
 @dataclass(frozen=True, eq=False)
 class ClassFits:
     """The fits of classes (C) to a record: coefficients (C, 9), in the record's units, and states at time 0.
@@ -265,7 +214,7 @@ class LawFitter:
         places = law + 2 * e.window[:, None] + np.arange(2)  # of each row's initial state
         q = np.concatenate([np.repeat(theta[:, None, :law], len(places), axis=1), theta[:, places]], axis=2)
         steps = min(int(length / STEP) + 2, e.push.shape[1])
-        predicted, by_q = _simulator()(q, steps, e.push, e.places, e.force, e.order, e.still)
+        predicted, by_q = simulator()(q, steps, e.push, e.places, e.force, e.order, e.still)
         left, by_q = np.asarray(predicted) - e.values, np.asarray(by_q)
         slopes = np.zeros((*left.shape, self.size))
         slopes[..., :law] = by_q[..., :law]
