@@ -55,11 +55,11 @@ from methods.kalman.joint import Joint, Nodes, fastest_rate
 from methods.kalman.smoother import smooth
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import NOISE_SHARE, candidates, head, screening
+from methods.starts.distinct_minima import distinct_minima
 from methods.starts.evidence import most_probable
+from methods.starts.integration import RADIANS_A_STEP, radians_a_step
 from methods.starts.long_records import is_long, thinned
-from methods.starts.reach import is_unresolved
-from methods.starts.rough import RADIANS_A_STEP, radians_a_step
-from methods.starts.separate import separate
+from methods.starts.search_range import is_unresolved
 
 STARTS = 3
 """Separate starting points at most."""
@@ -147,7 +147,7 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
     thetas[:, : len(quick.free)] = np.log([[p[name] for name in quick.free] for p in sets])
     thetas = quick.settle(quick.with_initial_states(thetas), 1, SCREENING)
     values = quick.profile(thetas)
-    best = separate(short, values, thetas)[:STARTS]
+    best = distinct_minima(short, values, thetas)[:STARTS]
     if not best:
         raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
     kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]

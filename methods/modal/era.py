@@ -32,7 +32,7 @@ from methods.modal.realisation import MAX_SAMPLES, realise, step_of
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, solve
 from methods.regression.identifier import RegressionIdentifier, answer, covariance
-from methods.starts.reach import unevenness
+from methods.starts.search_range import unevenness
 
 REALNESS = 1e-6
 """The state matrix of poles and shapes that come in conjugate pairs has an imaginary part below this part of it."""

@@ -19,7 +19,7 @@ from methods.modal.overdamped import real_decays
 from methods.modal.realisation import step_of
 from methods.regression.equation import Regression
 from methods.regression.identifier import RegressionIdentifier, answer, bootstrap_covariances
-from methods.starts.reach import unevenness
+from methods.starts.search_range import unevenness
 
 GROWS = "the vibration grows: c/m came out negative; take a record with more decay above its noise"
 NO_COVARIANCE = (

@@ -46,7 +46,7 @@ from bench import (
     autoregression,
 )
 from methods.modal.realisation import leading_vectors, step_of
-from methods.starts.reach import unevenness
+from methods.starts.search_range import unevenness
 
 MOST_ORDER = 40
 MOST_MODES = 10

@@ -15,13 +15,13 @@ import numpy as np
 
 from bench import Channel, OutputError, Problem
 from methods.network.response import Band, Function
+from methods.starts.distinct_minima import ALIAS_MARGIN
 from methods.starts.evidence import log_evidence
-from methods.starts.open_parameters import left_open, very_wide
-from methods.starts.reach import expected_rate, resolved_cycles
 from methods.starts.rounding import DIGITS, rounded
 from methods.starts.scan import records_by_load
-from methods.starts.separate import ALIAS_MARGIN
+from methods.starts.search_range import expected_rate, resolved_cycles
 from methods.starts.waves import ORDER, Guess, scan
+from methods.starts.wide_prior import left_open, very_wide
 
 DETOURS = (1.0, 1.6, 0.625)
 """Where a system of several modes is started again: the dominant wave may be a high or a low one."""

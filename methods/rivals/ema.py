@@ -32,7 +32,7 @@ from bench import (
     Status,
 )  # fmt: skip
 from methods.modal.stabilisation import linked
-from methods.starts.reach import unevenness
+from methods.starts.search_range import unevenness
 
 FREQUENCY_STAYS, DAMPING_STAYS = 0.001, 0.05
 """Tolerances of the package's chart."""

@@ -12,7 +12,7 @@ from scipy.special import gammaln
 
 from bench import NoEstimate
 from methods.sampling.posterior import NOISE_LEAST, NOISE_SD, Posterior
-from methods.starts.open_parameters import PRIORLESS_SD
+from methods.starts.wide_prior import PRIORLESS_SD
 
 MODE_MARGIN = 25.0
 """A mode joins the proposal while minus twice its log-posterior is within this of the best."""

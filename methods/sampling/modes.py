@@ -8,7 +8,7 @@ import numpy as np
 
 from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches, whitened
 from methods.starts.candidates import candidates, screened
-from methods.starts.separate import separate
+from methods.starts.distinct_minima import distinct_minima
 from methods.trajectory.student import NormalErrors, StudentErrors, searched, student_fits
 
 MODES, ROUNDS, ITERATIONS = 3, 3, 12
@@ -44,7 +44,7 @@ def _linear_modes(models: Sequence[OutputError]) -> list[Modes]:
 
 
 def _apart(model: OutputError, values: np.ndarray, thetas: np.ndarray) -> Modes:
-    return [(float(values[i]), thetas[i]) for i in separate(model, values, thetas)]
+    return [(float(values[i]), thetas[i]) for i in distinct_minima(model, values, thetas)]
 
 
 def student_modes(model: OutputError, modes: Modes) -> Modes:

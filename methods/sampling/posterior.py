@@ -17,8 +17,8 @@ import numpy as np
 
 from bench import LOG_LIMIT, OutputError, Record, Start, compiled_path
 from methods.starts.candidates import Stepped
-from methods.starts.open_parameters import PRIORLESS_SD
-from methods.starts.rough import rough_readings
+from methods.starts.integration import integrated_readings
+from methods.starts.wide_prior import PRIORLESS_SD
 from methods.trajectory.student import NORMAL, NormalErrors, StudentErrors
 
 NOISE_CENTRE = float(np.log(0.1))
@@ -106,7 +106,7 @@ class Compiled(OutputError):
         """Return the readings; not finite where the response diverges."""
         if np.prod(np.broadcast_shapes(*(np.shape(value) for value in p.values()))) < COMPILED_SETS:
             return super().readings(p, start, record)
-        return rough_readings(self.system, p, start, record, self.radians, compiled_path)
+        return integrated_readings(self.system, p, start, record, self.radians, compiled_path)
 
 
 def compiled(model: OutputError) -> OutputError:

@@ -48,7 +48,7 @@ from methods.spectral.fit import Objective, search
 from methods.spectral.lines import HarmonicLayout, force_harmonics, real_lines
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import candidates
-from methods.starts.reach import unevenness
+from methods.starts.search_range import unevenness
 
 MAX_SAMPLES = 2000
 """Of the record, and of its force: the harmonics times these are what a fit costs."""

@@ -1,1 +1,1 @@
-"""Where a fit starts, from the data alone: scans for frequency and decay, equation error, what the data leave open."""
+"""Initial guesses for iterative fits, and the ambiguity of their estimates (aliases and other local maxima)."""

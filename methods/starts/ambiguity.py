@@ -1,10 +1,11 @@
-"""Answers that know when they are ambiguous: the other basins of the posterior that data and prior support.
+"""Ambiguous estimates: the other basins of the posterior that data and prior support.
 
-Even samples of a free vibration fit a frequency and its aliases alike, and few or uneven samples may leave several
-basins of the likelihood alike. A method that searches with a prior starts in the basin that stands first: the most
-probable that the sampling resolves, unless one beyond is twenty times as probable. The others are taken to their own
-maxima by the output-error likelihood, which gives all of them their probabilities (:mod:`methods.starts.evidence`). The
-method's own answer stands first, whatever its probability; others above :data:`LEAST_WEIGHT` are alternatives.
+Evenly spaced samples of a free vibration fit a frequency and its aliases equally well, and with few or unevenly spaced
+samples several maxima of the likelihood may be equally high. A method that searches with a prior starts in the most
+probable basin below half the sampling rate, unless a basin above it is twenty times as probable. The output-error
+likelihood is maximised in the other basins as well, which gives all basins their probabilities
+(:mod:`methods.starts.evidence`). The method's estimate is listed first, whatever its probability; other basins with a
+probability above :data:`LEAST_WEIGHT` are alternatives.
 """
 
 from __future__ import annotations
@@ -31,31 +32,32 @@ from bench import (
 )
 from methods.starts.band import are_even, natural_frequencies, values_of, with_band
 from methods.starts.candidates import candidates, screening
+from methods.starts.distinct_minima import APART
 from methods.starts.evidence import Basins, basins
-from methods.starts.reach import MOST_MODES, UP, expected_rate, is_unresolved, resolved_cycles
-from methods.starts.separate import APART
-from methods.starts.unresolved import sped_up
+from methods.starts.prior_guesses import sped_up
+from methods.starts.search_range import MOST_MODES, UP, expected_rate, is_unresolved, resolved_cycles
 
 LEAST_WEIGHT = 0.01
 """Probability above which another basin is an alternative."""
 MOST_BASINS = 16
-"""Minima of the scan that are compared."""
+"""Largest number of minima of the scan that are compared."""
 LEAST_LOG_ODDS = float(np.log(LEAST_WEIGHT)) - 5.0
-"""Of an alias against the answer by the prior alone: the volumes of basins differ by less."""
+"""Least prior log-odds of an alias against the estimate; the volumes of basins differ by less than the extra 5."""
 SAME_RATE, SAME_SDS = 0.02, 5.0
-"""Logarithms of stiffness over mass as near as this to a basin's, or within so many standard deviations, are in it."""
+"""An estimate belongs to a basin if log(k/m) differs by less than the first, or by less than this many standard
+deviations."""
 
 
 class SearchingIdentifier(Identifier):
-    """A method that searches where the prior expects the motion: its answer holds the other basins that fit.
+    """Base of methods that search the frequencies the prior supports, and report other basins as alternatives.
 
-    Version 2: beyond half the sampling rate all of the prior's reach is searched, and other basins are named.
+    Version 2: above half the sampling rate, all frequencies the prior supports are searched, and other basins reported.
     """
 
     version: ClassVar[int] = 2
 
     def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
-        """Add alternatives and name them, or the alias where there is no prior."""
+        """Add alternatives to the estimates, or a warning about the first alias where there is no prior."""
         answers, ambiguous = list(estimates), list[int]()
         for i, (problem, estimate) in enumerate(zip(problems, estimates, strict=True)):
             if estimate.status is not Status.OK:
@@ -73,7 +75,7 @@ class SearchingIdentifier(Identifier):
 
 
 def _may_be_ambiguous(problem: Problem, estimate: Estimate) -> bool:
-    """Decide whether another basin is plausible: of even samples of one degree of freedom, only an alias is."""
+    """Return True where another basin is plausible; evenly sampled, one degree of freedom has only aliases."""
     if not _ratios(problem.system) or not is_unresolved(problem):
         return False
     if problem.system.n_dof > 1 or not are_even(problem):
@@ -82,7 +84,7 @@ def _may_be_ambiguous(problem: Problem, estimate: Estimate) -> bool:
 
 
 def _with_warning(problem: Problem, estimate: Estimate) -> Estimate:
-    """The estimate of a system with hidden states, of which other basins are not searched, with a word on that."""
+    """Warn that the other basins of a system with hidden states are not searched."""
     if not is_unresolved(problem):
         return estimate
     sentence = "the prior expects motion beyond half the sampling rate, and other frequencies were not searched for"
@@ -90,7 +92,7 @@ def _with_warning(problem: Problem, estimate: Estimate) -> Estimate:
 
 
 def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
-    """The estimates with the other basins that data and prior support, each with its probability."""
+    """Add to each estimate the other basins that data and prior support, with their probabilities."""
     models, values, starts = list[OutputError](), list[dict[str, float]](), list[np.ndarray]()
     for problem, estimate in zip(problems, estimates, strict=True):
         units = problem.natural_units()
@@ -104,20 +106,20 @@ def with_alternatives(problems: Sequence[Problem], estimates: Sequence[Estimate]
 
 
 def _with_basins(
-    problem: Problem, estimate: Estimate, model: OutputError, values: Mapping[str, float], found: Basins
+    problem: Problem, estimate: Estimate, model: OutputError, values: Mapping[str, float], maxima: Basins
 ) -> Estimate:
-    """One of them, from its ``model`` in natural units, its ``values`` there and the basins that were found."""
+    """Add other basins to an estimate; ``model``, ``values`` of the estimate and ``maxima`` are in natural units."""
     units = problem.natural_units()
     scales = units.scales(problem.system)
-    places = np.array([_place(model.system, model.parameters(theta)) for theta in found.thetas])
-    answers, weights = [_answer(model, found, i) for i in range(len(places))], found.weights
-    own, answer = _basin_of(answers, places, _place(model.system, values)), estimate
+    places = np.array([_place(model.system, model.parameters(theta)) for theta in maxima.thetas])
+    answers, weights = [_answer(model, maxima, i) for i in range(len(places))], maxima.weights
+    index, answer = _basin_of(answers, places, _place(model.system, values)), estimate
     if isinstance(estimate.parameters, Draws):
-        own, answer = _largest_part(estimate, places + _place(problem.system, scales))
-    others = [i for i in np.argsort(-weights) if i != own and weights[i] > LEAST_WEIGHT]
+        index, answer = _largest_part(estimate, places + _place(problem.system, scales))
+    others = [i for i in np.argsort(-weights) if i != index and weights[i] > LEAST_WEIGHT]
     if not others:
         return estimate
-    weight = 0.0 if own is None else float(weights[own])
+    weight = 0.0 if index is None else float(weights[index])
     total = weight + float(weights[others].sum())
     alternatives = tuple(replace(answers[i].returned(problem, units), weight=float(weights[i]) / total) for i in others)
     answer = replace(answer, alternatives=alternatives, weight=weight / total)
@@ -125,7 +127,7 @@ def _with_basins(
 
 
 def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """The answer, its aliases, and the candidates that every search has."""
+    """Return the estimate, its aliases, and the initial guesses of every search."""
     aliases = []
     if model.system.n_dof == 1:
         log_rate = float(_place(model.system, values)[0])
@@ -133,15 +135,15 @@ def _starts(model: OutputError, values: Mapping[str, float]) -> list[dict[str, f
     return [dict(values), *aliases, *candidates(model, MOST_BASINS)]
 
 
-def _answer(model: OutputError, found: Basins, i: int) -> Estimate:
-    """The answer that a basin is."""
-    spent = _spent(model, found.slopes[i], model.noise(found.residuals[i], 0.0))
-    covariance = model.covariance(found.slopes[i], model.noise(found.residuals[i], spent))
-    return estimate_at(model, found.thetas[i], covariance, spent, Cost())
+def _answer(model: OutputError, maxima: Basins, i: int) -> Estimate:
+    """Return the estimate at the maximum of a basin."""
+    spent = _spent(model, maxima.slopes[i], model.noise(maxima.residuals[i], 0.0))
+    covariance = model.covariance(maxima.slopes[i], model.noise(maxima.residuals[i], spent))
+    return estimate_at(model, maxima.thetas[i], covariance, spent, Cost())
 
 
 def _basin_of(answers: Sequence[Estimate], places: np.ndarray, place: np.ndarray) -> int | None:
-    """The basin in which an answer at this place is; None where it is in none of them."""
+    """Return the index of the basin that contains a point; None where no basin does."""
     nearest = int(np.argmin(np.max(np.abs(places - place), axis=1)))
     system, belief = answers[nearest].system, answers[nearest].parameters
     assert isinstance(belief, Normal)
@@ -154,7 +156,7 @@ def _basin_of(answers: Sequence[Estimate], places: np.ndarray, place: np.ndarray
 
 
 def _spent(model: OutputError, slopes: np.ndarray, sigma: np.ndarray) -> float:
-    """Degrees of freedom that the data spent at a maximum with these slopes (N, size) and noise by channel."""
+    """Return the degrees of freedom used by the data, from slopes (N, size) and noise of each channel at a maximum."""
     assert model.prior is not None
     by_data = slopes / sigma[model.channel_of][:, None]
     by_prior = np.eye(len(model.free), model.size) / model.prior.log_sds[:, None]
@@ -162,10 +164,7 @@ def _spent(model: OutputError, slopes: np.ndarray, sigma: np.ndarray) -> float:
 
 
 def _aliases(problem: Problem, log_rate: float) -> list[float]:
-    """Factors of the frequency by which the motion passes through the same points, sampled at the median step.
-
-    They are within the prior's reach, and those that the prior makes too improbable are left out.
-    """
+    """Return the frequency ratios of aliases at the median sampling step, less those too improbable by the prior."""
     expected = expected_rate(problem)
     assert expected is not None
     centre, sd = expected
@@ -181,28 +180,28 @@ def _aliases(problem: Problem, log_rate: float) -> list[float]:
 
 
 def _ratios(system: System) -> list[Quantity]:
-    """Stiffnesses and further masses over the gauge mass, which decide natural frequencies; alone those tell basins."""
+    """Return stiffnesses and other masses over the gauge mass; basins differ in these, which set the frequencies."""
     names = [p.name for p in system.parameters if p.kind in ("mass", "stiffness") and p.name != system.gauge]
     return [Quantity(name, "", {name: 1.0, system.gauge: -1.0}) for name in names]
 
 
 def _place(system: System, values: Mapping[str, Any]) -> np.ndarray:
-    """Logarithms of those ratios, (..., n_ratios)."""
+    """Return the logarithms of those ratios, (..., n_ratios)."""
     return np.stack([np.log(np.asarray(ratio.value(values))) for ratio in _ratios(system)], axis=-1)
 
 
 def _largest_part(estimate: Estimate, places: np.ndarray) -> tuple[int, Estimate]:
-    """The basin that holds most draws, and the estimate with these alone: the others are in the alternatives."""
+    """Return the basin with most draws, and the estimate with these draws alone; others belong to alternatives."""
     draws = estimate.parameters
     assert isinstance(draws, Draws)
     of_draws = _place(estimate.system, dict(zip(draws.names, draws.samples.T, strict=True)))
     nearest = np.argmin(np.linalg.norm(of_draws[:, None] - places, axis=2), axis=1)
-    own = int(np.argmax(np.bincount(nearest, minlength=len(places))))
-    return own, replace(estimate, parameters=replace(draws, samples=draws.samples[nearest == own]))
+    index = int(np.argmax(np.bincount(nearest, minlength=len(places))))
+    return index, replace(estimate, parameters=replace(draws, samples=draws.samples[nearest == index]))
 
 
 def _sentence(problem: Problem, answer: Estimate) -> str:
-    """Name the frequencies that fit, with their probabilities."""
+    """Return a message with the frequencies that fit and their probabilities."""
     shown = []
     for estimate in (answer, *answer.alternatives):
         frequencies = " and ".join(f"{frequency:.4g}" for frequency in natural_frequencies(problem, estimate))

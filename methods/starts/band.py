@@ -1,7 +1,6 @@
-"""The band of frequencies for which an answer holds.
+"""The frequency band of an estimate: without a prior, it is valid for frequencies below half the sampling rate.
 
-Without a prior, or by its nature, a method answers for frequencies below half the sampling rate. Where its answer has
-few samples a cycle it says so, and names the next frequency that would give the same samples.
+An estimate with few samples per cycle gets a message with the next frequency that would give the same samples.
 """
 
 from __future__ import annotations
@@ -12,24 +11,24 @@ from dataclasses import replace
 import numpy as np
 
 from bench import Draws, Estimate, Identifier, Problem, Status
-from methods.starts.reach import first_stiffness, oscillations, resolved_cycles, unevenness
+from methods.starts.search_range import first_stiffness, oscillations, resolved_cycles, unevenness
 
 FEW_SAMPLES = 4.0
-"""A cycle, below which an answer names its first alias."""
+"""Samples per cycle below which an estimate names its first alias."""
 
 
 class BandIdentifier(Identifier):
-    """A method that sees one band of frequencies, up to half the sampling rate: it says so, and names the alias."""
+    """Base of methods limited to frequencies below half the sampling rate; they name the first alias."""
 
     def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
-        """State the band where the answer has few samples a cycle."""
+        """State the band of estimates with few samples per cycle."""
         return [with_band(problem, estimate) for problem, estimate in zip(problems, estimates, strict=True)]
 
 
 def with_band(problem: Problem, estimate: Estimate) -> Estimate:
-    """The estimate with a sentence on its band and the first alias of its highest frequency, if that has few samples.
+    """State the band and the first alias of an estimate whose highest frequency has few samples per cycle.
 
-    Systems with hidden states have no natural frequency and are left as they are.
+    Systems with hidden states have no natural frequency; their estimates are returned unchanged.
     """
     if estimate.status is not Status.OK or estimate.belief is None or problem.system.n_hidden:
         return estimate
@@ -40,20 +39,20 @@ def with_band(problem: Problem, estimate: Estimate) -> Estimate:
     frequency = frequencies[-1]
     alias = rate - frequency if frequency < rate else rate * np.ceil(frequency / rate) - frequency
     sentence = (
-        f"it answers for frequencies below {rate / 2:.3g} Hz, half the sampling rate: at {rate / frequency:.2g} "
-        f"samples a cycle {alias:.3g} Hz would give nearly the same samples as {frequency:.3g} Hz"
+        f"valid for frequencies below {rate / 2:.3g} Hz, half the sampling rate: at {rate / frequency:.2g} "
+        f"samples per cycle, {alias:.3g} Hz would give nearly the same samples as {frequency:.3g} Hz"
     )
     return replace(estimate, message="; ".join(filter(None, [estimate.message, sentence])))
 
 
 def are_even(problem: Problem) -> bool:
-    """Decide whether every channel is sampled at even steps."""
+    """Return True where every channel is evenly sampled."""
     channels = [channel for record in problem.records for channel in record.channels if channel.n]
     return all(unevenness(channel.times) is None for channel in channels)
 
 
 def natural_frequencies(problem: Problem, estimate: Estimate) -> list[float]:
-    """Natural frequencies (Hz) at an answer, lowest first; of a nonlinear system that of its first stiffness."""
+    """Return natural frequencies (Hz), lowest first; a nonlinear system has that of its first stiffness."""
     system, values = problem.system, values_of(estimate)
     if not all(np.isfinite(value) for value in values.values()):
         return []
@@ -65,9 +64,9 @@ def natural_frequencies(problem: Problem, estimate: Estimate) -> list[float]:
 
 
 def values_of(estimate: Estimate) -> dict[str, float]:
-    """Parameters of an answer; of groups, those with a gauge mass of 1. NaNs where it has none."""
+    """Return the estimated parameters; from groups, those with a gauge mass of 1; NaN where there are none."""
     system = estimate.system
-    if isinstance(estimate.parameters, Draws):  # medians of several basins may lie in none of them: a draw does not
+    if isinstance(estimate.parameters, Draws):  # a median over several basins may lie in none of them; a draw does not
         draws = dict(zip(estimate.parameters.names, estimate.parameters.samples.T, strict=True))
         order = np.argsort(draws[first_stiffness(system)] / draws[system.gauge], kind="stable")
         return {name: float(samples[order[order.size // 2]]) for name, samples in draws.items()}

@@ -1,9 +1,9 @@
-"""Complex rates of damped sinusoids that several channels share: one after the other, each the best on a grid.
+"""Complex rates of damped sinusoids common to several channels, found one after the other on a grid.
 
-A candidate adds two columns, ``e^(-d t) cos(w t)`` and ``e^(-d t) sin(w t)``, to those already there. What it takes off
-the misfit follows from inner products alone, once these are projected out (the projected problem of G. Golub and V.
-Pereyra, SIAM J. Numer. Anal. 10:413, 1973), and on a grid the columns are products of a decay and a wave, so that all
-inner products are products of matrices. Channels read at the same times share the columns.
+A candidate adds two columns, ``e^(-d t) cos(w t)`` and ``e^(-d t) sin(w t)``, to those already selected. The reduction
+of the misfit follows from inner products after projecting the selected columns out (variable projection: G. Golub and
+V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973). On a grid the columns are products of a decay and a wave, so all inner
+products are matrix products. Channels sampled at the same times share the columns.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ CYCLE_STEP = 0.25
 """Step of the grid in cycles per record: half of the half-cycle at which the misfit has its next minimum."""
 MAX_CYCLES = 100.0
 SPANS = (1.0, 0.3)
-"""Half-widths of the finer grids about the best point, in steps of the grid and in the logarithm of the decay."""
+"""Half-widths of the refined grids: in grid steps of the frequency and in the logarithm of the decay."""
 RIDGE = 1e-10
-"""Of the squares of a column, added to them: one that the others have already adds nothing."""
+"""Regularisation relative to a column's squared norm; a column dependent on the others then reduces no misfit."""
 
 
 def periodogram(channel: Channel, samples: int, padding: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +36,7 @@ def periodogram(channel: Channel, samples: int, padding: int = 1) -> tuple[np.nd
 
 
 def common_rates(channels: Sequence[Channel], n: int) -> np.ndarray:
-    """Return complex rates (n,) of damped sinusoids common to all channels, in natural units; channels weigh alike."""
+    """Return complex rates (n,) of damped sinusoids common to channels of equal weight, in natural units."""
     gaps = [float(np.median(np.diff(c.times))) for c in channels]
     groups = _groups(channels)
     cycles = np.arange(CYCLE_STEP, min(0.5 / min(gaps), MAX_CYCLES) + 1e-9, CYCLE_STEP)
@@ -57,7 +57,7 @@ def damped_columns(times: np.ndarray, rates: np.ndarray, offset: bool) -> np.nda
 
 
 def _groups(channels: Sequence[Channel]) -> list[list[Channel]]:
-    """Return channels of unit size, those that are read at the same times together."""
+    """Scale channels to unit norm and group those sampled at the same times."""
     groups: dict[tuple[bytes, bool], list[Channel]] = {}
     for c in channels:
         unit = replace(c, values=c.values / (float(np.linalg.norm(c.values)) or 1.0))
@@ -68,14 +68,14 @@ def _groups(channels: Sequence[Channel]) -> list[list[Channel]]:
 def _best(
     groups: Sequence[Sequence[Channel]], rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray
 ) -> tuple[float, float]:
-    """Return decay and angular frequency of the wave that lowers the misfit most beside the waves of ``rates``."""
+    """Return decay and angular frequency of the wave that reduces the misfit most when added to those of ``rates``."""
     total = sum((_gains(group, rates, decays, omegas) for group in groups), np.zeros((decays.size, omegas.size)))
     i, j = np.unravel_index(int(np.argmax(total)), total.shape)
     return float(decays[i]), float(omegas[j])
 
 
 def _gains(group: Sequence[Channel], rates: np.ndarray, decays: np.ndarray, omegas: np.ndarray) -> np.ndarray:
-    """Return squares (n_decays, n_omegas) that a wave takes off the values of a group, beside those of ``rates``."""
+    """Return the reduction of a group's sum of squares by one more wave, (n_decays, n_omegas)."""
     times = group[0].times
     basis = np.linalg.qr(damped_columns(times, rates, group[0].offset))[0].T
     return gains(times, np.stack([c.values for c in group]), basis, decays, omegas)
@@ -84,8 +84,19 @@ def _gains(group: Sequence[Channel], rates: np.ndarray, decays: np.ndarray, omeg
 def gains(
     times: np.ndarray, values: np.ndarray, basis: np.ndarray, decays: np.ndarray, omegas: np.ndarray
 ) -> np.ndarray:
-    """Return squares (n_decays, n_omegas) that a wave takes off values (r, n) beside orthonormal rows (k, n)."""
-    left = values - (values @ basis.T) @ basis
+    """Compute by how much a wave reduces the sum of squares of values, when added to given columns.
+
+    Args:
+        times: (n,).
+        values: (r, n).
+        basis: The columns already selected, orthonormal, (k, n).
+        decays: Decay rates of the grid.
+        omegas: Angular frequencies of the grid.
+
+    Returns:
+        Reduction at each grid point, (n_decays, n_omegas).
+    """
+    residual = values - (values @ basis.T) @ basis
     phase = np.outer(times, omegas)
     waves = np.stack([np.cos(phase), np.sin(phase)])
     envelopes = np.exp(-np.outer(decays, times))
@@ -96,11 +107,11 @@ def gains(
             2, decays.size, len(rows), omegas.size
         )
 
-    known, onto = products(basis), products(left)
+    on_basis, on_residual = products(basis), products(residual)
     gram = np.empty((3, decays.size, omegas.size))
     for i, (a, b) in enumerate(((0, 0), (0, 1), (1, 1))):
-        gram[i] = envelopes**2 @ (waves[a] * waves[b]) - np.sum(known[a] * known[b], axis=1)
+        gram[i] = envelopes**2 @ (waves[a] * waves[b]) - np.sum(on_basis[a] * on_basis[b], axis=1)
     ridge = RIDGE * np.sum(envelopes**2, axis=1)[:, None]
-    cc, cs, ss, (c, s) = gram[0] + ridge, gram[1], gram[2] + ridge, onto
+    cc, cs, ss, (c, s) = gram[0] + ridge, gram[1], gram[2] + ridge, on_residual
     numerator = np.sum(ss[:, None] * c**2 - 2 * cs[:, None] * c * s + cc[:, None] * s**2, axis=1)
     return np.asarray(numerator / np.maximum(cc * ss - cs**2, ridge**2))

@@ -1,11 +1,11 @@
-"""Start values by equation error: the equation of motion regressed on smooth curves through the displacements.
+"""Initial guesses by equation error: the equation of motion regressed on smooth curves through the displacements.
 
-Curves: sums of one to four damped sinusoids in free vibration, smoothing splines under a force. On a curve the
-equation of motion is algebraic in the parameters, and unlike the misfit of a simulated response it has no minimum for
-every half-period that the phase can slip. Where it is affine in them it is solved by non-negative least squares; else
-by nonlinear least squares in the log-parameters, with the prior where there is one.
+The curves are sums of one to four damped sinusoids in free vibration, and smoothing splines under a force. On a curve
+the equation of motion is algebraic in the parameters, so the misfit has no local minimum per half-period of phase
+slip. An equation affine in the parameters is solved by non-negative least squares, others by nonlinear least squares in
+the log-parameters, with the prior where there is one.
 
-Everything here expects a problem in its natural units (:meth:`bench.Problem.natural_units`).
+All functions take problems in natural units (:meth:`bench.Problem.natural_units`).
 """
 
 from __future__ import annotations
@@ -20,42 +20,42 @@ from bench import Channel, Problem, Record, System, numpy_ops, regression_column
 from methods.starts.common_rates import common_rates, damped_columns
 
 LEVELS = 4
-"""Curves of each record, from stiff to loose."""
+"""Number of curves per record, from the smoothest to the roughest."""
 POINTS = 400
 """Times on a curve at which the equation of motion is evaluated."""
 CURVE_ERROR = 0.1
-"""Error of a curve's acceleration, relative to its size, against which nonlinear regression weighs the prior."""
+"""Relative error of a curve's acceleration, by which nonlinear regression is weighted against the prior."""
 SEARCHES, FARTHEST = 60, 30.0
-"""Evaluations of a nonlinear regression at most; the largest log-parameter that it tries."""
+"""Largest number of evaluations of a nonlinear regression, and its largest log-parameter."""
 OUTSIDE = 1e50
-"""The residual where the equation of motion has no value: parameters there are never taken."""
+"""Residual where the equation of motion is not finite, so that the search avoids such parameters."""
 SMALLEST = 0.02
-"""A parameter that a regression finds negative or nil starts at this part of what would balance the other terms."""
+"""A parameter estimated as zero is set to this fraction of the value that would balance the other terms."""
 
 
 def regression_starts(problem: Problem) -> list[dict[str, float]]:
-    """Regress the equation of motion on smooth curves through the displacements, once for each smoothness.
+    """Regress the equation of motion on smooth curves through the displacements, once per smoothness.
 
-    Needs every DOF's displacement measured in some record, and no hidden states; else there are none.
+    Returns no guesses for a system with hidden states, or where no record measures the displacement of every DOF.
     """
     system = problem.system
     if system.n_hidden:
         return []
     by_record = [(r.rig(system), _smoothed(system, r)) for r in problem.records]
-    seen = [(rig, curves) for rig, curves in by_record if curves]
-    if not seen:
+    smoothed = [(rig, curves) for rig, curves in by_record if curves]
+    if not smoothed:
         return []
-    rigs = [rig for rig, _ in seen]
+    rigs = [rig for rig, _ in smoothed]
     solve = _regressed if system.affine_in_parameters else _fitted
-    return [solve(problem, rigs, [curves[level] for _, curves in seen]) for level in range(LEVELS)]
+    return [solve(problem, rigs, [curves[level] for _, curves in smoothed]) for level in range(LEVELS)]
 
 
 Curves = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[np.ndarray]]
-"""Displacement, velocity, acceleration and force of each DOF at many times, one array a DOF."""
+"""Displacement, velocity, acceleration and force at ``POINTS`` times, each a list of one array per DOF."""
 
 
 def _smoothed(system: System, record: Record) -> list[Curves]:
-    """Return the motion of a record by curves of each smoothness; none where a DOF has no displacement."""
+    """Return the curves of a record for each smoothness; none where a DOF has no displacement sensor."""
     by_dof = {c.dof: c for c in record.channels if c.measures == "displacement" and c.n >= 5}
     if set(by_dof) != set(range(system.n_dof)):
         return []
@@ -71,7 +71,7 @@ def _smoothed(system: System, record: Record) -> list[Curves]:
 
 
 def _waves(channel: Channel, rates: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return displacement, velocity and acceleration (3, n_times) by the sum of damped sinusoids that fits best."""
+    """Return displacement, velocity and acceleration (3, n_times) of the least-squares sum of damped sinusoids."""
     columns = damped_columns(channel.times, rates, channel.offset)
     fitted = np.linalg.lstsq(columns, channel.values, rcond=1e-9)[0]
     amplitudes, basis = fitted[: rates.size] + 1j * fitted[rates.size : 2 * rates.size], np.exp(rates[:, None] * times)
@@ -79,9 +79,9 @@ def _waves(channel: Channel, rates: np.ndarray, times: np.ndarray) -> np.ndarray
 
 
 def _spline(channel: Channel, weight: float, times: np.ndarray) -> np.ndarray:
-    """Return displacement, velocity and acceleration (3, n_times) by a smoothing spline.
+    """Return displacement, velocity and acceleration (3, n_times) of a smoothing spline.
 
-    It is fitted in units of the sampling step, where its weight means the same at any rate.
+    It is fitted in units of the sampling step, so that its weight does not depend on the sampling rate.
     """
     step = float(np.median(np.diff(channel.times)))
     values = channel.values - channel.offset * np.mean(channel.values)
@@ -90,7 +90,7 @@ def _spline(channel: Channel, weight: float, times: np.ndarray) -> np.ndarray:
 
 
 def _fixed(problem: Problem) -> dict[str, float]:
-    """Return the gauge mass, 1, where nothing but a prior sets the scale; else nothing."""
+    """Return the gauge mass, fixed at 1, where neither a force nor a prior sets the scale; else nothing."""
     return {} if problem.scale_told and problem.prior is None else {problem.system.gauge: 1.0}
 
 
@@ -105,16 +105,16 @@ def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves
     free = [name for name in names if name not in fixed]
     sizes = {name: float(np.sqrt(np.mean(columns[:, names.index(name)] ** 2))) or 1.0 for name in names}
     scaled = np.stack([columns[:, names.index(name)] / sizes[name] for name in free], axis=1)
-    found = nnls(scaled, right)[0]
+    estimate = nnls(scaled, right)[0]
     least = SMALLEST * float(np.sqrt(np.mean(right**2)))
-    return {**fixed, **{name: float(max(value, least) / sizes[name]) for name, value in zip(free, found, strict=True)}}
+    return fixed | {name: float(max(value, least) / sizes[name]) for name, value in zip(free, estimate, strict=True)}
 
 
 def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:
     """Solve each rig's residual on its curves by nonlinear least squares in the log-parameters.
 
-    The curves' accelerations are taken to be off by ``CURVE_ERROR``, as often as there are samples. The search starts
-    at the oscillator of the curves' frequency and at the prior's nominal values; the better end is kept.
+    The relative error of the curves' accelerations is taken to be ``CURVE_ERROR``, with as many independent values as
+    samples. The search starts at the oscillator of the curves' frequency and at the prior's nominal values.
     """
     system, prior = problem.system, problem.prior
     fixed = _fixed(problem)
@@ -136,7 +136,7 @@ def _fitted(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) 
 
 
 def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
-    """Return the curves' frequency w as parameters: mass 1, stiffness w², damping w / 10, else w^n for time^-n."""
+    """Return parameters for the curves' frequency w: mass 1, stiffness w², damping w / 10, else w^n for time^-n."""
     speeds, sizes = (np.concatenate([np.ravel(part) for block in blocks for part in block[i]]) for i in (1, 0))
     w = float(np.linalg.norm(speeds) / (np.linalg.norm(sizes) or 1.0)) or 1.0
     shares = {"mass": 1.0, "damping": 0.1}
@@ -144,15 +144,15 @@ def _oscillator(system: System, blocks: Sequence[Curves]) -> dict[str, float]:
 
 
 def _equations(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> np.ndarray:
-    """Compute the residuals of all rigs on their curves at parameters, one behind the other."""
+    """Concatenate the residuals of all rigs on their curves."""
     rows = [rig.residual(p, x, v, a, f, [], numpy_ops) for rig, (x, v, a, f) in zip(rigs, blocks, strict=True)]
-    return np.concatenate([np.broadcast_to(np.asarray(r, float), (POINTS,)) for own in rows for r in own])
+    return np.concatenate([np.broadcast_to(np.asarray(r, float), (POINTS,)) for residuals in rows for r in residuals])
 
 
 def _size(p: Mapping[str, float], rigs: Sequence[System], blocks: Sequence[Curves]) -> float:
-    """Return the root mean square of the masses' inertia at parameters, or of the force where that is larger."""
-    still = [(x, v, [np.zeros_like(own) for own in a], f) for x, v, a, f in blocks]
+    """Return the root mean square of the inertia forces or of the external force, whichever is larger."""
+    still = [(x, v, [np.zeros_like(array) for array in a], f) for x, v, a, f in blocks]
     inertia = _equations(p, rigs, blocks) - _equations(p, rigs, still)
-    force = np.concatenate([np.ravel(own) for *_, f in blocks for own in f])
+    force = np.concatenate([np.ravel(array) for *_, f in blocks for array in f])
     sizes = [float(np.sqrt(np.mean(part**2))) for part in (inertia, force)]
     return max((size for size in sizes if np.isfinite(size)), default=1.0) or 1.0

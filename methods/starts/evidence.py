@@ -1,8 +1,8 @@
-"""How probable a basin of the posterior is: the Laplace approximation of its evidence.
+"""Probabilities of the basins of a posterior by the Laplace approximation of their evidence.
 
-``max posterior × sqrt(det covariance)``, the noise at its best value and the initial state uniform (D. J. C. MacKay,
-Information Theory, Inference, and Learning Algorithms, 2003, chapter 27). The best fit may be a narrow basin, and the
-most probable one another.
+The evidence is ``max posterior × sqrt(det covariance)``, with the noise at its best value and a uniform initial state
+(D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 27). The basin of the best fit
+may be narrow, and another basin more probable.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 
 from bench import OutputError, batches
 from methods.starts.candidates import screening
-from methods.starts.separate import ALIAS_MARGIN, APART, aliased
+from methods.starts.distinct_minima import ALIAS_MARGIN, APART, aliased
 
 ROUNDS, ITERATIONS = 2, 12
-"""Of fit and noise in turn, and steps of each fit, from every start."""
+"""Alternations of fit and noise estimation, and iterations of each fit."""
 SPARE = 3
-"""Samples beyond the unknowns that tell the level of the noise."""
+"""Samples beyond the number of unknowns above which the noise level is identifiable."""
 SAME_SDS = 3.0
-"""Standard deviations: two ends nearer than this are one, which a search has not quite reached."""
+"""Two ends of searches closer than this many standard deviations are the same maximum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,29 +37,30 @@ class Basins:
     evidence: np.ndarray
 
     def first(self, model: OutputError) -> int:
-        """The basin that stands first: the most probable that the sampling resolves, unless one beyond is clearly more.
+        """Return the most probable basin below half the sampling rate, unless one above it is clearly more probable.
 
-        ``clearly``: by the odds of :data:`methods.starts.separate.ALIAS_MARGIN`.
+        "Clearly" means by the odds of :data:`methods.starts.distinct_minima.ALIAS_MARGIN`.
         """
         best = int(np.argmax(self.evidence))
         resolved = np.flatnonzero(~aliased(model, self.thetas))
         if not resolved.size:
             return best
-        place = int(resolved[np.argmax(self.evidence[resolved])])
-        return place if self.evidence[place] + 0.5 * ALIAS_MARGIN >= self.evidence[best] else best
+        below = int(resolved[np.argmax(self.evidence[resolved])])
+        return below if self.evidence[below] + 0.5 * ALIAS_MARGIN >= self.evidence[best] else best
 
     @property
     def weights(self) -> np.ndarray:
-        """The probability of each."""
+        """Return the probability of each basin."""
         weights = np.exp(self.evidence - np.max(self.evidence))
         return np.asarray(weights / weights.sum())
 
 
 def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[Basins]:
-    """Return the separate maxima at which searches from each problem's ``starts`` (n, size) end, those of a batch at
-    once; left out are those whose covariance data and prior do not give.
+    """Search for the maxima of each problem's posterior from its ``starts`` (n, size), a batch of problems at once.
+
+    Maxima at which data and prior determine no covariance are left out.
     """
-    found = [Basins(own, np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0)) for own in starts]
+    maxima = [Basins(ends, np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0)) for ends in starts]
     for places in batches(models, [not model.system.linear for model in models]):
         quick = [screening(models[i]) for i in places]
         cases = np.repeat(np.arange(len(places)), [len(starts[i]) for i in places])
@@ -73,14 +74,14 @@ def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[
         enough = batch.channel_of.size > batch.size + SPARE
         evidence = np.array([_log_evidence(*pair, enough) for pair in zip(profiles, covariances, strict=True)])
         for number, i in enumerate(places):
-            own = np.flatnonzero((cases == number) & np.isfinite(evidence))
-            kept = _apart(point.theta[:, : len(batch.free)], covariances, own[np.argsort(profiles[own])])
-            found[i] = Basins(point.theta[kept], point.slopes[kept], residuals[kept], evidence[kept])
-    return found
+            ends = np.flatnonzero((cases == number) & np.isfinite(evidence))
+            kept = _apart(point.theta[:, : len(batch.free)], covariances, ends[np.argsort(profiles[ends])])
+            maxima[i] = Basins(point.theta[kept], point.slopes[kept], residuals[kept], evidence[kept])
+    return maxima
 
 
 def _apart(logs: np.ndarray, covariances: Sequence[np.ndarray | None], places: np.ndarray) -> list[int]:
-    """Those of the places, best first, whose log-parameters are no part of a better one's basin."""
+    """Return those of ``places`` (best first) whose log-parameters lie in the basin of no better one."""
     kept = list[int]()
     for i in map(int, places):
         if not any(_same(logs[i] - logs[j], covariances[j]) for j in kept):
@@ -89,14 +90,14 @@ def _apart(logs: np.ndarray, covariances: Sequence[np.ndarray | None], places: n
 
 
 def _same(distance: np.ndarray, covariance: np.ndarray | None) -> bool:
-    """Decide whether log-parameters at this distance from a maximum are in its basin, to where a search may end."""
+    """Return True where log-parameters at this distance from a maximum belong to it."""
     if np.max(np.abs(distance)) < APART or covariance is None:
         return True
     return bool(distance @ np.linalg.solve(covariance[: distance.size, : distance.size], distance) < SAME_SDS**2)
 
 
 def log_evidence(model: OutputError, theta: np.ndarray) -> float:
-    """The logarithm of the evidence about a maximum, up to a constant; minus infinity where it has no covariance."""
+    """Return the log-evidence of a maximum up to a constant; minus infinity where it has no covariance."""
     predicted, slopes = model.jacobian(theta)
     residuals = model.data - predicted
     covariance = model.covariance(slopes, model.noise(residuals, 0.0))
@@ -104,13 +105,13 @@ def log_evidence(model: OutputError, theta: np.ndarray) -> float:
 
 
 def _log_evidence(profile: float, covariance: np.ndarray | None, enough: bool) -> float:
-    """Volumes count where ``enough`` samples tell the noise: a perfect fit of few would shrink its own to nothing."""
+    """Count the volume only where ``enough`` samples determine the noise: a perfect fit has a volume of zero."""
     if covariance is None or not np.isfinite(profile):
         return -np.inf
     return float(-0.5 * profile + (0.5 * np.linalg.slogdet(covariance)[1] if enough else 0.0))
 
 
 def most_probable(model: OutputError, starts: list[np.ndarray]) -> list[np.ndarray]:
-    """Of the ends of searches from these starts the one that stands first, alone; the starts where there is none."""
+    """Return the preferred maximum (:meth:`Basins.first`) of searches from ``starts``, or these where there is none."""
     ends = basins([model], [np.stack(starts)])[0] if starts else None
     return starts if ends is None or not ends.evidence.size else [ends.thetas[ends.first(model)]]

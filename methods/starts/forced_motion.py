@@ -1,11 +1,10 @@
-"""The motion that a known force alone causes: functions that take its jumps and roughness out of the fitted response.
+"""Motion of an auxiliary oscillator under the known force, which makes the remaining response smooth.
 
-Where a force jumps, so does the acceleration, and neither a smooth network nor a spline follows; a rough force makes
-the response as rough, two integrations down. The response is therefore the trainable function *plus* a multiple of
-the motion of an oscillator of unit mass under the force of each forced DOF, ``q'' + 2 d q' + (w² + d²) q = f`` from
-rest, with ``w`` and ``d`` of the data's dominant damped wave. That has the jumps of f in its second derivative exactly;
-the equation of motion sets its multiple to 1 over the mass, and what is left to learn is two orders smoother than
-before. The oscillator need not be the true one.
+Where a force jumps, so does the acceleration, and neither a smooth network nor a spline can represent that. The
+response is therefore modelled as the trainable function *plus* a multiple of the motion of an oscillator of unit mass
+under the force of each forced DOF, ``q'' + 2 d q' + (w² + d²) q = f`` from rest, with ``w`` and ``d`` of the dominant
+damped wave in the data. Its second derivative has exactly the jumps of f; the equation of motion sets its multiple to
+1 over the mass, and the remaining function is two orders smoother. The oscillator need not be the true one.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ def force_by_dof(forces: Sequence[Force], times: np.ndarray) -> np.ndarray:
 
 
 def forced_motion(forces: Sequence[Force], rates: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Simulate displacement, velocity and acceleration of those oscillators, (*shape, 3, n_times, n_forced).
+    """Simulate displacement, velocity and acceleration of auxiliary oscillators, (*shape, 3, n_times, n_forced).
 
     ``rates`` of any shape are their ``s = -d + i w``; the times are >= 0, in any order.
     """
@@ -47,7 +46,7 @@ def forced_motion(forces: Sequence[Force], rates: np.ndarray, times: np.ndarray)
 
 @dataclass(frozen=True, eq=False)
 class ForcedMotion:
-    """Those functions for one oscillator, each divided by its ``sizes`` (n_forced,), so that all are of unit size."""
+    """Motion of one auxiliary oscillator per forced DOF, divided by ``sizes`` (n_forced,) to be of unit size."""
 
     forces: tuple[Force, ...]
     rate: complex
@@ -60,9 +59,9 @@ class ForcedMotion:
         return ForcedMotion(tuple(forces), rate, np.where(size > 0, size, 1.0))
 
     def streams(self, times: np.ndarray) -> np.ndarray:
-        """Return their values and first and second derivatives, (3, n_times, n_forced)."""
+        """Return the displacements and their first and second derivatives, (3, n_times, n_forced)."""
         return forced_motion(self.forces, np.array(self.rate), times) / self.sizes
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Return their values, (n_forced, n_times)."""
+        """Return the displacements, (n_forced, n_times)."""
         return np.asarray(self.streams(np.asarray(times, float))[0].T)

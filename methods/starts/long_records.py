@@ -1,9 +1,9 @@
-"""Starts for long records: from a part of each that is short enough to be scanned, carried on to the whole.
+"""Initial guesses for long records: a scan of the first cycles, refitted on successively longer parts.
 
-A scan costs cycles times samples, and a response whose frequency is off by half a cycle over the record has lost its
-phase. So the starts come from the first cycles, thinned, and are fitted again on four times the length, and again, each
-time few enough samples: a fit over one length finds the frequency better than the next one needs. Samples left out cost
-information, not correctness, for a response is exact at whatever times it is asked for.
+The cost of a scan is proportional to cycles times samples, and a fit fails from a frequency that is wrong by half a
+cycle over the record. The first guesses therefore come from the first cycles, decimated, and are refitted on four times
+the length until the record ends; each fit determines the frequency well enough for the next. Samples left out cost
+information but cause no bias, since responses are exact at any times.
 """
 
 from __future__ import annotations
@@ -17,59 +17,59 @@ from bench import Channel, Force, OutputError, Problem, Record
 from methods.starts.common_rates import periodogram
 
 MOST_SAMPLES = 1000
-"""Of a channel, that starts are sought on."""
+"""Largest number of samples per channel in each fit."""
 LONG = 3 * MOST_SAMPLES
 """Samples of a channel beyond which a record counts as long."""
 FIRST_CYCLES = 40.0
-"""Of the strongest oscillation, in the first part."""
+"""Cycles of the strongest oscillation in the first part."""
 LONGER, ITERATIONS = 4.0, 12
-"""Ratio of the lengths of successive parts, and the steps of a fit to each."""
+"""Ratio of the lengths of successive parts, and iterations of the fit to each."""
 STRONGEST_OF = 2**17
-"""Samples in which the strongest oscillation is sought."""
+"""Largest number of samples of the periodogram that finds the strongest oscillation."""
 
 Starts = list[dict[str, float]]
 
 
 def is_long(problem: Problem) -> bool:
-    """Return True where a channel has more samples than starts are sought on."""
+    """Return True where a channel has more than ``LONG`` samples."""
     return any(c.n > LONG for record in problem.records for c in record.channels)
 
 
 def starts_of_long(problem: Problem, seek: Callable[[OutputError], Starts]) -> Starts:
-    """Return starts of a linear system in natural units; ``seek`` finds those of a short problem."""
+    """Return initial guesses of a linear system in natural units; ``seek`` finds those of a short problem."""
     shares = [_first_share(record) for record in problem.records]
     short = thinned(problem, shares)
     units = short.natural_units()
     scales = units.scales(problem.system)
-    found = [{name: v * scales[name] for name, v in p.items()} for p in seek(OutputError(short.expressed_in(units)))]
+    guesses = [{name: v * scales[name] for name, v in p.items()} for p in seek(OutputError(short.expressed_in(units)))]
     while min(shares) < 1.0:
         shares = [min(LONGER * share, 1.0) for share in shares]
-        found = _fitted(OutputError(thinned(problem, shares)), found)
-    return found
+        guesses = _fitted(OutputError(thinned(problem, shares)), guesses)
+    return guesses
 
 
-def _fitted(model: OutputError, found: Starts) -> Starts:
-    """Improve starts by a few output-error steps on a problem; those that diverge are left out."""
+def _fitted(model: OutputError, guesses: Starts) -> Starts:
+    """Improve guesses by a few output-error iterations; those that diverge are left out."""
     with np.errstate(all="ignore"):
-        thetas = np.array([model.vector(p) for p in found])
+        thetas = np.array([model.vector(p) for p in guesses])
         good = np.all(np.isfinite(model.predict(thetas)), axis=1)
         thetas = model.settle(thetas[good], 1, ITERATIONS)
     return [{name: float(v) for name, v in model.parameters(theta).items()} for theta in thetas]
 
 
 def thinned(problem: Problem, shares: Sequence[float] = ()) -> Problem:
-    """Return the first share of each record, or all of it, on at most ``MOST_SAMPLES`` a channel."""
+    """Decimate the first share of each record (default all) to at most ``MOST_SAMPLES`` per channel."""
     pairs = zip(problem.records, shares or [1.0] * len(problem.records), strict=True)
     return replace(problem, records=tuple(_head(record, share * record.duration) for record, share in pairs))
 
 
 def _head(record: Record, end: float) -> Record:
-    """Return a record until a time, thinned; a force becomes its mean over what is left out."""
+    """Decimate a record until time ``end``; forces are averaged over the decimation interval."""
 
     def thinned(c: Channel) -> Channel:
         n = int(np.searchsorted(c.times, end, "right"))
-        own = slice(0, n, max(1, -(-n // MOST_SAMPLES)))
-        return replace(c, times=c.times[own], values=c.values[own])
+        kept = slice(0, n, max(1, -(-n // MOST_SAMPLES)))
+        return replace(c, times=c.times[kept], values=c.values[kept])
 
     return replace(
         record,
@@ -79,19 +79,19 @@ def _head(record: Record, end: float) -> Record:
 
 
 def _averaged(force: Force, end: float) -> Force:
-    """Return a force until a time, as the means over equally many samples each, at their mean times."""
+    """Average a force until time ``end`` over blocks of equally many samples, at the blocks' mean times."""
     n = max(2, int(np.searchsorted(force.times, end, "right")))
     size = -(-n // MOST_SAMPLES)
     if size == 1:
         return replace(force, times=force.times[:n], values=force.values[:n])
     whole = n // size * size
-    times, values = (own[:whole].reshape(-1, size).mean(axis=1) for own in (force.times, force.values))
+    times, values = (samples[:whole].reshape(-1, size).mean(axis=1) for samples in (force.times, force.values))
     times[0] = force.times[0]
     return replace(force, times=times, values=values, hold="linear")
 
 
 def _first_share(record: Record) -> float:
-    """Return the part of a record with ``FIRST_CYCLES`` of the strongest oscillation that any channel shows."""
+    """Return the fraction of a record with ``FIRST_CYCLES`` of the strongest oscillation in any channel."""
     cycles = 0.0
     for channel in record.channels:
         if channel.n > LONG:

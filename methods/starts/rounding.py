@@ -1,4 +1,4 @@
-"""A problem to ten digits, for methods that magnify the last bit of their data."""
+"""Rounding of a problem to ten digits, for methods that amplify rounding errors of their data."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ DIGITS = 10
 def rounded(problem: Problem) -> Problem:
     """Round every number of a problem (in natural units) to ten digits.
 
-    Thousands of steps of Adam and L-BFGS magnify the last bit of the data to a hundredth of a standard error, and a
-    gradient sampler's path magnifies it to other draws. Rounded like this, a record in other units is the same record
-    to the last bit, and so is the answer.
+    Thousands of steps of Adam and L-BFGS amplify the last bit of the data to a hundredth of a standard error, and a
+    gradient-based sampler amplifies it to other draws. After rounding, a record gives the same bits in any units, and
+    hence the same estimate.
     """
 
     def same(values: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""A scan of a linear system over frequency and decay: the separate minima of what is left of the data.
+"""A scan of a linear system over frequency and decay, whose lowest local minima are initial guesses.
 
-At given parameters the response of a *linear* system is affine in its initial state, in the sensors' offsets and in 1
-over the scale of its parameters against a known force, so these are projected out (variable projection: G. Golub, V.
-Pereyra, SIAM J. Numer. Anal. 10:413, 1973) and what is left is a function of stiffness and damping only, evaluated on a
-grid of frequency and decay. Its best separate minima are starts.
+At given parameters the response of a *linear* system is affine in its initial state, in the sensors' offsets and in
+the reciprocal of a common scale of m, c and k under a known force. These are projected out (variable projection: G.
+Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973); the remaining misfit depends on stiffness and damping only and is
+evaluated on a grid of frequency and decay.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ import numpy as np
 
 from bench import Channel, Force, Problem, Record, System, measurements
 from methods.starts.common_rates import CYCLE_STEP, DECAYS, MAX_CYCLES
-from methods.starts.reach import expected_rate, most_cycles, resolved_cycles
+from methods.starts.search_range import expected_rate, most_cycles, resolved_cycles
 
 
 def scan(problem: Problem, n: int) -> list[dict[str, float]]:
-    """Return the ``n`` best separate minima of the projected misfit over a grid of frequency and decay.
+    """Return the ``n`` lowest local minima of the projected misfit over a grid of frequency and decay.
 
-    How far the grid goes: :mod:`methods.starts.reach`. All stiffnesses are raised together, and all dampings, from the
-    prior's nominal proportions or from equal ones; for one degree of freedom that is the whole space. Where known
-    masses were added in some records, those of each load are scanned as if their rig were plain, and :func:`unloaded`
-    finds the mass from the lightest and the heaviest; pairs of minima are taken in the order of their common misfit.
+    The range of the grid follows :mod:`methods.starts.search_range`. All stiffnesses are scaled together, and all
+    dampings, from the prior's nominal proportions or from equal ones; one degree of freedom is covered completely.
+    Where known masses were added in some records, the records of each added mass are scanned separately as if none had
+    been added, and :func:`unloaded` computes the mass from the lightest and the heaviest; pairs of minima are ordered
+    by the sum of their misfits.
     """
     if not is_loaded(problem):
         return [p for _, p in _minima(problem, n, problem.prior is not None)]
@@ -48,7 +49,7 @@ def is_loaded(problem: Problem) -> bool:
 
 
 def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, dict[str, float]]]:
-    """Return those minima and their misfits; with ``fixed_scale`` the gauge is that of the problem's units."""
+    """Return the misfits and parameters of the minima; ``fixed_scale``: the gauge mass is one unit."""
     names, base = problem.system.names, _proportions(problem)
     misfit: np.ndarray | float = 0.0
     strength: np.ndarray | float = 0.0
@@ -70,7 +71,7 @@ def _minima(problem: Problem, n: int, fixed_scale: bool) -> list[tuple[float, di
 def _worth_a_start(
     problem: Problem, frequencies: np.ndarray, minima: Sequence[tuple[int, int]], table: np.ndarray, n: int
 ) -> list[tuple[int, int]]:
-    """Return the ``n`` best minima that the sampling resolves, and ``n`` beyond that data and prior support most."""
+    """Return the ``n`` best minima below half the sampling rate, and the ``n`` most probable above it."""
     resolved = max(resolved_cycles(record) for record in problem.records)
     expected = expected_rate(problem)
     within = [place for place in minima if frequencies[place[0]] <= resolved]
@@ -88,7 +89,7 @@ def _worth_a_start(
 
 
 def _proportions(problem: Problem) -> tuple[float, ...]:
-    """Return the parameters over the first of their kind: as the prior has them, or all equal."""
+    """Return the parameters over the first of their kind: by the prior, or all equal."""
     prior, system = problem.prior, problem.system
     if prior is None or system.n_dof == 1:
         return tuple(1.0 for _ in system.names)
@@ -99,11 +100,11 @@ def _proportions(problem: Problem) -> tuple[float, ...]:
 
 
 def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> dict[str, float] | None:
-    """Return parameters of the rig from those that fit its records with each of two loads as if it were plain.
+    """Compute the rig's parameters from fits to records with two added masses that ignore these masses.
 
     Each determines ``r = k / (m + load)``, so that ``m = (r2 load2 - r1 load1) / (r1 - r2)``; None where that is not
-    positive. Damping and stiffness over mass are the first one's. The masses of several degrees of freedom are taken
-    to share the load, as a first guess.
+    positive. Damping and stiffness over mass are those of the first load. The masses of several degrees of freedom are
+    taken to share the load, as a first guess.
     """
     system = problem.system
     (load1, p), (load2, q) = by_load.items()
@@ -119,7 +120,7 @@ def unloaded(problem: Problem, by_load: Mapping[float, Mapping[str, float]]) -> 
 
 
 def records_by_load(problem: Problem) -> dict[float, Problem]:
-    """Split a problem by the mass that was added in all, each part as if it had been on the plain rig."""
+    """Split a problem by the total added mass, which the parts then ignore."""
     parts: dict[float, list[Record]] = {}
     for record in problem.records:
         load = 0.0 if record.added_mass is None else float(np.sum(record.added_mass))
@@ -128,7 +129,7 @@ def records_by_load(problem: Problem) -> dict[float, Problem]:
 
 
 def _separate_minima(table: np.ndarray) -> list[tuple[int, int]]:
-    """Return row and column of the local minima along the rows' axis, best first."""
+    """Return row and column of the local minima along the first axis, best first."""
     table = np.where(np.isfinite(table), table, np.inf)
     best = table.min(axis=1)
     padded = np.concatenate([[np.inf], best, [np.inf]])
@@ -147,7 +148,7 @@ Signature = tuple[tuple[tuple[bytes, str, int], ...], tuple[tuple[bytes, bytes, 
 
 
 def _signature(record: Record) -> Signature:
-    """Return what decides the unit responses of a record; forces are taken relative to their common size."""
+    """Return the cache key of the unit responses of a record; forces are scaled by their common size."""
     size = _force_size(record)
     channels = tuple((np.round(c.times, 12).tobytes(), c.measures, c.dof) for c in record.channels)
     forces = tuple(
@@ -161,9 +162,9 @@ def _force_size(record: Record) -> float:
 
 
 def _known_start(record: Record) -> tuple[float, ...] | None:
-    """Return a known initial state of several degrees of freedom: their 2 n_dof unit responses would fill the memory.
+    """Return a known initial state of several degrees of freedom, whose 2 n_dof unit responses would need much memory.
 
-    Those of one are the same in every replicate, and kept.
+    The two unit responses of one degree of freedom are the same in every replicate, and cached.
     """
     start = record.initial_state
     if start is None or start.displacement.size == 1:
@@ -177,7 +178,7 @@ def _grid_responses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return grid points (G, 2) as (cycles, decay), and responses (G, N, S + 1): to initial states, then to the force.
 
-    The initial states are the ``known`` one, else 2 n_dof unit ones.
+    The initial states are the ``known`` one, or else the 2 n_dof unit vectors.
     """
     channels = tuple(
         Channel(np.frombuffer(t), np.zeros(len(t) // 8), measures, dof)  # type: ignore[arg-type]
@@ -204,7 +205,7 @@ def _grid_responses(
 
 
 def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the misfit at each grid point with initial state, offsets and scale fitted; and that scale."""
+    """Return the misfit at each grid point with initial state, offsets and scale fitted, and that scale."""
     sizes = [float(np.sqrt(np.mean(c.values**2))) or 1.0 if c.n else 1.0 for c in record.channels]
     weights = np.concatenate([np.full(c.n, 1.0 / s) for c, s in zip(record.channels, sizes, strict=True)])
     y = np.concatenate([c.values for c in record.channels])
@@ -222,8 +223,8 @@ def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tupl
         columns.append(responses[..., -1] * _force_size(record))
     for c in record.channels:
         if c.offset:
-            mine = np.concatenate([np.full(other.n, float(other is c)) for other in record.channels])
-            columns.append(np.broadcast_to(mine, responses.shape[:2]))
+            indicator = np.concatenate([np.full(other.n, float(other is c)) for other in record.channels])
+            columns.append(np.broadcast_to(indicator, responses.shape[:2]))
     residual = weights * (y - known)
     scale = np.ones(len(responses))
     if not columns:
@@ -235,8 +236,8 @@ def _projected(record: Record, responses: np.ndarray, fixed_scale: bool) -> tupl
     right = np.einsum("gnq,gn->gq", a, residual)
     solution = np.linalg.solve(gram, right[..., None])[..., 0]
     if pushed and not fixed_scale:
-        at = 0 if record.initial_state is not None else responses.shape[-1] - 1
-        gain = solution[:, at] / norms[:, at]
+        column = 0 if record.initial_state is not None else responses.shape[-1] - 1
+        gain = solution[:, column] / norms[:, column]
         scale = np.where(gain > 0, 1.0 / np.maximum(gain, 1e-12), np.nan)
     rss = np.sum(residual**2, axis=1) - np.sum(solution * right, axis=1)
     return np.where(np.isfinite(scale), rss, np.inf), np.where(np.isfinite(scale), scale, 1.0)

@@ -1,4 +1,4 @@
-"""A scan for the damped sine wave that fits the measurements best: starting points from the data alone."""
+"""A scan for the damped sine waves that fit the measurements best, as initial guesses."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import numpy as np
 from bench import Channel, Force, Problem
 from methods.starts.common_rates import MAX_CYCLES, gains, periodogram
 from methods.starts.forced_motion import force_by_dof, forced_dofs, forced_motion
-from methods.starts.reach import most_cycles
+from methods.starts.search_range import most_cycles
 
 DECAYS = (0.2, 1.0, 3.0, 8.0)
-"""Decay rates tried, times the duration: from nearly undamped to gone within an eighth of the record."""
+"""Decay rates of the grid, times the duration: from nearly undamped to decayed within an eighth of the record."""
 PER_HALF_CYCLE = 4
-"""Frequencies tried in each step of half a cycle a record."""
+"""Frequencies per half cycle per record."""
 MOST_FORCED = 1_000_000
-"""Oscillators times samples, of the channel and of the forces, beyond which the scan takes a response for the force."""
+"""Oscillators times samples above which the force itself replaces the oscillators' responses in the scan."""
 MOST_FREQUENCIES = 8192
-"""Of the grid, beyond which only the strongest of the periodogram are compared as damped waves, an eighth as many."""
+"""Grid size above which only the frequencies of largest periodogram, an eighth as many, are scanned."""
 MOST_SAMPLES = 1000
-"""Of a channel, that waves are sought in; more are thinned."""
+"""Samples per channel in the scan; longer channels are decimated."""
 BLOCK = 2**21
-"""Entries of the columns of all waves that stand in memory at a time."""
+"""Largest number of array entries of wave columns in memory."""
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
-"""Derivative by time that a sensor measures."""
+"""Order of the time derivative that a sensor measures."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """A damped wave ``exp(-decay t) (a cos(omega t) + b sin(omega t))`` and the share of the data that it leaves.
+    """A damped wave ``exp(-decay t) (a cos(omega t) + b sin(omega t))`` as the initial guess of a fit.
 
-    ``omega`` (rad per unit of time), ``decay`` (per unit of time); ``left`` is its sum of squared residuals over that
-    of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit. A fit
-    keeps to a ``firm`` one from the beginning, and takes that share for noise.
+    ``omega`` (rad per unit of time), ``decay`` (per unit of time); ``left`` is the sum of squared residuals over that
+    of the data, with every channel scaled to unit size. ``logs`` are log-parameters known from an earlier fit. From a
+    ``firm`` guess a fit applies the full weight of the physics from the beginning, with ``left`` as noise level.
     """
 
     omega: float
@@ -48,19 +48,19 @@ class Guess:
 def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = False) -> tuple[list[Guess], float]:
     """Return the local minima over frequency of the best fit by one damped wave, best first (at least one).
 
-    A periodogram with decay: for every frequency and decay of a grid, amplitudes (and a constant, where a channel has
-    an unknown one) of every channel by linear least squares. How far the frequencies go: :mod:`methods.starts.reach`.
+    For every frequency and decay of a grid, the amplitudes of every channel, and its unknown offset, are fitted by
+    linear least squares. The range of frequencies follows :mod:`methods.starts.search_range`.
 
     Args:
         problem: In natural units.
-        waves: How many waves are found, one after the other, for the share of the data that they leave.
+        waves: Number of waves fitted successively, for the residual share of the data.
         forced: Add the motion of an oscillator of that frequency and decay under the known forces, so that the first
-            wave is free vibration, not their trace; of a long record, where that takes longer than a fit, the force
-            itself, which is what a displacement follows under a slow one.
-        beyond: Look beyond half the sampling rate too, for one linear mode that the prior expects there.
+            wave is the free vibration. For long records, where that takes longer than a fit, the force itself is added,
+            to which a displacement is proportional under a slow force.
+        beyond: Search above half the sampling rate too, for one linear mode that the prior supports there.
 
     Returns:
-        The minima, and the share of the data that ``waves`` waves leave.
+        The minima, and the residual share of the data after ``waves`` waves.
     """
     duration = max(record.duration for record in problem.records)
     n = max(channel.n for record in problem.records for channel in record.channels)
@@ -83,18 +83,15 @@ def scan(problem: Problem, waves: int = 1, forced: bool = False, beyond: bool = 
         minima = _best(series, omegas, decays)
         guesses = guesses or minima
         left = minima[0].left
-        if min((own.values.size - own.fixed.shape[1] for own in series), default=0) < 5:
+        if min((each.values.size - each.fixed.shape[1] for each in series), default=0) < 5:
             break
-        for own in series:
-            own.fix(minima[0])
+        for each in series:
+            each.fix(minima[0])
     return guesses, left
 
 
 def _strongest(problem: Problem, omegas: np.ndarray) -> np.ndarray:
-    """Return which frequencies of a long grid, in order, have the largest power in the channels' periodograms.
-
-    All samples count, so that the noise averages out; the cost is that of an FFT.
-    """
+    """Return the indices of the frequencies of a long grid with the largest power in the channels' periodograms."""
     power = np.zeros(omegas.size)
     for channel in (c for record in problem.records for c in record.channels if c.n > 4 and np.any(c.values)):
         frequencies, spectrum = periodogram(channel, channel.n, padding=2)
@@ -103,7 +100,7 @@ def _strongest(problem: Problem, omegas: np.ndarray) -> np.ndarray:
 
 
 class _Series:
-    """The values of a channel, and the columns that are fitted to them beside a wave: ``fixed`` (n, k)."""
+    """The values of a channel, and the columns fitted to them in addition to a wave: ``fixed`` (n, k)."""
 
     def __init__(self, channel: Channel, forces: Sequence[Force], oscillators: int) -> None:
         chosen = _thinned(channel.n)
@@ -118,7 +115,7 @@ class _Series:
                 self.fixed = np.hstack([self.fixed, force_by_dof(forces, self.times).T])
 
     def columns(self, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
-        """Return the columns that a wave adds, (n_omegas, n_decays, n, k): two of its own, one for each forced DOF."""
+        """Return the columns of a wave, (n_omegas, n_decays, n, k): two for the wave, one per forced DOF."""
         waves = _wave(self.times, omegas, decays)
         if not self.forces:
             return waves
@@ -127,15 +124,15 @@ class _Series:
         return np.concatenate([waves, plain[:, :, self.order]], -1)
 
     def fix(self, guess: Guess) -> None:
-        """Keep the columns of a wave."""
-        own = self.columns(np.array([guess.omega]), np.array([guess.decay]))[0, 0]
-        self.fixed = np.hstack([self.fixed, own])
+        """Append the columns of a wave to the fixed ones."""
+        columns = self.columns(np.array([guess.omega]), np.array([guess.decay]))[0, 0]
+        self.fixed = np.hstack([self.fixed, columns])
 
 
 def _thinned(n: int) -> np.ndarray:
-    """Return which of n samples a scan takes: all, or of a long record one of each of ``MOST_SAMPLES`` equal parts.
+    """Return the indices of the samples of a scan: all n, or one from each of ``MOST_SAMPLES`` equal parts.
 
-    Where in its part follows the golden ratio: evenly thinned samples would take a fast motion for a slow one.
+    The position within a part follows the golden ratio, since even decimation would alias fast motions.
     """
     if n <= MOST_SAMPLES:
         return np.arange(n)
@@ -145,17 +142,17 @@ def _thinned(n: int) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _forced(forces: tuple[tuple[bytes, bytes, str, int], ...], times: bytes, *grid: bytes) -> np.ndarray:
-    """Call :func:`forced_motion` on a grid of frequencies and decays; kept, since replicates share their forces."""
-    omegas, decays = (np.frombuffer(own) for own in grid)
-    own = [Force(np.frombuffer(t), np.frombuffer(v), hold, dof) for t, v, hold, dof in forces]  # type: ignore[arg-type]
-    return forced_motion(own, -decays + 1j * omegas[:, None], np.frombuffer(times))
+    """Call :func:`forced_motion` on a grid of frequencies and decays; cached, since replicates share their forces."""
+    omegas, decays = (np.frombuffer(part) for part in grid)
+    acting = [Force(np.frombuffer(t), np.frombuffer(v), hold, dof) for t, v, hold, dof in forces]  # type: ignore[arg-type]
+    return forced_motion(acting, -decays + 1j * omegas[:, None], np.frombuffer(times))
 
 
 def _best(series: list[_Series], omegas: np.ndarray, decays: np.ndarray) -> list[Guess]:
-    """Return local minima over frequency when one wave is added to the fixed columns of each series, best first."""
+    """Return the local minima over frequency of the fit by fixed columns and one wave, best first."""
     left = np.zeros((omegas.size, decays.size))
-    for own in series:
-        left += _left(own, omegas, decays) / len(series)
+    for each in series:
+        left += _left(each, omegas, decays) / len(series)
     score, best = left.min(axis=1), left.argmin(axis=1)
     padded = np.concatenate([[np.inf], score, [np.inf]])
     minima = np.flatnonzero((score <= padded[:-2]) & (score < padded[2:]))
@@ -171,10 +168,9 @@ def _wave(t: np.ndarray, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
 
 
 def _left(series: _Series, omegas: np.ndarray, decays: np.ndarray) -> np.ndarray:
-    """Return shares of the sum of squares (n_omegas, n_decays) that waves leave, together with the fixed columns.
+    """Return the residual share of the sum of squares (n_omegas, n_decays) after fitting fixed columns and a wave.
 
-    Those of a thinned record, with its many frequencies, come from inner products. The motions under forces are kept
-    for all frequencies at once.
+    Decimated records, with many frequencies, use inner products; motions under forces are cached for the whole grid.
     """
     share = _left_by_products if series.thinned else _left_by_projection
     at_once = 1 if series.thinned else decays.size

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench import SIGMA_FLOOR, Cost, Estimate, OutputError, SimulatedData, degrees_used, estimate_at
-from methods.starts.open_parameters import left_open, very_wide
+from methods.starts.wide_prior import left_open, very_wide
 from methods.trajectory.screening import Guesses, Rules
 
 LEFT = 1e-6

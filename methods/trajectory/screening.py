@@ -13,9 +13,9 @@ import numpy as np
 
 from bench import FIRST_DAMPING, OutputError
 from methods.starts.candidates import candidates, head, screening
+from methods.starts.distinct_minima import aliased, distinct_minima
 from methods.starts.evidence import basins
-from methods.starts.reach import is_unresolved
-from methods.starts.separate import aliased, separate
+from methods.starts.search_range import is_unresolved
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
     aliases[finite] = aliased(models[0], settled.theta[finite])
     for number, model in enumerate(models):
         places = np.flatnonzero(cases == number)
-        best = separate(model, values[places], settled.theta[places], aliases[places])
+        best = distinct_minima(model, values[places], settled.theta[places], aliases[places])
         kept.append(list(places[best[: rules.starts]]))
     # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another; and a few
     # steps do not yet order the basins of several degrees of freedom

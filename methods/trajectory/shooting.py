@@ -31,7 +31,7 @@ import numpy as np
 from bench import EVERY_PROBLEM, SIGMA_FLOOR, Card, Estimate, NoEstimate, OutputError, Problem, Serves, batches
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import LONGEST
-from methods.starts.open_parameters import very_wide
+from methods.starts.wide_prior import very_wide
 from methods.trajectory.continuation import solve_by_continuation
 from methods.trajectory.fit import HELD, Maximum, best_maxima, leaves_open, with_open_held
 from methods.trajectory.programme import shoot

@@ -1,7 +1,7 @@
 """The likelihood of problems of any system, by Runge-Kutta steps with their derivatives, evaluated by CasADi.
 
 Records are cut at every sample and every knot of a force; between two cuts stand as many steps as frequency and noise
-call for: the error over a record is kept below what is allowed (:func:`methods.starts.rough.radians_a_step`).
+call for: the error over a record is kept below what is allowed (:func:`methods.starts.integration.radians_a_step`).
 
 One step maps the state and its derivatives by the log-parameters (and by the initial state) to those at its end: the
 classical step of order four, differentiated symbolically. A set of parameters is carried along all steps in one call
@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 
 from bench import Ops, OutputError, Record, Steps, System, fastest_rates, ops_from, rk4
-from methods.starts.rough import radians_a_step
+from methods.starts.integration import radians_a_step
 
 SUBSTEPS = np.array([1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128])
 """Numbers of steps between two cuts: few, so that few functions are built."""

@@ -10,7 +10,7 @@ from bench import Channel, Force, InitialState, OutputError, Prior, Problem, Rec
 from bench.systems import SDOF, BoucWen, Chain, Coulomb, Duffing, Pendulum, VanDerPol
 from methods.starts.candidates import Stepped, as_fine_as_noise, candidates
 from methods.starts.equation_error import regression_starts
-from methods.starts.rough import radians_a_step, rough_readings
+from methods.starts.integration import integrated_readings, radians_a_step
 
 TIMES = np.linspace(0.0, 10.0, 60)
 
@@ -101,7 +101,7 @@ def test_steps_keep_the_error_that_they_are_asked_for() -> None:
     times = np.linspace(0.0, 40.0, 81)
     record = Record((Channel(times, np.zeros(81)),), (), InitialState([1.0], [0.0]))
     for allowed in (1e-3, 1e-5):
-        found = rough_readings(Duffing(), p, record.initial_state, record, radians_a_step(allowed, 40.0))  # type: ignore[arg-type]
+        found = integrated_readings(Duffing(), p, record.initial_state, record, radians_a_step(allowed, 40.0))  # type: ignore[arg-type]
         assert 0.05 * allowed < float(np.max(np.abs(found - np.cos(times)))) < 1.5 * allowed
 
 

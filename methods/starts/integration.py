@@ -1,8 +1,8 @@
-"""The response of a nonlinear system, as finely as the noise requires: classical Runge-Kutta steps of so many radians.
+"""Responses of nonlinear systems by classical Runge-Kutta steps, as accurate as the noise requires.
 
-Fixed steps of order four turn the phase by ``(w h)^5 / 120`` too little each (``w`` the fastest rate, ``h`` the step):
-with ``w h = 0.15`` four parts in a million of it, far below what tells one start from another.
-:func:`radians_a_step` says what a final answer needs.
+Each step of order four has a phase error of ``(w h)^5 / 120`` (``w`` the highest angular frequency, ``h`` the step):
+with ``w h = 0.15`` this is four parts per million, far below the differences between initial guesses.
+:func:`radians_a_step` gives the step that a final estimate needs.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from bench import InitialState, Record, SimulatedMotion, Start, Steps, System, f
 
 RADIANS_A_STEP = 0.15
 Carry = Callable[[System, Mapping[str, Any], Sequence[np.ndarray], Steps, np.ndarray], np.ndarray]
-"""Carries a state along steps, as :func:`bench.rk4_path` does."""
+"""A function that integrates a state along steps, as :func:`bench.rk4_path` does."""
 MOST_STEPS = 64
-"""Steps between two samples at most: a motion that is faster than that is no start anyway."""
+"""Largest number of steps between two samples; faster motions are no useful guesses."""
 
 
 def radians_a_step(allowed: float, turned: float) -> float:
-    """Return the step ``w h`` (radians) at which a motion of ``turned = w T`` radians errs by a part ``allowed``.
+    """Return the step ``w h`` (radians) at which a motion of ``turned = w T`` radians has a relative error ``allowed``.
 
-    Each step errs by ``(w h)^5 / 120``, so the record by ``w T (w h)^4 / 120``.
+    The phase error is ``(w h)^5 / 120`` per step, hence ``w T (w h)^4 / 120`` over the record.
     """
     return float((120.0 * allowed / max(turned, 1.0)) ** 0.25)
 
 
 def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
-    """Return the largest rate (1 / time) at rest and at the start, over all sets; 0 where none is finite."""
+    """Return the highest angular frequency at rest and at the initial state, over all sets; 0 where none is finite."""
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     return float(np.fmax.reduce(fastest_rates(system, p, np.concatenate([x, v])), axis=None, initial=0.0))
 
 
-def rough_readings(
+def integrated_readings(
     system: System,
     p: dict[str, np.ndarray],
     start: Start,
@@ -43,7 +43,7 @@ def rough_readings(
     radians: float = RADIANS_A_STEP,
     carry: Carry = rk4_path,
 ) -> np.ndarray:
-    """Return what the sensors of a record would show, channel after channel, (*sets, n_samples), without offsets.
+    """Simulate the measurements of a record, channel after channel, (*sets, n_samples), without offsets.
 
     Parameters are arrays of one shape ``sets`` of at most one dimension; ``start`` an InitialState, or displacement
     and velocity of shape (n_dof, *sets); hidden states start at 0. Not finite where the motion diverges.

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from bench import Channel, Force, InitialState, Record
 from bench.systems import Duffing, Pendulum
-from methods.starts.rough import fastest_rate, rough_readings
+from methods.starts.integration import fastest_rate, integrated_readings
 
 DUFFING = {"m": 1.2, "c": 0.3, "k": 9.0, "k3": 4.0}
 
@@ -21,7 +21,7 @@ def test_forced_duffing_at_every_kind_of_sensor():
     force = Force(np.linspace(0, 8, 41), np.sin(np.linspace(0, 8, 41)) * 3, "linear")
     channels = [Channel(times, times * 0, kind) for kind in ("displacement", "velocity", "acceleration")]
     p = {name: np.array([value, 1.1 * value]) for name, value in DUFFING.items()}
-    found = rough_readings(Duffing(), p, InitialState([0.7], [0.2]), _record(*channels, force=force))
+    found = integrated_readings(Duffing(), p, InitialState([0.7], [0.2]), _record(*channels, force=force))
     for i in range(2):
         q = {name: value[i] for name, value in p.items()}
 

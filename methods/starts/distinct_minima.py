@@ -1,4 +1,4 @@
-"""Of many ends of a search those that are worth keeping: apart from each other, best first, aliases behind."""
+"""Selection of the distinct minima among the ends of several searches."""
 
 from __future__ import annotations
 
@@ -7,19 +7,24 @@ import numpy as np
 from bench import OutputError, state_matrix
 
 ALIAS_MARGIN = 6.0
-"""By how much in minus twice the log-posterior an alias must be better: odds of 20 to 1."""
+"""Decrease of minus twice the log-posterior by which an alias must be better: odds of 20 to 1."""
 APART = 1e-2
-"""Log-parameters nearer than this are one end."""
+"""Ends whose log-parameters differ by less are the same minimum."""
 
 
-def separate(
+def distinct_minima(
     model: OutputError, values: np.ndarray, thetas: np.ndarray, aliases: np.ndarray | None = None
 ) -> list[int]:
-    """Places, best first, of the ends that are finite and apart, by their ``values`` (n,), minus twice a log-posterior.
+    """Return the indices of the finite, distinct ends of searches, best first.
 
-    The sampling is taken to resolve the motion: where the slowest oscillation of a linear system came to lie above
-    half the sampling rate, it comes behind a slower one of which it is the alias, unless data and prior clearly prefer
-    it. Without a prior, which could weigh both, it is dropped. ``aliases`` (n,): those of :func:`aliased`, where known.
+    An end whose slowest oscillation lies above half the sampling rate ranks after the best end below it, unless data
+    and prior clearly prefer it. Without a prior, which could decide between aliases, it is dropped.
+
+    Args:
+        model: The model of the searches.
+        values: Minus twice the log-posterior of each end, (n,).
+        thetas: The ends, (n, size).
+        aliases: The result of :func:`aliased` for them, (n,), computed where it is None.
     """
     k, kept = len(model.free), list[int]()
     for i in map(int, np.flatnonzero(np.isfinite(values))):
@@ -36,7 +41,7 @@ def separate(
 
 
 def aliased(model: OutputError, thetas: np.ndarray) -> np.ndarray:
-    """Whether the slowest oscillation at each vector (n, size) is above half the sampling rate."""
+    """Return which vectors (n, size) have their slowest oscillation above half the sampling rate."""
     gaps = [float(np.median(np.diff(c.times))) for _, c in model.channels if c.n > 1]
     if not model.system.linear or not gaps:
         return np.zeros(len(thetas), bool)
@@ -46,7 +51,7 @@ def aliased(model: OutputError, thetas: np.ndarray) -> np.ndarray:
 
 
 def _eigenvalues(a: np.ndarray) -> np.ndarray:
-    """Those of each matrix (n, 2, 2) or larger; of one degree of freedom, ``[[0, 1], [-r, -g]]``, in closed form."""
+    """Return eigenvalues of matrices (n, d, d); one degree of freedom, ``[[0, 1], [-r, -g]]``, has a closed form."""
     if a.shape[-1] > 2:
         return np.linalg.eigvals(a)
     half = 0.5 * a[:, 1, 1]

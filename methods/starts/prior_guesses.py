@@ -1,9 +1,8 @@
-"""Starting points for motions that the sampling does not resolve, from the prior alone.
+"""Initial guesses from the prior for motions above half the sampling rate.
 
-No derivative can be taken of such samples, so no regression of the equation of motion gives a starting point. For one
-nonlinear degree of freedom the prior's nominal motion is run faster or slower, which passes through the same curve in
-another time. For several degrees of freedom, where each mode may be taken for an alias of its own, parameters are drawn
-from the prior. Those are kept at which the response fits best.
+Such samples cannot be differentiated, so a regression of the equation of motion gives no guess. For one nonlinear
+degree of freedom the time of the prior's nominal motion is rescaled. For several degrees of freedom, where each mode
+may have its own alias, parameters are drawn from the prior. The guesses with the best fit are kept.
 """
 
 from __future__ import annotations
@@ -13,25 +12,25 @@ from collections.abc import Mapping
 import numpy as np
 
 from bench import OutputError, System
-from methods.starts.reach import UP, expected_rate
+from methods.starts.search_range import UP, expected_rate
 
 MOST_SPEEDS = 120
-"""Speeds that are tried, at most."""
+"""Largest number of time scales tried."""
 RADIANS_APART = 1.5
-"""Phase at the end of the record by which two speeds differ: half of the half-cycle between two minima."""
+"""Phase difference of successive time scales at the end of the record: half the half-cycle between two minima."""
 DRAWS = 128
 """Points of a Halton sequence, mapped to the prior, at which a response of several degrees of freedom is compared."""
 BEST = 16
-"""Draws of those that are starting points."""
+"""Number of draws kept as initial guesses."""
 
 
 def sped_up(system: System, p: Mapping[str, float], factor: float) -> dict[str, float]:
-    """Parameters of the same curve in another time; damping, which is known least, stays as it is."""
+    """Return parameters of the same motion in rescaled time; damping, which is known least, is unchanged."""
     return {q.name: p[q.name] * (1.0 if q.kind == "damping" else factor**-q.dimension.time) for q in system.parameters}
 
 
 def best_speeds(model: OutputError, n: int) -> list[dict[str, float]]:
-    """The ``n`` best separate minima of the misfit over the speed of the nominal motion, in natural units."""
+    """Return the ``n`` best local minima of the misfit over the time scale of the nominal motion, in natural units."""
     problem, expected = model.problem, expected_rate(model.problem)
     assert problem.prior is not None
     assert expected is not None
@@ -59,7 +58,7 @@ def best_draws(model: OutputError) -> list[dict[str, float]]:
 
 
 def _profiles(model: OutputError, logs: np.ndarray) -> np.ndarray:
-    """Minus twice the log-posterior at log-parameters (n, k), each with the initial state that fits best."""
+    """Return minus twice the log-posterior at log-parameters (n, k), each with the best initial state."""
     thetas = np.zeros((len(logs), model.size))
     thetas[:, : len(model.free)] = logs
     with np.errstate(all="ignore"):

@@ -1,8 +1,7 @@
-"""How far a search for a frequency looks: to half the sampling rate, and beyond as far as the prior expects the motion.
+"""The range of a frequency search: up to half the sampling rate, and beyond as far as the prior supports.
 
-Evenly spaced samples do not tell a frequency from its alias in half the sampling rate, so beyond it nothing is looked
-for that the prior does not expect; what it expects is looked for however far beyond, since the prior decides between
-aliases. One rule for all methods that scan.
+Evenly spaced samples cannot distinguish a frequency from its aliases about half the sampling rate, so the search
+goes beyond it only where the prior, which decides between aliases, supports it. All methods that scan share this rule.
 """
 
 from __future__ import annotations
@@ -14,17 +13,17 @@ import numpy as np
 from bench import LOG_LIMIT, Problem, Record, System, state_matrix
 
 UP = 3.0
-"""Standard deviations of the prior up to which a motion is expected."""
+"""Standard deviations of the prior up to which frequencies are searched."""
 MOST_MODES = 3
-"""Degrees of freedom up to which modes that the sampling does not resolve are looked for, in draws from the prior."""
+"""Degrees of freedom up to which modes above half the sampling rate are searched, in draws from the prior."""
 FEW = 0.1
-"""Spacing of the samples of a record without two in a channel, in natural units."""
+"""Spacing assumed for a record without two samples in any channel, in natural units."""
 EVEN = 1e-3
-"""Even times may be off by this part of a step: what rounding of printed times does."""
+"""Tolerance of even sampling, in steps; rounding of printed times causes such errors."""
 
 
 def unevenness(times: np.ndarray) -> str | None:
-    """Say why times (n,) are not at even steps; None where they are."""
+    """Return a message where times (n,) are not evenly spaced, None where they are."""
     even = np.linspace(times[0], times[-1], times.size)
     if times.size > 1 and np.max(np.abs(times - even)) > EVEN * (even[1] - even[0]):
         return "it needs samples at even steps of time; resample them"
@@ -32,26 +31,26 @@ def unevenness(times: np.ndarray) -> str | None:
 
 
 def resolved_cycles(record: Record) -> float:
-    """Half the sampling rate of the densest channel, in cycles per unit of time."""
+    """Return half the sampling rate of the densest channel, in cycles per unit of time."""
     gaps = [_median(np.diff(c.times)) for c in record.channels if c.n > 1]
     return 0.5 / min(gaps, default=FEW)
 
 
 def _median(values: np.ndarray) -> float:
-    """The median of values without NaN, several times faster than numpy's for a few."""
+    """Return the median of values without NaN, several times faster than numpy for short arrays."""
     ordered = np.sort(values)
     return float(0.5 * (ordered[(values.size - 1) // 2] + ordered[values.size // 2]))
 
 
 def first_stiffness(system: System) -> str:
-    """Name the first stiffness; the gauge mass where there is none."""
+    """Return the name of the first stiffness, or of the gauge mass where there is none."""
     return next((p.name for p in system.parameters if p.kind == "stiffness"), system.gauge)
 
 
 def expected_rate(problem: Problem) -> tuple[float, float] | None:
-    """Logarithm of the rate (rad per unit of time) that the prior expects, and its standard deviation.
+    """Return the prior mean of the log angular frequency of the first stiffness on the gauge mass, and its sd.
 
-    That of the first stiffness on the gauge mass; None without a prior.
+    None without a prior.
     """
     if problem.prior is None:
         return None
@@ -62,9 +61,9 @@ def expected_rate(problem: Problem) -> tuple[float, float] | None:
 
 
 def most_cycles(problem: Problem, limit: float = np.inf) -> float:
-    """Highest frequency worth looking at, in cycles per unit of time, at most ``limit``.
+    """Return the highest frequency to search, in cycles per unit of time, at most ``limit``.
 
-    What the prior expects is rounded up to whole cycles, so that records with priors much alike share a grid.
+    The prior's limit is rounded up to whole cycles, so that records with similar priors share a grid.
     """
     resolved = max(resolved_cycles(record) for record in problem.records)
     expected = expected_rate(problem)
@@ -74,7 +73,7 @@ def most_cycles(problem: Problem, limit: float = np.inf) -> float:
 
 
 def is_unresolved(problem: Problem) -> bool:
-    """Decide whether the prior expects motion beyond half the sampling rate, of any of a few modes; in any units."""
+    """Return True where the prior supports a mode above half the sampling rate; in any units."""
     expected = expected_rate(problem)
     if expected is None:
         return False
@@ -84,7 +83,7 @@ def is_unresolved(problem: Problem) -> bool:
 
 
 def _fastest_rate(problem: Problem, rate: float) -> float:
-    """Return the logarithm of the rate of the fastest mode at the prior's nominal values; of others ``rate``."""
+    """Return the log-frequency of the fastest mode at the prior's nominal values; ``rate`` for one DOF and many."""
     assert problem.prior is not None
     if not 1 < problem.system.n_dof <= MOST_MODES or not problem.system.linear:
         return rate
@@ -92,9 +91,9 @@ def _fastest_rate(problem: Problem, rate: float) -> float:
 
 
 def oscillations(system: System, values: Mapping[str, float]) -> np.ndarray:
-    """Return the rates (n_dof,) of the modes of a linear system in rad per unit of time, lowest first.
+    """Return the natural frequencies (n_dof,) of a linear system in rad per unit of time, lowest first.
 
-    A mode that does not oscillate has the rate 0.
+    A mode that does not oscillate has frequency 0.
     """
     matrix = state_matrix(system, {name: np.asarray(value) for name, value in values.items()})[0]
     eigenvalues = np.linalg.eigvals(matrix)
@@ -102,5 +101,5 @@ def oscillations(system: System, values: Mapping[str, float]) -> np.ndarray:
 
 
 def _highest_cycles(centre: float, sd: float) -> float:
-    """What a prior on the logarithm of the rate expects, rounded up to whole cycles."""
+    """Return the upper limit of a prior on the log-frequency, rounded up to whole cycles."""
     return float(np.ceil(np.exp(min(centre + UP * sd, LOG_LIMIT)) / (2 * np.pi)))

@@ -8,7 +8,7 @@ import pytest
 from bench import Channel, InitialState, Prior, Problem, Record
 from bench.systems import SDOF
 from methods.pinn.collocation import Collocation
-from methods.starts.reach import most_cycles
+from methods.starts.search_range import most_cycles
 from methods.starts.waves import scan
 
 TRUE = {"m": 1.3, "c": 0.4, "k": 1.3 * 6.0**2}
