@@ -12,7 +12,7 @@ from bench.contract.problem import Problem
 from bench.scenario.truth import Truth
 from bench.scoring.score import score
 
-GROSS = 5.0
+OUTLIER_FACTOR = 5.0
 """An error beyond so many times the bound is gross: hardly one in a million of those that reach the bound."""
 LARGEST = 1e6
 """Errors over the bound count as at most so large; an answer that is not positive, or absent, as this."""
@@ -87,14 +87,14 @@ def pooled(fits: Sequence[np.ndarray], failed: Sequence[bool], seconds: Sequence
 
 def _of_quantity(errors: np.ndarray, held: np.ndarray) -> list[float]:
     sizes, told = np.abs(errors), np.isfinite(held)
-    core = errors[sizes <= GROSS]
+    core = errors[sizes <= OUTLIER_FACTOR]
     none = float("nan")
     return [
         float(core.mean()) if core.size else none,
         float(np.sqrt(np.mean(core**2))) if core.size else none,
         float(np.median(sizes)),
         float(np.quantile(sizes, 0.9)),
-        float(np.mean(sizes > GROSS)),
+        float(np.mean(sizes > OUTLIER_FACTOR)),
         float(held[told].mean()) if told.any() else none,
         float(told.mean()),
     ]

@@ -101,7 +101,7 @@ class CellJob(DividedTask):
         lacking = missing_package(cell.method)
         if unbounded or lacking:
             status = Status.INVALID if unbounded else Status.MISSING_DEPENDENCY
-            self.scored.rows = Rows.of(Row(i, status, unbounded or lacking or "") for i in wanted)
+            self.scored.rows = Rows.from_rows(Row(i, status, unbounded or lacking or "") for i in wanted)
         elif planned.state is CellState.FAILED:
             self._keep_good()
         there = set(self.scored.rows.plain("replicate"))
@@ -173,7 +173,7 @@ class CellJob(DividedTask):
             return ask(worker, "fail", self.cell, parts[0], failure, wall_s)  # type: ignore[no-any-return]
         except (Died, ScoringError):
             row = Row(parts[0], failure.status, failure.message, wall_s=wall_s)
-            return ScoredRows(Rows.of([row]), {parts[0]: failure.log})
+            return ScoredRows(Rows.from_rows([row]), {parts[0]: failure.log})
 
     def _answers(self, parts: tuple[int, ...], worker: Worker) -> bytes | Failure | None:
         """Return the packed answers of the method; else why there are none, or None where that is not known."""
@@ -226,5 +226,5 @@ class CellJob(DividedTask):
     def refuse(self, message: str, log: str = "") -> None:
         """Replace all that is known of the cell by the reason why it cannot be scored."""
         rows = [replace(row, status=Status.INVALID, message=message, scores={}) for row in self.scored.rows]
-        self.scored = ScoredRows(Rows.of(rows), {rows[0].replicate: log})
+        self.scored = ScoredRows(Rows.from_rows(rows), {rows[0].replicate: log})
         self.bounded = False  # that may have been the reason

@@ -28,7 +28,7 @@ from bench.isolation.secrecy import close_memory
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
 from bench.scoring.combination import combine_with_prior
-from bench.scoring.row import NUMBERS, Row, Rows, columns_of
+from bench.scoring.row import NUMBERS, Row, Rows, score_columns
 from bench.scoring.score import scores
 from bench.scoring.summary import summarise
 from bench.scoring.traces import trace_scores
@@ -59,7 +59,7 @@ class ScoredRows:
         facts: What tables say of the data that all replicates share.
     """
 
-    rows: Rows = field(default_factory=lambda: Rows.of(()))
+    rows: Rows = field(default_factory=lambda: Rows.from_rows(()))
     tracebacks: dict[int, str] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
@@ -137,7 +137,7 @@ class Scorer:
         if failure.best is not None:
             scores = self._scored(cell, [unpack(failure.best)]).rows[0].scores
         row = Row(replicate, failure.status, failure.message, scores, wall_s=wall_s, data=data_digest(problem))
-        return ScoredRows(Rows.of([row]), {replicate: failure.log}, facts=facts(truth))
+        return ScoredRows(Rows.from_rows([row]), {replicate: failure.log}, facts=facts(truth))
 
     def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> ScoredRows:
         """Return what became of replicates in their order; what cannot be scored together is scored one by one."""
@@ -161,7 +161,7 @@ class Scorer:
             "evaluations": [estimate.cost.evaluations for estimate in estimates],
             "data": [data_digest(problem) for problem, _ in pairs],
         }
-        scored = ScoredRows(Rows.of_columns([e.status for e in estimates], plain, columns), facts=facts(pairs[0][1]))
+        scored = ScoredRows(Rows.from_columns([e.status for e in estimates], plain, columns), facts=facts(pairs[0][1]))
         for outcome, estimate, pair in zip(answered, estimates, pairs, strict=True):
             if "answer" not in outcome:
                 scored.tracebacks[outcome["replicate"]] = outcome["traceback"]
@@ -227,7 +227,7 @@ def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> tuple[list[
         for estimate, problem in zip(estimates, problems, strict=True)
     ]
     columns = scores(combined, problems, truths)
-    columns |= columns_of([trace_scores(*judged) for judged in zip(combined, truths, strict=True)])
+    columns |= score_columns([trace_scores(*judged) for judged in zip(combined, truths, strict=True)])
     good = [estimate.status is Status.OK for estimate in combined]
     columns["realised_snr_db"] = np.where(good, [truth.realised_snr_db for truth in truths], np.nan)
     for name in filter(is_of_belief, columns):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.scoring.row import Row, Rows
-from bench.scoring.traces import of_clock
+from bench.scoring.traces import depends_on_clock
 
 SAME_DIGITS = 1e-5
 """Relative difference below which two scores are the same: the archive keeps five significant digits."""
@@ -35,7 +35,7 @@ def score_differences(before: Sequence[Row], again: Sequence[Row], cell: Sequenc
     old, new, whole = map(Rows.of, (before, again, cell))
     differences = {}
     for name in dict.fromkeys([*old.score_names, *new.score_names]):
-        if not of_clock(name):
+        if not depends_on_clock(name):
             a, b, sizes = old.scores(name), new.scores(name), np.abs(whole.scores(name))
             size = float(np.median(sizes[np.isfinite(sizes)])) if np.any(np.isfinite(sizes)) else 0.0
             same = (a == b) | (np.isnan(a) & np.isnan(b))

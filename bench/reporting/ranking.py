@@ -32,7 +32,8 @@ from bench.reporting.frame import ERROR, Key, Result, group
 from bench.reporting.labels import in_order
 from bench.reporting.tables.pooling import pooled_quantities
 from bench.scoring.statistics import counts, middle_95
-from bench.scoring.summary import GROSS, below_chance
+from bench.scoring.summary import OUTLIER_FACTOR as GROSS
+from bench.scoring.summary import below_chance
 from bench.store.cell import stored_as_cell
 
 CAP = 10.0

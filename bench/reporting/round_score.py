@@ -19,7 +19,7 @@ from bench.reporting.terminal import table, wrapped
 from bench.reporting.verdict import below
 from bench.rounds.scoring import DISTURBED, MOST_SCORE, RoundScores, summarise_rows
 from bench.scoring.statistics import wilson_interval
-from bench.scoring.summary import GROSS
+from bench.scoring.summary import OUTLIER_FACTOR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ KINDS = (
 RANKING = ("tier", "method", "problems served", "error over bound", "first tier there", "lost")
 LEGEND = {
     "answered": "problems with a value for every quantity asked for",
-    "outliers": f"answered problems with an error beyond {GROSS:g} bounds",
+    "outliers": f"answered problems with an error beyond {OUTLIER_FACTOR:g} bounds",
     "error over bound": "geometric mean over problems of the root mean square, over quantities, of error over "
     f"Cramér-Rao bound: at least 1, at most {CAP:g}, as for an outlier or no answer; efficient estimators have about "
     f"{ON_BOUND:.2f}. Of {' and '.join(DISTURBED)} the bound is that of white noise alone",

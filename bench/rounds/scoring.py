@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.scoring.score import LEVELS, interval_score
 from bench.scoring.statistics import Z95
-from bench.scoring.summary import GROSS
+from bench.scoring.summary import OUTLIER_FACTOR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +61,7 @@ def summarise_rows(rows: pd.DataFrame) -> RoundScores:
     """Sum up rows of :func:`score_rows`."""
     problems = rows.groupby("scenario")
     answered = problems["value"].count() == problems.size()
-    outliers = int((answered & (problems["error"].max() > GROSS)).sum())
+    outliers = int((answered & (problems["error"].max() > OUTLIER_FACTOR)).sum())
     errors = rows.loc[rows["value"].notna(), "error"].to_numpy()
     with np.errstate(over="ignore"):
         excess = math.sqrt(np.mean(errors**2)) if errors.size else math.nan

@@ -1,4 +1,4 @@
-"""From an estimate and the truth to scores, from scores to summaries and tests of calibration."""
+"""Scores of estimates against true values, summaries over replicates, and calibration tests."""
 
 VERSION = 1
-"""Raised where a change of the data, the scores, their summaries or the bounds alters results."""
+"""Version of the scoring. Raise it when a change of data, scores, summaries or bounds alters results."""

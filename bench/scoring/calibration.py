@@ -1,9 +1,9 @@
-"""Calibration of stated uncertainties: tests of their levels at the true value over many replicates.
+"""Calibration tests of estimated distributions, from their probability integral transforms over replicates.
 
-If a stated distribution is calibrated, its distribution function at the truth (the probability integral transform) is
+The distribution function of a calibrated estimate, evaluated at the true value (the probability integral transform), is
 uniform over replicates (A. P. Dawid, J. R. Stat. Soc. A 147:278, 1984), and its normal score z is standard normal.
-Overconfidence shows in a mean square of z above 1, too wide intervals in one below, a bias in its mean. The mean square
-is about 0: an estimate that is always off by much more than it states is too sure, however little it scatters.
+A mean square of z above 1 shows overconfidence, one below 1 underconfidence, a mean other than 0 a bias. The mean
+square is taken about 0, so that a biased estimate with little scatter also counts as overconfident.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from bench.scoring.score import LEVELS
 from bench.scoring.statistics import LEVEL, wilson_interval
 
 EXTREME = 1e-9
-"""Levels nearer to 0 or 1 than this count as being there: z of 6, and a mean square that is too low, never too high."""
+"""Levels are clipped to this distance from 0 and 1 (|z| at most 6), which can lower the mean square of z, never raise
+it."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """The share of intervals of a level that cover the true value, with its 95 % interval (Wilson's)."""
+    """Share of intervals of a nominal level that cover the true value, with the 95 % Wilson interval of that share."""
 
     level: float
     share: float
@@ -34,11 +35,12 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Statistics and tests of the levels (n,) of stated distributions at the true values.
+    """Calibration statistics and tests of ``n`` replicates.
 
-    ``rms_z``: root mean square of z. ``p_values`` of three tests: mean of z against 0 (Student's t), its mean square
-    against 1 (chi-squared of n), uniformity of the levels (Kolmogorov and Smirnov). ``adjusted``: the same for all
-    tests that are judged together, by the method of Y. Benjamini and Y. Hochberg (J. R. Stat. Soc. B 57:289, 1995).
+    ``rms_z``: root mean square of z. ``p_values`` of three tests: mean of z against 0 (Student's t), mean square of z
+    against 1 (chi-squared with n degrees of freedom), uniformity of the levels (Kolmogorov-Smirnov). ``adjusted``: the
+    p-values after the correction for multiple testing of Y. Benjamini and Y. Hochberg (J. R. Stat. Soc. B 57:289,
+    1995).
     """
 
     n: int
@@ -50,11 +52,11 @@ class Calibration:
 
     @property
     def verdict(self) -> str:
-        """Name what the tests find at the 5 % level after adjustment."""
+        """Conclusion of the tests at the 5 % level, after the correction for multiple testing."""
         biased, width, shape = (p < LEVEL for p in self.adjusted)
         words = []
         if width:
-            words.append("too sure" if self.rms_z > 1.0 else "too wide")
+            words.append("overconfident" if self.rms_z > 1.0 else "underconfident")
         if biased:
             words.append("biased upwards" if self.mean_z < 0 else "biased downwards")
         if shape and not words:
@@ -63,7 +65,14 @@ class Calibration:
 
 
 def calibration(levels: np.ndarray) -> Calibration:
-    """Judge the levels at the truth of ``n`` replicates, each in [0, 1], alone; raises ValueError for fewer than 5."""
+    """Test the calibration of one method on one quantity.
+
+    Args:
+        levels: Distribution function of each estimate at its true value, (n,), in [0, 1].
+
+    Raises:
+        ValueError: There are fewer than 5 levels, or one is outside [0, 1].
+    """
     levels = np.asarray(levels, float)
     n = levels.size
     if n < 5 or not np.all((levels >= 0) & (levels <= 1)):
@@ -77,15 +86,15 @@ def calibration(levels: np.ndarray) -> Calibration:
     t = abs(mean) / max(float(z.std(ddof=1)) / math.sqrt(n), 1e-12)
     width = 2.0 * min(stats.chi2.cdf(n * square, n), stats.chi2.sf(n * square, n))
     p_values = (float(2.0 * stats.t.sf(t, n - 1)), float(width), float(stats.kstest(levels, "uniform").pvalue))
-    return together([Calibration(n, tuple(coverages), mean, math.sqrt(square), p_values, p_values)])[0]
+    return adjust_p_values([Calibration(n, tuple(coverages), mean, math.sqrt(square), p_values, p_values)])[0]
 
 
-def together(judged: Sequence[Calibration]) -> list[Calibration]:
-    """Adjust p-values over all tests: of the findings, one in twenty is expected to be a false alarm.
+def adjust_p_values(calibrations: Sequence[Calibration]) -> list[Calibration]:
+    """Correct the p-values for multiple testing over all calibrations: a false discovery rate of 5 %.
 
-    Where every stated distribution is calibrated, there is no finding at all with 95 % probability.
+    If all distributions are calibrated, no test rejects with 95 % probability.
     """
-    if not judged:
+    if not calibrations:
         return []
-    rows = stats.false_discovery_control([p for each in judged for p in each.p_values]).reshape(-1, 3).tolist()
-    return [replace(each, adjusted=(a, b, c)) for each, (a, b, c) in zip(judged, rows, strict=True)]
+    rows = stats.false_discovery_control([p for each in calibrations for p in each.p_values]).reshape(-1, 3).tolist()
+    return [replace(each, adjusted=(a, b, c)) for each, (a, b, c) in zip(calibrations, rows, strict=True)]

@@ -1,7 +1,7 @@
-"""The combination of identified groups with the prior, which gives them a scale.
+"""Combination of estimated parameter groups with the prior.
 
-Free vibration determines k/m and c/m, never m. A method that works on all parameters uses the prior natively; one that
-returns groups (LS, RLS, DDNN, SINDy) gets the same prior here, and from nowhere else.
+Free vibration determines k/m and c/m, not m. Methods that estimate all parameters use the prior themselves. For methods
+that estimate groups only (LS, RLS, DDNN, SINDy), the same prior is applied here.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from bench.systems import System
 
 
 def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
-    """Return the estimate with ``parameters``: as it is with them or without a prior, else by posterior mode.
+    """Convert an estimate of groups into one of parameters by the posterior mode.
 
-    The groups' estimate g with covariance S is a measurement of the groups g(p) of the parameters; the log-parameters
-    minimise ``(g(p) - g)' S^-1 (g(p) - g) + |(log p - log nominal) / log_sd|²``, a computation that is defined for
-    negative g too. The covariance is that of the linearisation at the minimum (Gauss-Newton). A group without
-    covariance (none was estimated) is taken as exact to a part in a thousand of its size.
+    The estimated groups g with covariance S are treated as a measurement of the groups g(p). The log-parameters
+    minimise ``(g(p) - g)' S^-1 (g(p) - g) + |(log p - log nominal) / log_sd|²``, which is defined for negative g as
+    well. The covariance is that of the linearisation at the minimum (Gauss-Newton). Groups without an estimated
+    covariance get a standard deviation of 0.1 % of their value.
+
+    An estimate that has parameters, or has failed, and any estimate without a prior are returned unchanged.
     """
     if estimate.status is not Status.OK or estimate.parameters is not None or estimate.groups is None or prior is None:
         return estimate
@@ -33,7 +35,7 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
     whiten = _whitening(groups)
     exponents = np.array([estimate.system.quantity(name).vector(prior.names) for name in groups.names])
     coefficients = np.array([estimate.system.quantity(name).coefficient for name in groups.names])
-    of_prior = np.diag(1.0 / log_sds)
+    prior_jacobian = np.diag(1.0 / log_sds)
 
     def residuals(logs: np.ndarray) -> np.ndarray:
         misfit = whiten @ (coefficients * np.exp(exponents @ logs) - groups.mean)
@@ -41,23 +43,23 @@ def combine_with_prior(estimate: Estimate, prior: Prior | None) -> Estimate:
 
     def jacobian(logs: np.ndarray) -> np.ndarray:
         values = coefficients * np.exp(exponents @ logs)
-        return np.concatenate([whiten @ (values[:, None] * exponents), of_prior])
+        return np.concatenate([whiten @ (values[:, None] * exponents), prior_jacobian])
 
-    ends = []
-    for start in (log_mean, _start_from_groups(estimate.system, groups, prior)):
+    minima = []
+    for start in (log_mean, _initial_guess(estimate.system, groups, prior)):
         if not np.all(np.isfinite(residuals(start))):
             raise ValueError("Residuals are not finite in the initial point.")
-        # MINPACK to rounding, since groups may be known to ten digits; least_squares takes twice the time
+        # Tolerances at rounding error, since groups may be known to ten digits. least_squares takes twice the time.
         tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)
-        ends.append(leastsq(residuals, start, Dfun=jacobian, full_output=True, maxfev=500, **tight)[0])
-    best = min(ends, key=lambda logs: float(residuals(logs) @ residuals(logs)))
+        minima.append(leastsq(residuals, start, Dfun=jacobian, full_output=True, maxfev=500, **tight)[0])
+    best = min(minima, key=lambda logs: float(residuals(logs) @ residuals(logs)))
     root = inverse_root(jacobian(best))
     parameters = Normal(prior.names, best, root @ root.T, log=True, dof=groups.dof)
     return replace(estimate, parameters=parameters, groups=None, alternatives=alternatives)
 
 
 def _whitening(groups: Normal) -> np.ndarray:
-    """Return a matrix W with ``W' W`` the inverse covariance of the groups."""
+    """Return a matrix W such that ``W' W`` is the inverse covariance of the groups."""
     floor = np.diag((1e-3 * np.abs(groups.mean) + 1e-300) ** 2)
     covariance = floor if groups.covariance is None else groups.covariance
     values, vectors = np.linalg.eigh(covariance)
@@ -65,8 +67,8 @@ def _whitening(groups: Normal) -> np.ndarray:
     return np.asarray((vectors / np.sqrt(values)).T)
 
 
-def _start_from_groups(system: System, groups: Normal, prior: Prior) -> np.ndarray:
-    """Return log-parameters with the groups' values where these are positive, the nominal ones elsewhere."""
+def _initial_guess(system: System, groups: Normal, prior: Prior) -> np.ndarray:
+    """Return the log-parameters that follow from the positive groups; the others are nominal."""
     logs = prior.log_mean.copy()
     gauge = prior.names.index(system.gauge)
     for name, value in zip(groups.names, groups.mean, strict=True):

@@ -1,4 +1,4 @@
-"""The replicates of a cell: what became of each, its scores, and what it took; by column, and one by one."""
+"""The replicates of a cell: status, scores, time and memory, stored by column."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from bench.contract.estimate import Status
 class Row:
     """One replicate.
 
-    ``wall_s`` and ``cpu_s`` are those of the fit alone, ``peak_memory_mb`` by how much its process grew. A fit that ran
-    out of time has the scores of the best parameters it had reported, if any, and status ``timeout``. ``data`` is a
-    digest of the samples, forces and prior that the method was given: equal where two methods met the same data.
+    ``wall_s`` and ``cpu_s`` are the times of the fit alone (s), ``peak_memory_mb`` the growth of its process (MB). A
+    fit that exceeded its time limit has status ``timeout`` and the scores of the last parameters that it reported, if
+    any. ``data`` is a digest of the samples, forces and prior given to the method; it is equal for two methods on the
+    same data.
     """
 
     replicate: int
@@ -35,21 +36,21 @@ class Row:
 
 NUMBERS = ("wall_s", "cpu_s", "peak_memory_mb")
 PLAIN = ("replicate", "message", *NUMBERS, "evaluations", "data")
-"""What a row has beside its status and its scores."""
+"""Columns of a row other than its status and its scores."""
 
 STATISTICS = ("mean", "median", "ci_low", "ci_high", "bound", "excess", "n_ok")
-"""What is stated of a metric over the replicates. Failed ones count as infinite errors in mean, median and interval.
+"""Statistics of a metric over the replicates. A failed replicate counts as an infinite error in mean, median, interval.
 
-``excess`` is the root mean square over the successful replicates divided by ``bound`` (1 is the best an unbiased method
-can do); for a coverage, mean and interval are of the fraction (Wilson's interval), over the successful; for a level at
-the truth (``_pit``) and a share of the record, they are of the mean, likewise.
+``excess`` is the root mean square error of the successful replicates divided by ``bound``; 1 is the smallest that an
+unbiased method can reach. Coverages, levels at the true value (``_pit``) and shares of the record are averaged over the
+successful replicates; the interval is Wilson's for coverages and Student's t for the others.
 """
 
 
 class Rows(Sequence[Row]):
-    """Replicates by column, so that a score of all of them is read without making any row.
+    """A sequence of replicates, stored by column; :class:`Row` objects are made only when indexed.
 
-    ``column`` returns a column of :data:`PLAIN`, or one of the scores ``score_names``, (n,), NaN where there is none.
+    ``column`` returns a column of :data:`PLAIN` or a score of ``score_names``, (n,); missing scores are NaN.
     """
 
     def __init__(
@@ -58,60 +59,60 @@ class Rows(Sequence[Row]):
         self.statuses, self._column, self._names = tuple(statuses), column, score_names
 
     @classmethod
-    def of(cls, rows: Iterable[Row]) -> Rows:
-        """Return the rows by column."""
+    def from_rows(cls, rows: Iterable[Row]) -> Rows:
+        """Convert rows to columns."""
         if isinstance(rows, Rows):
             return rows
         rows = tuple(rows)
         plain = {name: [getattr(row, name) for row in rows] for name in PLAIN}
-        return cls.of_columns([row.status for row in rows], plain, columns_of([row.scores for row in rows]))
+        return cls.from_columns([row.status for row in rows], plain, score_columns([row.scores for row in rows]))
 
     @classmethod
-    def of_columns(
+    def from_columns(
         cls, statuses: Iterable[Status], plain: Mapping[str, Sequence[Any]], scores: Mapping[str, np.ndarray]
     ) -> Rows:
-        """Return the rows of all columns of :data:`PLAIN`, and of scores (n,), NaN where a replicate has none."""
+        """Make rows of all columns of :data:`PLAIN` and of scores (n,), NaN where missing."""
         columns: dict[str, Any] = {**plain, **scores}
         return cls(statuses, columns.__getitem__, scores)
 
     @cached_property
     def score_names(self) -> list[str]:
-        """The scores that any replicate has."""
+        """Names of the scores that at least one replicate has."""
         return [name for name in self._names if not np.all(np.isnan(self._column(name)))]
 
     def scores(self, name: str) -> np.ndarray:
-        """Return a score (n,), NaN where a replicate has none."""
+        """Return a score (n,), NaN where missing."""
         return np.array(self._column(name), float) if name in self._names else np.full(len(self), np.nan)
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return a number of each fit, (n,): one of :data:`NUMBERS`, or ``evaluations``."""
+        """Return a column of :data:`NUMBERS`, or ``evaluations``, as an array (n,)."""
         return np.array(self._column(name), float)
 
     def plain(self, name: str) -> list[Any]:
-        """Return a column of :data:`PLAIN`, such as the ``message`` of each replicate."""
+        """Return a column of :data:`PLAIN` as a list."""
         return self.numbers(name).tolist() if name in NUMBERS else list(self._column(name))
 
     def __reduce__(self) -> tuple[Any, ...]:
         scores = {name: self.scores(name) for name in self.score_names}
-        return Rows.of_columns, (self.statuses, {name: self.plain(name) for name in PLAIN}, scores)
+        return Rows.from_columns, (self.statuses, {name: self.plain(name) for name in PLAIN}, scores)
 
-    def take(self, places: Iterable[int]) -> Rows:
-        """Return the replicates at some places, in that order."""
-        places = list(places)
+    def take(self, indices: Iterable[int]) -> Rows:
+        """Return the replicates at these indices, in this order."""
+        indices = list(indices)
         statuses, plain, scores = self.__reduce__()[1]
-        columns = {name: [column[i] for i in places] for name, column in plain.items()}
-        picked = {name: values[places] for name, values in scores.items()}
-        return Rows.of_columns([statuses[i] for i in places], columns, picked)
+        columns = {name: [column[i] for i in indices] for name, column in plain.items()}
+        selected = {name: values[indices] for name, values in scores.items()}
+        return Rows.from_columns([statuses[i] for i in indices], columns, selected)
 
     def sorted(self) -> Rows:
-        """Return the replicates in the order of their numbers."""
+        """Return the replicates in the order of their number."""
         return self.take(np.argsort(self.plain("replicate")))
 
     def __add__(self, other: Rows) -> Rows:
         plain = {name: self.plain(name) + other.plain(name) for name in PLAIN}
         names = dict.fromkeys([*self.score_names, *other.score_names])
         scores = {name: np.concatenate([self.scores(name), other.scores(name)]) for name in names}
-        return Rows.of_columns(self.statuses + other.statuses, plain, scores)
+        return Rows.from_columns(self.statuses + other.statuses, plain, scores)
 
     @cached_property
     def _rows(self) -> tuple[Row, ...]:
@@ -126,8 +127,8 @@ class Rows(Sequence[Row]):
             for i, status in enumerate(self.statuses)
         )
 
-    def __getitem__(self, place: Any) -> Any:
-        return self._rows[place]
+    def __getitem__(self, index: Any) -> Any:
+        return self._rows[index]
 
     def __len__(self) -> int:
         return len(self.statuses)
@@ -139,7 +140,7 @@ class Rows(Sequence[Row]):
         return repr(self._rows)
 
 
-def columns_of(scores: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-    """Return the scores of replicates by name, (n,), NaN where one has none; in the order in which they have them."""
+def score_columns(scores: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+    """Convert the scores of each replicate to columns (n,), NaN where missing, in order of first appearance."""
     names = dict.fromkeys(name for replicate in scores for name in replicate)
     return {name: np.array([replicate.get(name, math.nan) for replicate in scores], float) for name in names}

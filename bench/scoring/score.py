@@ -1,4 +1,4 @@
-"""The scores of replicates: estimates against their truths, as named numbers, those of one kind together as arrays."""
+"""Scores of estimates against the true values; replicates whose estimates have the same form are scored as arrays."""
 
 from __future__ import annotations
 
@@ -16,55 +16,59 @@ from bench.scenario.truth import Truth
 from bench.systems import Quantity
 
 LEVELS = (0.50, 0.80, 0.95)
-"""Levels of the intervals whose coverage is scored."""
+"""Nominal levels of the intervals whose coverage is scored."""
 QUANTILES = (np.arange(200) + 0.5) / 200
-"""Levels at which the CRPS integral is sampled."""
+"""Levels at which the integral of the continuous ranked probability score (CRPS) is sampled."""
 
 Columns = dict[str, np.ndarray]
-"""Scores by name, (n,)."""
+"""Scores by name, each (n,)."""
 
 
 def score(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, float]:
-    """Score one replicate, see :func:`scores`."""
+    """Score one replicate; see :func:`scores`."""
     return {name: float(values[0]) for name, values in scores([estimate], [problem], [truth]).items()}
 
 
 def scores(estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]) -> Columns:
-    """Score replicates of one scenario; returns scores by name, (n,), NaN where an estimate has none, or has failed.
+    """Score the replicates of one scenario.
 
-    ``<quantity>_error_pct`` (absolute relative error, %), ``<quantity>_ratio`` (the value over the true one),
-    ``<quantity>_coverage_50`` etc. (1 if the interval covers the true value, else 0), ``<quantity>_pit`` (the level of
-    the estimated distribution at the true value, uniform over replicates if it is calibrated: probability integral
-    transform), ``<quantity>_interval_score_pct`` (95 %) and ``<quantity>_crps_pct`` relative to the truth, in %;
-    ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast`` (m), over the DOFs with a sensor;
-    ``other_basins_pct``: the probability (%) of the alternatives, where the estimate has some;
-    ``band_inside_50`` etc.: the share of the record where the displacement lies in the method's own band.
+    Returns:
+        Scores by name, each (n,), NaN where the estimate failed or does not state the quantity.
+
+        - ``<quantity>_error_pct``: absolute relative error, %; ``<quantity>_ratio``: estimate over true value.
+        - ``<quantity>_coverage_50`` etc.: 1 if the interval covers the true value, else 0.
+        - ``<quantity>_pit``: probability integral transform, the estimated distribution function at the true value.
+        - ``<quantity>_interval_score_pct`` (95 %), ``<quantity>_crps_pct``: relative to the true value, %.
+        - ``rmse`` (of the reconstruction), ``rmse_simulated``, ``rmse_forecast``: displacement errors (m) over the
+          degrees of freedom with a sensor.
+        - ``other_basins_pct``: probability of the alternative solutions, %.
+        - ``band_inside_50`` etc.: share of the record in which the method's band contains the displacement.
     """
-    kinds: dict[object, list[int]] = {}
+    groups: dict[object, list[int]] = {}
     for i, estimate in enumerate(estimates):
         if estimate.status is Status.OK:
-            kinds.setdefault(_kind(estimate, i), []).append(i)
+            groups.setdefault(_form(estimate, i), []).append(i)
     columns: Columns = {}
-    for members in kinds.values():
-        chosen = [estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members]
-        for name, values in _columns(*chosen).items():
+    for members in groups.values():
+        group = [estimates[i] for i in members], [problems[i] for i in members], [truths[i] for i in members]
+        for name, values in _columns(*group).items():
             columns.setdefault(name, np.full(len(estimates), np.nan))[members] = values
     return columns
 
 
-def _kind(estimate: Estimate, replicate: int) -> object:
-    """Return what estimates that are scored together have in common; draws and several basins are scored alone."""
+def _form(estimate: Estimate, replicate: int) -> object:
+    """Return a key that is equal for estimates of the same form; samples and alternatives are scored one by one."""
     belief = estimate.belief
     if not isinstance(belief, Normal) or estimate.alternatives:
         return replicate
     form = (belief.names, np.shape(belief.mean), belief.log, belief.covariance is None, belief.dof is None)
-    positive = belief.log or bool(np.all(belief.mean > 0))  # groups that are not have no modal quantities
+    positive = belief.log or bool(np.all(belief.mean > 0))  # modal quantities exist for positive groups only
     curves = len(estimate.reconstructions), len(estimate.bands)
     return form, positive, estimate.parameters is None, estimate.initial_states is None, curves
 
 
 def _joint(estimates: Sequence[Estimate]) -> Estimate:
-    """Return estimates of one kind as one estimate whose beliefs have the replicate as their first axis."""
+    """Stack estimates of the same form into one, whose arrays have the replicate as their first axis."""
     first = estimates[0]
     if first.alternatives:
         return first
@@ -76,7 +80,7 @@ def _joint(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def _columns(estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]) -> Columns:
-    """Score estimates of one kind."""
+    """Score estimates of the same form."""
     system, joint = problems[0].system, _joint(estimates)
     true = {name: np.array([truth.parameters[name] for truth in truths]) for name in system.names}
     columns: Columns = {}
@@ -108,9 +112,15 @@ def _quantity_scores(quantity: Quantity, marginal: Marginal, true: np.ndarray) -
 
 
 def interval_score(pieces: Sequence[tuple[Any, Any]], true: np.ndarray, level: float) -> np.ndarray:
-    """Add ``2/alpha`` times the miss to the width (Gneiting & Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43).
+    """Compute the interval score: width plus ``2/alpha`` times the distance of the true value from the interval.
 
-    Of an interval in several pieces, the width of all, and the distance to the nearest.
+    T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102:359, 2007, eq. 43. For an interval in several pieces, the width
+    is that of all pieces, and the distance that to the nearest piece.
+
+    Args:
+        pieces: Lower and upper ends of each piece, each (n,).
+        true: True values, (n,).
+        level: Nominal level of the interval.
     """
     widths = np.sum([high - low for low, high in pieces], axis=0)
     misses = [np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0) for low, high in pieces]
@@ -118,16 +128,24 @@ def interval_score(pieces: Sequence[tuple[Any, Any]], true: np.ndarray, level: f
 
 
 def crps(quantiles: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Return continuous ranked probability scores from quantiles (..., n) at :data:`QUANTILES`, at true values (...).
+    """Compute the continuous ranked probability score from quantiles.
 
-    Twice the mean quantile (pinball) score over the levels (Gneiting & Ranjan, J. Bus. Econ. Stat. 29:411, 2011).
+    It is twice the mean quantile (pinball) score over the levels (T. Gneiting, R. Ranjan, J. Bus. Econ. Stat. 29:411,
+    2011).
+
+    Args:
+        quantiles: Quantiles at the levels :data:`QUANTILES`, (..., n).
+        true: True values, (...).
     """
     true = np.expand_dims(true, -1)
     return np.asarray(2.0 * np.mean((quantiles - true) * ((true < quantiles) - QUANTILES), axis=-1))
 
 
 def point_parameters(estimate: Estimate) -> Mapping[str, Any] | None:
-    """Return parameter values for a simulation; from groups, with the gauge mass at 1 (free response has no scale)."""
+    """Return parameter values for a simulation.
+
+    Groups are converted with a mass of 1, since the free response does not depend on the scale.
+    """
     if estimate.parameters is not None:
         return estimate.parameters.values()
     if estimate.groups is None:
@@ -143,41 +161,45 @@ def point_parameters(estimate: Estimate) -> Mapping[str, Any] | None:
 def _simulated_scores(
     estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth], p: Mapping[str, Any] | None
 ) -> Columns:
-    """Score the response at the estimated parameters, over the record and after it."""
+    """Score the simulated response at the estimated parameters, during the record and after it."""
     if p is None:
         return {}
     system, records = problems[0].system, [problem.records[0] for problem in problems]
     p = {name: np.broadcast_to(value, len(records)) for name, value in p.items()}
-    starts = [
+    initial_states = [
         estimate.initial_states[0]
         if estimate.initial_states
         else fitted_start(system, {name: float(value[i]) for name, value in p.items()}, record)
         for i, (estimate, record) in enumerate(zip(estimates, records, strict=True))
     ]
     rig, forces = records[0].rig(system), [record.forces for record in records]
-    response, later = displacements(rig, p, starts, [truths[0].dense_times, truths[0].forecast_times], forces)
+    response, continuation = displacements(
+        rig, p, initial_states, [truths[0].dense_times, truths[0].forecast_times], forces
+    )
     simulated = _rms(truths, response, [truth.dense_displacement for truth in truths])
-    forecast = _rms(truths, later, [truth.forecast_displacement for truth in truths])
+    forecast = _rms(truths, continuation, [truth.forecast_displacement for truth in truths])
     return {"rmse_simulated": simulated, "rmse_forecast": forecast, "rmse": simulated}
 
 
 def _reconstruction_scores(estimates: Sequence[Estimate], truths: Sequence[Truth], dof: Any) -> Columns:
-    """Score the method's own displacement over the record, and its band where it has one."""
+    """Score the displacement that the method reconstructed, and its band if it has one."""
     dense = [truth.dense_displacement for truth in truths]
-    path = np.stack([e.reconstructions[0](truth.dense_times) for e, truth in zip(estimates, truths, strict=True)])
-    columns = {"rmse": _rms(truths, path, dense)}
+    reconstruction = np.stack(
+        [e.reconstructions[0](truth.dense_times) for e, truth in zip(estimates, truths, strict=True)]
+    )
+    columns = {"rmse": _rms(truths, reconstruction, dense)}
     if not estimates[0].bands:
         return columns
-    off = np.abs(truths[0].scored(path - np.stack(dense)))
+    deviation = np.abs(truths[0].scored(reconstruction - np.stack(dense)))
     bands = [estimate.bands[0](truth.dense_times) for estimate, truth in zip(estimates, truths, strict=True)]
     for level in LEVELS:
         half = np.reshape(standard_quantile(0.5 + level / 2, dof), (-1, 1, 1)) * truths[0].scored(np.stack(bands))
-        columns[f"band_inside_{round(100 * level)}"] = np.mean(off <= half, axis=(-2, -1))
+        columns[f"band_inside_{round(100 * level)}"] = np.mean(deviation <= half, axis=(-2, -1))
     return columns
 
 
 def _rms(truths: Sequence[Truth], paths: np.ndarray, true: Sequence[np.ndarray]) -> np.ndarray:
-    """Compute root mean square errors of displacements (n, n_dof, n_times), (n,); infinite where one is not finite."""
+    """Compute root mean square errors (n,) of displacements (n, n_dof, n_times); infinite where not finite."""
     shared = all(path is true[0] for path in true)
     error = truths[0].scored(paths - (true[0] if shared else np.stack(true)))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Intervals and tests of few numbers that scipy does not have, or not for many sets at once."""
+"""Intervals and tests that scipy lacks, or does not vectorise over many data sets."""
 
 from __future__ import annotations
 
@@ -11,31 +11,35 @@ from scipy.special import ndtri
 RESAMPLES = 2000
 Z95 = float(ndtri(0.975))
 LEVEL = 0.05
-"""Level of tests."""
+"""Significance level of all tests."""
 MOST_LAGS = 10
 PER_LAG = 5
-"""Samples for each lag: the advice of R. J. Hyndman, G. Athanasopoulos, Forecasting, 3rd ed. 2021, section 5.4."""
+"""Samples per lag of the Ljung-Box test (R. J. Hyndman, G. Athanasopoulos, Forecasting, 3rd ed. 2021, section 5.4)."""
 DRAWS = 999
-"""Draws of white noise; 999 make the p-value exact at 5 % (Davison and Hinkley, Bootstrap Methods, 1997, 4.2)."""
+"""Simulations of white noise; with 999 the p-value is exact at 5 % (Davison and Hinkley, Bootstrap Methods, 1997,
+section 4.2)."""
 
 
 @lru_cache(maxsize=16)
 def counts(n: int, resamples: int = RESAMPLES) -> np.ndarray:
-    """Draw resamples of n replicates, the same ones at every call: how often each is in each, shape (n, resamples)."""
+    """Draw bootstrap resamples of n replicates; return how often each occurs in each resample, (n, resamples).
+
+    The random seed is fixed, so that summaries are reproducible.
+    """
     drawn = np.random.default_rng(0).integers(0, n, (resamples, n))
-    places = drawn + n * np.arange(resamples)[:, None]
-    return np.bincount(places.ravel(), minlength=drawn.size).reshape(resamples, n).T.astype(np.int16, order="C")
+    flat_indices = drawn + n * np.arange(resamples)[:, None]
+    return np.bincount(flat_indices.ravel(), minlength=drawn.size).reshape(resamples, n).T.astype(np.int16, order="C")
 
 
-def medians(values: np.ndarray, often: np.ndarray) -> np.ndarray:
-    """Compute the median of each resample, shape (resamples,).
+def medians(values: np.ndarray, occurrences: np.ndarray) -> np.ndarray:
+    """Compute the median of each resample, (resamples,).
 
     Args:
-        values: What was resampled (n,), some perhaps infinite: a mean of a number and infinity is infinite, never NaN.
-        often: How often each of them is in each resample, (n, resamples).
+        values: Resampled values (n,), which may be infinite.
+        occurrences: Number of times that each value occurs in each resample, (n, resamples).
     """
     order, middle = np.argsort(values, kind="stable"), (values.size - 1) // 2
-    ordered, total = values[order], np.cumsum(often[order], axis=0, dtype=often.dtype)
+    ordered, total = values[order], np.cumsum(occurrences[order], axis=0, dtype=occurrences.dtype)
     below = np.sum(total <= middle, axis=0, dtype=np.int16)
     if values.size % 2:
         return np.asarray(ordered[below])
@@ -43,23 +47,26 @@ def medians(values: np.ndarray, often: np.ndarray) -> np.ndarray:
 
 
 def middle_95(resampled: np.ndarray) -> tuple[float, float]:
-    """Return the 2.5 % and 97.5 % quantiles of resampled statistics, as values among them."""
+    """Return the 2.5 % and 97.5 % quantiles of resampled statistics, without interpolation."""
     ends = np.sort(resampled)[[math.ceil(level * resampled.size) - 1 for level in (0.025, 0.975)]]
     return float(ends[0]), float(ends[1])
 
 
 def wilson_interval(k: int, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of a fraction, ``k`` of ``n`` seen (E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927)."""
+    """Return the 95 % interval of a fraction from ``k`` successes in ``n`` trials.
+
+    E. B. Wilson, J. Am. Stat. Assoc. 22:209, 1927.
+    """
     z2 = Z95**2
     half = Z95 * math.sqrt(k * (n - k) / n + z2 / 4)
     return max(0.0, float((k + z2 / 2 - half) / (n + z2))), min(1.0, float((k + z2 / 2 + half) / (n + z2)))
 
 
 def ljung_box(residuals: np.ndarray) -> np.ndarray:
-    """Return ``Q = n (n + 2) Σ r_k² / (n - k)`` of residuals (sets, n), shape (sets,).
+    """Compute the statistic ``Q = n (n + 2) Σ r_k² / (n - k)``, (sets,), of residuals (sets, n).
 
-    G. M. Ljung, G. E. P. Box, Biometrika 65:297, 1978; r_k is the autocorrelation at lag k, up to :data:`MOST_LAGS` or
-    a lag for each :data:`PER_LAG` samples. NaN where a set is constant or not finite.
+    G. M. Ljung, G. E. P. Box, Biometrika 65:297, 1978. r_k is the autocorrelation at lag k; the number of lags is
+    ``n / PER_LAG``, at most :data:`MOST_LAGS`. NaN for a set that is constant or not finite.
     """
     n = residuals.shape[1]
     lags = np.arange(1, max(1, min(MOST_LAGS, n // PER_LAG)) + 1)
@@ -72,11 +79,15 @@ def ljung_box(residuals: np.ndarray) -> np.ndarray:
 
 
 def whiteness(residuals: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-    """Return the p-values (sets,) of the Ljung-Box statistic of residuals (sets, n); NaN where a set has none.
+    """Return p-values (sets,) of the Ljung-Box test of the residuals of a fit.
 
-    A fit takes the directions of its ``tangents`` (n, q) out of the noise, which leaves residuals correlated although
-    the noise is white: with few samples chi-square rejects three times as often as it should. So the statistic is
-    compared with that of white noise from which the same directions were taken.
+    A fit removes the span of its Jacobian from the noise, which leaves the residuals correlated even if the noise is
+    white: with few samples the chi-squared approximation rejects three times too often. The statistic is therefore
+    compared with that of simulated white noise from which the same span was removed.
+
+    Args:
+        residuals: Residuals, (sets, n).
+        tangents: Jacobian of the response with respect to the fitted parameters, (n, q).
     """
     n = residuals.shape[1]
     noise = np.random.default_rng(n).standard_normal((DRAWS, n))
@@ -88,11 +99,11 @@ def whiteness(residuals: np.ndarray, tangents: np.ndarray) -> np.ndarray:
 
 
 def bias_share(ratios: np.ndarray) -> float:
-    """The share of the mean square error of ``ratios`` (estimate over truth, shape (n,)) that is bias squared.
+    """Return the share of the mean square error of ``ratios`` (estimate over true value, (n,)) due to bias.
 
-    The mean square of an error is its mean squared plus its variance. The square of the mean of n errors is too large
-    by their variance over n on average, which is taken off, down to nothing; NaN below three replicates and where there
-    is no error.
+    The mean square error is the squared mean plus the variance. The squared mean of n errors overestimates the squared
+    bias by their variance over n, which is subtracted; a negative result counts as 0. NaN for fewer than three
+    replicates, and without any error.
     """
     if ratios.size < 3:
         return math.nan

@@ -1,4 +1,4 @@
-"""From the replicates of a cell to one line a metric: mean, median with its interval, bound and excess."""
+"""Summaries of a cell's replicates: per metric the mean, the median with its interval, the bound and the excess."""
 
 from __future__ import annotations
 
@@ -14,42 +14,47 @@ from bench.scoring.row import STATISTICS, Row, Rows
 from bench.scoring.statistics import counts, medians, middle_95, wilson_interval
 
 ALWAYS = ("rmse", "rmse_simulated", "rmse_forecast")
-GROSS = 5.0
-"""An error beyond this many times the bound is that of an outlier fit."""
+OUTLIER_FACTOR = 5.0
+"""An outlier fit has an error beyond this many times the bound."""
 CHANCE = 1e-6
-"""Probability at which a root mean square error is too small to be chance: no published cell is, of 22,000."""
+"""Probability below which a small root mean square error is not attributed to chance; no published cell is below it."""
 LARGEST_BOUND_PCT = 50.0
-"""A bound that is larger is no limit: it is of a linearisation, and errors of positive numbers are bounded below."""
+"""A larger bound (%) is not a limit: the linearisation fails, and errors of positive quantities are at most 100 % on
+one side."""
 
 Line = dict[str, float]
-"""The statistics of a metric by name."""
+"""Statistics of a metric by name."""
 
 
 def metric_bounds(bound: Bound) -> dict[str, float]:
-    """Return the bound on the root mean square of each metric that has one."""
+    """Return the lower bound on the root mean square error of each metric that has one."""
     errors = {f"{name}_error_pct": 100.0 * sd for name, sd in bound.relative_sd.items()}
     return errors | {"rmse": bound.rmse, "rmse_simulated": bound.rmse, "rmse_forecast": bound.rmse_forecast}
 
 
 def below_chance(excess: float, bound_pct: float, n: int) -> bool:
-    """Decide whether errors are smaller than the bound allows by chance, so that the method must know the truth.
+    """Return whether errors are smaller than the bound allows by chance, so that the method must know the true values.
 
-    ``excess``: root mean square of n errors over the bound ``bound_pct`` (%), which includes the prior. Squares of
-    normal errors at the bound add up to a chi-square variable of n.
+    The sum of squares of n normal errors at the bound is chi-squared distributed with n degrees of freedom.
+
+    Args:
+        excess: Root mean square of the errors over the bound, which includes the prior.
+        bound_pct: The bound, %.
+        n: Number of errors.
     """
     least = math.sqrt(2.0 * gammaincinv(n / 2.0, CHANCE) / n) if n > 0 else 0.0
     return excess < least and bound_pct <= LARGEST_BOUND_PCT
 
 
-def gross(errors: np.ndarray, bound: float) -> np.ndarray:
-    """Return which errors (n,) are of outlier fits or of failures, which are infinite; without a bound only these."""
-    limit = GROSS * bound if np.isfinite(bound) and bound > 0 else np.inf
+def outlier_fits(errors: np.ndarray, bound: float) -> np.ndarray:
+    """Return a mask (n,) of errors that are infinite (failures) or beyond :data:`OUTLIER_FACTOR` times the bound."""
+    limit = OUTLIER_FACTOR * bound if np.isfinite(bound) and bound > 0 else np.inf
     return np.asarray(~(errors <= limit) | np.isinf(errors))
 
 
 def summarise(rows: Sequence[Row], bound: Bound) -> dict[str, Line]:
-    """Summarise every metric that any replicate has, and those that every cell has (NaN where none succeeded)."""
-    bounds, columns = metric_bounds(bound), Rows.of(rows)
+    """Summarise every metric of the replicates, and the metrics that every cell has (NaN if no replicate succeeded)."""
+    bounds, columns = metric_bounds(bound), Rows.from_rows(rows)
     good = np.array([status is Status.OK for status in columns.statuses], bool)
     scores = {name: columns.scores(name)[good] for name in columns.score_names if not name.endswith("_ratio")}
     metrics = [name for name, values in scores.items() if not np.all(np.isnan(values))]
@@ -70,7 +75,7 @@ def _line(*values: float, n_ok: int) -> Line:
 
 
 def _error(values: np.ndarray, bound: float) -> Line:
-    """Summarise errors, those of failures infinite, with the bootstrap's interval of their median."""
+    """Summarise errors (failures are infinite); the interval is a bootstrap interval of the median."""
     good = values[np.isfinite(values)]
     ends = middle_95(medians(values, counts(values.size)))
     excess = np.sqrt(np.mean(good**2)) / bound if good.size and np.isfinite(bound) and bound > 0 else np.nan
@@ -79,7 +84,7 @@ def _error(values: np.ndarray, bound: float) -> Line:
 
 
 def _share(values: np.ndarray, hits: bool) -> Line:
-    """Summarise numbers between 0 and 1: the interval of their mean is Wilson's of hits, else Student's t."""
+    """Summarise numbers in [0, 1]; the interval of the mean is Wilson's for ``hits`` (0 or 1), else Student's t."""
     n, ends = values.size, (np.nan, np.nan)
     if not n:
         return _line(*[np.nan] * 6, n_ok=0)

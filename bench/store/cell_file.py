@@ -135,7 +135,7 @@ def _rows(columns: Mapping[str, Any]) -> Rows:
     scores = {name: np.array(list(map(_number, values))) for name, values in columns["scores"].items()}
     if {len(column) for column in (*made.values(), *scores.values())} != {len(columns["status"])}:
         raise ValueError
-    return Rows.of_columns(map(Status, columns["status"]), made, scores)
+    return Rows.from_columns(map(Status, columns["status"]), made, scores)
 
 
 def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:

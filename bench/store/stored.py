@@ -64,7 +64,7 @@ class StoredCell:
     @cached_property
     def columns(self) -> Rows:
         """The rows by column."""
-        return Rows.of(self.rows)
+        return Rows.from_rows(self.rows)
 
     @property
     def n_ok(self) -> int:

@@ -16,7 +16,7 @@ from bench.reporting.page.charts import forest, scenario_data
 from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.words import USUAL_DB, decibels, heading, number, seconds, system_words
 from bench.reporting.ranking import first_tier, median_time
-from bench.scoring.summary import gross
+from bench.scoring.summary import outlier_fits
 from bench.store.stored import unmarked
 
 STANDINGS = ("first tier", "behind", "reference", "failed")
@@ -125,7 +125,7 @@ def gross_share(line: Line) -> float | None:
     """The share of gross errors (%)."""
     errors = line.result.errors(line.metric)
     bound = line.result.bound(line.metric)
-    return short(100 * float(np.mean(gross(errors, bound))), 2) if errors.size else None
+    return short(100 * float(np.mean(outlier_fits(errors, bound))), 2) if errors.size else None
 
 
 def fits(line: Line) -> tuple[float, int, int]:

@@ -29,9 +29,9 @@ from bench.reporting.tables.render import (
     named,
 )  # fmt: skip
 from bench.reporting.tables.tidy import VALUES, line_of, tidy_lines
-from bench.scoring.calibration import calibration, together
+from bench.scoring.calibration import adjust_p_values, calibration
 from bench.scoring.statistics import LEVEL, counts
-from bench.scoring.summary import gross
+from bench.scoring.summary import outlier_fits
 from bench.store.cell import Cell
 
 ORACLE = """*oracle* is maximum a posteriori (without a prior: maximum likelihood) started at the truth."""
@@ -187,7 +187,7 @@ def calibration_lines(frame: Frame) -> list[Line]:
     """One line a method, noise, start and quantity; the tests of all of them are adjusted together."""
     lines = [calibrated(result, name) for result in frame if result.stored for name in ("k_over_m", "c_over_m")]
     judged = [line for line in lines if line["n"] >= COUNTED]
-    for line, found in zip(judged, together([line["alone"] for line in judged]), strict=True):
+    for line, found in zip(judged, adjust_p_values([line["alone"] for line in judged]), strict=True):
         if line["n"] >= FEWEST or min(found.adjusted) < LEVEL:
             line["verdict"] = found.verdict
     return list(lines)
@@ -435,7 +435,7 @@ def over_bounds(results: Iterable[Result], metric: str, bounds: Mapping[str, flo
     hits = [np.empty(0), *(result.successful(f"{quantity(metric)}_coverage_95") for result in told)]
     every, held = np.concatenate(ratios), np.concatenate(hits)
     known = every[np.isfinite(every)]
-    shares = dict(zip(("gross", "gross_low", "gross_high"), share(gross(every, 1.0)), strict=True))
+    shares = dict(zip(("gross", "gross_low", "gross_high"), share(outlier_fits(every, 1.0)), strict=True))
     held_shares = dict(zip(("coverage_95", "low_95", "high_95"), share(held), strict=True))
     return {
         "n": every.size, "n_answered": known.size, "median_over_bound": lower_median(every),

@@ -11,7 +11,7 @@ from bench.reporting.labels import title
 from bench.reporting.ranking import CAP, ON_BOUND, median_time, ranking
 from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
 from bench.reporting.verdict import below
-from bench.scoring.summary import GROSS
+from bench.scoring.summary import OUTLIER_FACTOR
 
 COLUMNS = (
     "part", "method", "tier", "served", "scenarios", "typical", "low", "high", "first_tier", "lost", "fits",
@@ -59,7 +59,7 @@ def leaderboard(frame: Frame) -> Mapping[str, str]:
     if not any(result.stored for result in frame):
         return {}
     data = lines(frame.results)
-    shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, gross=GROSS, on_bound=ON_BOUND)]
+    shown: list[str | Rows] = ["# Leaderboard", LEGEND.format(cap=CAP, gross=OUTLIER_FACTOR, on_bound=ON_BOUND)]
     for part, own in group(data, lambda line: line["part"]).items():
         shown += [f"## {part[0].upper()}{part[1:]}: {own[0]['scenarios']} scenarios"]
         shown += [listing((line for line in own if line["tier"]), {**TIER, **NAMED, **NUMBERS})]

@@ -28,7 +28,7 @@ from bench.exchange.merging import draw
 from bench.exchange.submission import MANIFEST, pack, unpack
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.scoring.traces import MOMENTS, of_clock
+from bench.scoring.traces import MOMENTS, depends_on_clock
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored import StoredCell
@@ -190,8 +190,10 @@ def test_every_row_is_drawn_as_often_as_any_other_and_nobody_can_know_which() ->
 
 def test_scores_of_the_clock_are_known_by_their_names() -> None:
     timed = ["training_s", "arrival_s", *(f"k_over_m_off_pct_at_{moment:g}s" for moment in MOMENTS)]
-    assert all(map(of_clock, timed))
-    assert not any(map(of_clock, ("rmse", "k_over_m_off_pct_at_minimum", "k_over_m_error_pct", "starts_at_best")))
+    assert all(map(depends_on_clock, timed))
+    assert not any(
+        map(depends_on_clock, ("rmse", "k_over_m_off_pct_at_minimum", "k_over_m_error_pct", "starts_at_best"))
+    )
 
 
 # ---- merged

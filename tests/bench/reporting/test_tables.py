@@ -164,9 +164,9 @@ def test_honest_and_halved_uncertainties_are_told_apart(reference: Scenario) -> 
     }
     honest, halved, few, few_honest = (lines[name, "k_over_m"] for name in levels)
     assert (honest["verdict"], honest["coverage_95"]) == ("calibrated", pytest.approx(0.95))
-    assert "too sure" in halved["verdict"]
+    assert "overconfident" in halved["verdict"]
     assert (halved["rms_z"], halved["coverage_95"]) == (pytest.approx(2.0, rel=0.02), pytest.approx(0.67, abs=0.01))
-    assert (few["coverage_95"], few["verdict"], few["n"]) == (0.1, "too sure, biased downwards", 10)
+    assert (few["coverage_95"], few["verdict"], few["n"]) == (0.1, "overconfident, biased downwards", 10)
     assert few_honest["verdict"] == "-"  # ten are not enough to call it calibrated
     assert lines["pinn", "c_over_m"]["verdict"] == "-"
     assert row_of(written(estimates.CALIBRATION, "calibration", found)[0], "PINN")[-2:] == ["90.0", "200"]

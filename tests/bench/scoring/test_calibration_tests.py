@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.scoring.calibration import calibration, together
+from bench.scoring.calibration import adjust_p_values, calibration
 
 
 def levels(n: int, sd: float = 1.0, bias: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -22,9 +22,9 @@ def test_a_calibrated_belief_is_called_so_in_nineteen_cases_of_twenty() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_half_the_standard_deviation_is_too_sure_and_twice_too_wide(seed: int) -> None:
-    assert "too sure" in calibration(levels(100, sd=0.5, seed=seed)).verdict
-    assert "too wide" in calibration(levels(100, sd=2.0, seed=seed)).verdict
+def test_halved_standard_deviations_are_overconfident_and_doubled_ones_underconfident(seed: int) -> None:
+    assert "overconfident" in calibration(levels(100, sd=0.5, seed=seed)).verdict
+    assert "underconfident" in calibration(levels(100, sd=2.0, seed=seed)).verdict
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -43,7 +43,7 @@ def test_coverage_is_the_share_of_levels_in_the_middle() -> None:
 
 
 def test_levels_at_the_ends_and_too_few() -> None:
-    assert "too sure" in calibration(np.r_[np.zeros(20), np.ones(20)]).verdict
+    assert "overconfident" in calibration(np.r_[np.zeros(20), np.ones(20)]).verdict
     with pytest.raises(ValueError, match="at least 5"):
         calibration(np.array([0.2, 0.4]))
 
@@ -52,11 +52,11 @@ def test_levels_at_the_ends_and_too_few() -> None:
 def test_always_far_off_on_one_side_is_too_sure_however_little_it_scatters(end: float) -> None:
     """No interval holds the truth: it cannot be too wide. Levels at the very end have no scatter at all."""
     side = "biased upwards" if end == 0.0 else "biased downwards"
-    assert calibration(np.full(200, end)).verdict == f"too sure, {side}"
+    assert calibration(np.full(200, end)).verdict == f"overconfident, {side}"
     near = np.abs(end - np.random.default_rng(1).uniform(0.001, 0.004, 200))
     found = calibration(near)
     assert found.coverage[-1].share == 0.0
-    assert found.verdict == f"too sure, {side}"
+    assert found.verdict == f"overconfident, {side}"
 
 
 @pytest.mark.parametrize("sd", [0.6, 1.6])
@@ -68,7 +68,7 @@ def test_too_wide_and_too_sure_agree_with_the_coverage(sd: float) -> None:
         np.diff(stats.norm.cdf(sd * (np.array([-1.96, 1.96]) - 0.3)))[0], abs=0.03
     )
     assert found.rms_z == pytest.approx(np.hypot(1.0 / sd, 0.3), rel=0.1)
-    assert ("too sure" if found.coverage[-1].share < 0.95 else "too wide") in found.verdict
+    assert ("overconfident" if found.coverage[-1].share < 0.95 else "underconfident") in found.verdict
 
 
 def test_a_table_of_calibrated_lines_has_no_finding_in_nineteen_cases_of_twenty() -> None:
@@ -78,14 +78,14 @@ def test_a_table_of_calibrated_lines_has_no_finding_in_nineteen_cases_of_twenty(
     """
     tables = [[calibration(levels(60, seed=20 * i + j)) for j in range(20)] for i in range(40)]
     alone = sum(any(one.verdict != "calibrated" for one in table) for table in tables)
-    assert sum(any(one.verdict != "calibrated" for one in together(table)) for table in tables) < 8
+    assert sum(any(one.verdict != "calibrated" for one in adjust_p_values(table)) for table in tables) < 8
     assert alone > 16
 
 
 def test_lines_that_are_wrong_are_found_among_calibrated_ones() -> None:
     """Adjusted as the definition says: the i-th least of m p-values times m/i, and none above a later one."""
-    found = together([calibration(levels(200, sd=0.5 if i < 5 else 1.0, seed=i)) for i in range(30)])
-    assert all("too sure" in one.verdict for one in found[:5])
+    found = adjust_p_values([calibration(levels(200, sd=0.5 if i < 5 else 1.0, seed=i)) for i in range(30)])
+    assert all("overconfident" in one.verdict for one in found[:5])
     assert sum(one.verdict != "calibrated" for one in found[5:]) <= 2
     p, adjusted = (
         np.array([values for one in found for values in getattr(one, name)]) for name in ("p_values", "adjusted")
@@ -93,4 +93,4 @@ def test_lines_that_are_wrong_are_found_among_calibrated_ones() -> None:
     order = np.argsort(p)
     by_hand = [min(min(p[order[j]] * p.size / (j + 1) for j in range(i, p.size)), 1.0) for i in range(p.size)]
     assert adjusted[order] == pytest.approx(by_hand)
-    assert together([]) == []
+    assert adjust_p_values([]) == []
