@@ -84,7 +84,7 @@ $CELL system.parameters.m=1e-300                  | system.parameters.m=1e-300  
 $CELL system.samples=1000000000000                | system.samples=1000000000000     | at most
 $CELL system.duration=true                        | system.duration=True             | number
 $CELL system.initial.displacement=[1,2]           | system.initial=[1.0, 2.0]        | one a DOF
-$CELL system.colour=red                           | system.colour=red                | no such field
+$CELL system.colour=red                           | system.colour=red                | not a field
 $CELL system=chain2 system.options.n=1000000      | system.options.n=1000000         | at most
 $CELL system=sdof_forced system.force.kind=square | system.force.kind=square         | multisine
 $CELL disturbance=drift disturbance.size=1e308    | disturbance.size=1e+308          | at most

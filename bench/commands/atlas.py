@@ -42,7 +42,7 @@ def atlas(
 
     Finished blocks are kept in the store, and the same command goes on from them.
     """
-    from bench.config.of_hydra import check_of_hydra
+    from bench.config.hydra_fields import check_of_hydra
     from bench.engine.pool import Limits
 
     check_of_hydra(launcher)

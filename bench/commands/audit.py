@@ -51,7 +51,7 @@ def audit(
 def read(path: Path) -> StatedClaim:
     """Read the file of a claim; raises InputError."""
     from bench.audit.claim import read_claim
-    from bench.config.files import read_own
+    from bench.config.files import read_user_yaml
 
-    content = read_own(str(file("claim", path)), "claim", "a claim is wanted: see docs/how_to/audit_claim.md")
+    content = read_user_yaml(str(file("claim", path)), "claim", "a claim is wanted: see docs/how_to/audit_claim.md")
     return read_claim(path.stem, content, path.parent)

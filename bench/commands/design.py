@@ -159,13 +159,13 @@ def longer(
     method: Method = None,
 ) -> int:
     """State what a record of a free decay would determine, were it longer or taken again."""
-    from bench.config.atlas import on_the_bound
+    from bench.config.atlas import efficient_methods
     from bench.config.overrides import read_overrides
     from bench.planning.taken import taken
     from bench.reporting.plans import longer_page
 
     try:
-        measured = taken(read_overrides([f"data={given}", f"method={method or on_the_bound()[0]}", *record]))
+        measured = taken(read_overrides([f"data={given}", f"method={method or efficient_methods()[0]}", *record]))
     except InputError as error:
         raise InputError("given" if error.field == "data" else error.field, error.value, error.remedy) from None
     print(longer_page(measured, *(want or (None, 0.0))))
@@ -210,7 +210,7 @@ def _request(
     out: Path | None = None,
 ) -> Any:  # fmt: skip
     """Return the request; raises InputError, before any work, where it cannot be met or its file not be written."""
-    from bench.config.atlas import on_the_bound
+    from bench.config.atlas import efficient_methods
     from bench.planning.search import Likely
     from bench.reporting.plans import PlanRequest
     from bench.reporting.whole_file import check_file
@@ -220,7 +220,7 @@ def _request(
     if out is not None:
         check_file(out)
     likely = Likely(frequency[0], damping[0], frequency[1], damping[1])
-    return PlanRequest(*want, likely, noise, method or on_the_bound()[0], verify)
+    return PlanRequest(*want, likely, noise, method or efficient_methods()[0], verify)
 
 
 def _shown(text: str, out: Path | None, header: str, rows: Sequence[str]) -> int:

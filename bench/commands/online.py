@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.commands.declaration import OneOf, Others, Parsed, Within
 from bench.commands.work import DryRun, Fit, Work, Workers
-from bench.config.online import VARYING, online_scenario, online_track, own_scenarios, scenario_names
+from bench.config.online import VARYING, online_scenario, online_track, scenario_names, scenarios_from_system
 from bench.errors import InputError
 from bench.isolation.machine import usable_cores
 from bench.reporting.whole_file import write
@@ -97,7 +97,7 @@ def _scenarios(
             raise InputError(key, text, "write system.varying.<parameter>=<kind>, e.g. system.varying.k=step")
         courses[key.removeprefix(VARYING)] = values_of(key, text)
     if system:
-        return own_scenarios(system, courses, **stated)
+        return scenarios_from_system(system, courses, **stated)
     for name, value in {**stated, **{f"{VARYING}{name}": values for name, values in courses.items()}}.items():
         raise InputError(name, value, "with system=<name>; the track's scenarios have their own")
     return [online_scenario(name) for name in names or scenario_names()]

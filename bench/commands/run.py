@@ -58,25 +58,25 @@ def run(options: Options, early: bool = False) -> int:
             print(*offered)
             return 0
         return ask_hydra(options.shown, options.words)
-    from bench.config.of_hydra import check_of_hydra, is_of_hydra, prepared
+    from bench.config.hydra_fields import apply_hydra_fields, check_of_hydra, is_of_hydra
     from bench.config.overrides import read_overrides
 
     of_hydra = [text for text in options.words if is_of_hydra(text)]
     check_of_hydra(of_hydra)
     overrides = read_overrides([text for text in options.words if text not in of_hydra])
     if options.shown:
-        from bench.config.inspection import ask_hydra, in_place
+        from bench.config.inspection import ask_hydra, hydra_overrides
 
         if "multirun" in options.flags:
             raise InputError("option", "-m", f"{options.shown[0]} shows one cell; dry_run=true lists those of a sweep")
-        return ask_hydra(options.shown, [*in_place(overrides), *of_hydra])
+        return ask_hydra(options.shown, [*hydra_overrides(overrides), *of_hydra])
     if early and usable_cores() > 1 and not of_hydra and "dry_run" not in overrides:
         from bench.isolation.processes import start_server
 
         start_server()
     from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
 
-    overrides = prepared(of_hydra, overrides)
+    overrides = apply_hydra_fields(of_hydra, overrides)
     if any(value is not None for value in overrides.get("data", [])):
         from bench.commands.measured_record import identify_records
 

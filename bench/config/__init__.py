@@ -1,1 +1,1 @@
-"""From a command line and YAML files to validated cells."""
+"""Configuration: command lines and YAML files are composed and validated into cells."""

@@ -1,4 +1,4 @@
-"""The atlases as they are configured, a kind of test each: ``conf/atlas/<kind>.yaml``."""
+"""Configuration of the atlases: ``conf/atlas/<kind>.yaml``, one file per kind of test."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from bench.errors import check_name
 
 FREE_DECAY, FORCED = "free_decay", "forced"
 TESTS: Mapping[str, type[Point]] = {FREE_DECAY: FreeDecay, FORCED: Forced}
-"""The kinds of test, by the name of their file."""
+"""Kinds of test by the name of their file."""
 SAMPLED = "points"
-"""Name of the part that is not a slice."""
+"""Name of the part with the randomly sampled points; the other parts are slices."""
 
 
 def atlas_content(test: str = FREE_DECAY) -> Mapping[str, Any]:
-    """Return the content of the file of a kind of test; raises InputError for a kind that there is not."""
+    """Return the configuration of a kind of test; raises InputError for an unknown kind."""
     check_name("test", test, TESTS)
     return read_yaml("atlas", test)
 
 
 def atlas_slices(test: str = FREE_DECAY) -> list[Slice]:
-    """Return the slices."""
+    """Return the slices of an atlas."""
     kind, slices = TESTS[test], []
     for name, stated in atlas_content(test)["slices"].items():
         across, up, (columns, rows) = stated["across"], stated["up"], stated["size"]
@@ -37,27 +37,34 @@ def atlas_slices(test: str = FREE_DECAY) -> list[Slice]:
 
 
 def part_names(test: str = FREE_DECAY) -> list[str]:
-    """Return the names of the parts: the sampled points, and each slice."""
+    """Return the names of the parts: the sampled points, then each slice."""
     return [SAMPLED, *atlas_content(test)["slices"]]
 
 
 def atlas_methods(test: str = FREE_DECAY) -> list[str]:
-    """Return every method of the atlas, those of all points first."""
+    """Return the labels of all methods of the atlas; those computed at every point come first."""
     content = atlas_content(test)
     return [*content["methods"], *content["points_by_method"]]
 
 
-def on_the_bound() -> list[str]:
-    """Return the methods that a plan may count on."""
+def efficient_methods() -> list[str]:
+    """Return the methods that reach the bound, on which a plan can rely."""
     return list(atlas_content()["on_the_bound"])
 
 
 def atlas_blocks(
     part: str, methods: Sequence[str] = (), most_points: int | None = None, test: str = FREE_DECAY
 ) -> list[PointBlock]:
-    """Return what is to be computed for a part, block by block, with all methods of a block one behind the other.
+    """Return the blocks of points to compute for one part of an atlas, with the methods of a block in sequence.
 
-    Raises InputError for a kind of test, a part or a method that the atlas does not have.
+    Args:
+        part: Name of the part, see :func:`part_names`.
+        methods: Labels of the methods; empty for all of the atlas.
+        most_points: Number of points after which to stop; None for all.
+        test: Kind of test.
+
+    Raises:
+        InputError: The atlas has no such kind of test, part or method.
     """
     content, known = atlas_content(test), atlas_methods(test)
     check_name("part", part, part_names(test))
@@ -76,7 +83,7 @@ def atlas_blocks(
                 continue
             settings = dict(content["variants"].get(label, {}))
             method = settings.pop("method", label)
-            make_method(method, settings)  # a name or a setting that is wrong is said before any work starts
+            make_method(method, settings)  # raises InputError for a wrong setting before any work starts
             n = content["replicates_by_method"].get(label, content["replicates"])
             n = n if sampled else content["slice_replicates"]
             result.append(PointBlock(block, method, settings, n, content["seed"], label))

@@ -1,4 +1,4 @@
-"""What may be chosen by name, and what each choice says: files of ``conf``, methods, scenarios in files of your own."""
+"""Choices of the configuration groups: files of ``conf``, registered methods, and scenario files of the user."""
 
 from __future__ import annotations
 
@@ -9,71 +9,71 @@ from functools import cache
 from typing import Any
 
 from bench.config import fields
-from bench.config.drawn import drawn_ranges, drawn_scenario
-from bench.config.files import ENDING, file_names, read_own_system, read_yaml
+from bench.config.files import ENDING, file_names, read_user_system, read_yaml
+from bench.config.random_scenarios import drawn_ranges, drawn_scenario
 from bench.entrants.registry import default_settings, load_method, method_names, registered
 from bench.errors import InputError, did_you_mean
 
 GROUPS = (*fields.GROUPS, "experiment")
 """Fields whose value is chosen by name."""
 TRACKS = {"measured": "measured_track", "online": "online", "modal": "modal", "atlas": "atlas"}
-"""Experiments with fields of their own, each a verb of the module of ``bench.commands``."""
-_OWN: dict[str, dict[str, Any]] = {}
-"""Contents of files of your own by the names under which Hydra gets them."""
+"""Modules of ``bench.commands`` by the experiments that have fields of their own."""
+_USER_SYSTEMS: dict[str, dict[str, Any]] = {}
+"""Contents of the user's scenario files by the names under which Hydra composes them."""
 
 
 @cache
 def choices(group: str) -> list[str]:
-    """Return what may be chosen for a group: the files of ``conf``, and for methods the registered ones too."""
+    """Return the choices of a group: its files in ``conf``, and for methods also the registered ones."""
     return sorted({*file_names(group), *(method_names() if group == "method" else ())})
 
 
 @cache
 def default_choices() -> dict[str, str]:
-    """Return the choice of every group that ``conf/config.yaml`` makes."""
+    """Return the default choice of every group, from ``conf/config.yaml``."""
     named = [entry for entry in read_yaml("", "config")["defaults"] if isinstance(entry, dict)]
     return {group: name for entry in named for group, name in entry.items()}
 
 
 def is_choice(group: str, name: str) -> bool:
-    """Return whether a name stands for a choice, drawn and registered scenarios included."""
-    return name in choices(group) or (group == "system" and (name in _OWN or drawn_scenario(name) is not None))
+    """Return whether a group has a choice of this name; drawn scenarios are included."""
+    return name in choices(group) or (group == "system" and (name in _USER_SYSTEMS or drawn_scenario(name) is not None))
 
 
 def check_choice(group: str, value: Any) -> None:
-    """Raise InputError for what cannot be chosen for a group, which includes a method that does not load."""
-    if own_file(group, value) or (group == "experiment" and value is None):
+    """Raise InputError for an unknown choice, and for a method that cannot be imported."""
+    if is_user_file(group, value) or (group == "experiment" and value is None):
         return
     if not is_choice(group, str(value)):
         names = [*choices(group), *(TRACKS if group == "experiment" else ())]
         known = ", ".join([f"known: {', '.join(names)}", *(drawn_ranges() if group == "system" else ())])
         raise InputError(group, value, f"{did_you_mean(value, names)}{known}")
     if group == "method" and value in registered():
-        load_method(value)  # a broken entry point is said here
+        load_method(value)  # raises InputError for a broken entry point
 
 
-def own_file(group: str, value: Any) -> bool:
-    """Return whether a choice is a file of your own: ``system=<path>.yaml``; raises InputError if it does not exist."""
+def is_user_file(group: str, value: Any) -> bool:
+    """Return whether a choice is a file of the user, ``system=<path>.yaml``; raises InputError if it does not exist."""
     named = group == "system" and isinstance(value, str) and value.endswith(ENDING)
     if named and not os.path.isfile(os.path.expanduser(value)):
-        raise InputError(group, value, "there is no such file; give the path of a file like those of conf/system")
+        raise InputError(group, value, "file not found; give the path of a file like those of conf/system")
     return named
 
 
 def name_for_hydra(group: str, choice: Any) -> str:
-    """Return the name by which Hydra knows a choice, which for a file of your own is made of its content."""
-    if not own_file(group, choice):
+    """Return the name of a choice in Hydra; for a file of the user it is a hash of the content."""
+    if not is_user_file(group, choice):
         return str(choice)
-    stated = read_own_system(os.path.expanduser(choice))
+    stated = read_user_system(os.path.expanduser(choice))
     name = f"file_{hashlib.sha256(json.dumps(stated, default=str).encode()).hexdigest()[:16]}"
-    _OWN[name] = stated
+    _USER_SYSTEMS[name] = stated
     return name
 
 
 def content(group: str, name: str) -> dict[str, Any]:
-    """Return what a choice says by itself, before it is composed; raises InputError for a method that does not load."""
-    if group == "system" and name in _OWN:
-        return dict(_OWN[name])
+    """Return the content of a choice before composition; raises InputError for a method that cannot be imported."""
+    if group == "system" and name in _USER_SYSTEMS:
+        return dict(_USER_SYSTEMS[name])
     if group == "system" and name not in file_names("system") and (drawn := drawn_scenario(name)):
         return dict(drawn.system)
     if group == "method" and name not in file_names("method"):

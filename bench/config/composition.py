@@ -1,4 +1,4 @@
-"""Choices with the fields that are set in them, composed by Hydra: all that a sweep needs in one composition."""
+"""Composition of configuration groups by Hydra; all groups of a sweep are composed in one call."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from bench.config.overrides import DELETED
 from bench.errors import InputError
 
 WORDS = ("null", "true", "false", "nan", "inf")
-"""Words that would be no texts without quotes."""
-OF_HYDRA = ("job_logging", "hydra_logging", "output", "help", "hydra_help", "launcher", "sweeper", "env")
-"""Groups of Hydra's own configuration that a composition of parts does not need."""
+"""Words that Hydra reads as text only in quotes."""
+HYDRA_GROUPS = ("job_logging", "hydra_logging", "output", "help", "hydra_help", "launcher", "sweeper", "env")
+"""Groups of Hydra's own configuration that the composition of parts does not need."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One choice of a group, by the name that Hydra knows, with the fields that are set in it.
+    """A choice of a group, with the overrides of its fields.
 
-    ``fields`` are overrides in Hydra's grammar, with ``{0}`` for the place of the part in the configuration;
-    ``written`` is the choice as the user wrote it.
+    ``name`` is the name of the choice in Hydra; ``fields`` are overrides in Hydra's grammar, in which ``{0}`` stands
+    for the path of the part in the configuration; ``written`` is the choice as the user wrote it.
     """
 
     group: str
@@ -31,16 +31,16 @@ class Part:
     fields: tuple[str, ...] = ()
     written: str = field(default="", compare=False)
 
-    def overrides(self, place: str) -> list[str]:
-        """Return Hydra's overrides that put the part at a place of the configuration."""
-        return [f"+{self.group}@{place}={self.name}", *(text.replace("{0}", place, 1) for text in self.fields)]
+    def overrides(self, path: str) -> list[str]:
+        """Return the Hydra overrides that put the part at a path of the configuration."""
+        return [f"+{self.group}@{path}={self.name}", *(text.replace("{0}", path, 1) for text in self.fields)]
 
 
 _COMPOSED: dict[Part, dict[str, Any]] = {}
 
 
 def part_of(group: str, choice: Any, below: Mapping[str, Any] | None = None) -> Part:
-    """Return the part of a choice, with values of fields by their names below the group; raises InputError."""
+    """Return the part for a choice, with the values of fields below its group; raises InputError."""
     fields = (
         f"~{{0}}.{key}" if value is DELETED else f"++{{0}}.{key}={literal(value)}"
         for key, value in (below or {}).items()
@@ -49,9 +49,10 @@ def part_of(group: str, choice: Any, below: Mapping[str, Any] | None = None) -> 
 
 
 def composed(parts: Collection[Part]) -> Mapping[Part, dict[str, Any]]:
-    """Return the content of each part as plain values, which are shared: do not change them. Raises InputError.
+    """Return the content of each part as plain values; raises InputError.
 
-    A choice without bases and without fields set in it is its own content; Hydra composes the others, each once.
+    The values are cached and shared: do not change them. Hydra composes only the choices that have ``defaults`` or
+    overrides.
     """
     by_hydra = []
     for part in dict.fromkeys(parts):
@@ -80,7 +81,7 @@ def _compose(parts: Sequence[Part]) -> list[dict[str, Any]]:
 
     from bench.config.sources import hydra_ready
 
-    unused = [f"~hydra/{group}" for group in OF_HYDRA]
+    unused = [f"~hydra/{group}" for group in HYDRA_GROUPS]
     lines = [part.overrides(f"part{number}") for number, part in enumerate(parts)]
     try:
         with hydra_ready():
@@ -94,7 +95,7 @@ def _compose(parts: Sequence[Part]) -> list[dict[str, Any]]:
 
 
 def _bad_input(part: Part, error: Exception) -> InputError:
-    """Return Hydra's objection to a part in the words of the command line."""
+    """Convert an error of Hydra for one part into the terms of the command line."""
     reason = str(error).splitlines()[0].replace("part0", part.group).replace(part.name, part.written)
     if not part.fields:
         return InputError(part.group, part.written, reason)
@@ -103,7 +104,7 @@ def _bad_input(part: Part, error: Exception) -> InputError:
 
 
 def literal(value: Any) -> str:
-    """Return a value as Hydra's grammar writes it."""
+    """Return a value in Hydra's override grammar."""
     if isinstance(value, list | tuple):
         return f"[{','.join(map(literal, value))}]"
     if isinstance(value, Mapping):

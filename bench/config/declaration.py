@@ -1,7 +1,7 @@
-"""Typed fields ``name=value``: those of a run, a dataclass, and those of a verb, the parameters of its function.
+"""Typed fields ``name=value``, declared as attributes of a dataclass (a run) or parameters of a function (a verb).
 
-The type of a field says how its value is read and within which limits, its default is the field's default, and the text
-in ``Annotated`` is its line of help. Help, errors and shell completion follow, for both alike::
+The type of a field determines how its value is parsed and which limits apply; the text in ``Annotated`` is its line of
+help. Help, errors and shell completion follow from the declaration::
 
     def certify(
         data: Annotated[str, "measured record"],
@@ -29,7 +29,7 @@ EMPTY = inspect.Parameter.empty
 
 
 class OneOf:
-    """Limits a text, or each of a tuple of texts, to some names; an error guesses what was meant."""
+    """Restricts a text, or each text of a tuple, to a list of names; an error suggests the nearest name."""
 
     def __init__(self, names: Names) -> None:
         self._names = names
@@ -39,33 +39,34 @@ class OneOf:
         return self._names() if callable(self._names) else self._names
 
     def check(self, value: Any) -> Any:
-        """Return a value that is one of the names; raises InputError without a field."""
+        """Return the value if it is one of the names; raises InputError, without the field, otherwise."""
         for name in value if isinstance(value, tuple) else (value,):
             if name not in self.names:
                 raise InputError("", name, f"{did_you_mean(name, self.names)}one of {', '.join(self.names)}")
         return value
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
-        """Check what pydantic has read."""
+        """Apply :meth:`check` to the value that pydantic has validated."""
         from pydantic_core import core_schema
 
         return core_schema.no_info_after_validator_function(self.check, handler(source))
 
 
 class Others:
-    """Fields of a run that a verb takes too, as they are written; ``system`` stands for ``system.n`` as well."""
+    """Fields of a run that a verb also accepts, unparsed; ``system`` includes the fields below it, such as
+    ``system.n``."""
 
     def __init__(self, names: Names) -> None:
         self._names = names
 
     def take(self, key: str) -> bool:
-        """Return whether a field is one of these, or lies below one."""
+        """Return whether a field is one of these or is below one of them."""
         names = self._names() if callable(self._names) else self._names
         return key in names or key.partition(".")[0] in names
 
 
 class Bare:
-    """Marks a field whose value may stand on the line without its name: ``score predictions.csv``."""
+    """Marks a field whose value may be given without its name: ``score predictions.csv``."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Field:
 
     @property
     def name(self) -> str:
-        """The name as it is written: ``from``, whose parameter is ``from_``."""
+        """The name on the command line: ``from`` for the parameter ``from_``."""
         return self.parameter.rstrip("_")
 
     @property
@@ -88,54 +89,54 @@ class Field:
 
     @cached_property
     def others(self) -> Others | None:
-        """What the field collects, where it is no field itself."""
+        """The fields of a run that this parameter collects; None for an ordinary field."""
         return next((part for part in typing.get_args(self.kind) if isinstance(part, Others)), None)
 
     @property
     def bare(self) -> bool:
-        """Return whether the value may stand without the name."""
+        """True if the value may be given without the name."""
         return any(isinstance(part, Bare) for part in typing.get_args(self.kind))
 
     @cached_property
     def types(self) -> set[Any]:
-        """The types that a value may have, without their limits; none where a function of ours reads the text."""
+        """The types of the value, without their limits; empty if the text has a parser of its own."""
         parsed = any(isinstance(part, Parsed) for part in typing.get_args(self.kind))
         return set() if parsed else set(_leaves(self.kind))
 
     @property
     def choices(self) -> Sequence[str]:
-        """The names among which a value is chosen; empty for any other field."""
+        """The names among which the value is chosen; empty if it is not a choice."""
         named = next((part.names for part in typing.get_args(self.kind) if isinstance(part, OneOf)), ())
         if bool in self.types:
             return ("true", "false")
         return named or next((typing.get_args(t) for t in self.types if typing.get_origin(t) is Literal), ())
 
     def read(self, text: str) -> Any:
-        """Return the value of a text; raises InputError."""
+        """Parse the text of a value; raises InputError."""
         if not text:
             raise InputError(self.name, text, "give a value, or leave the field out")
         value: Any = os.path.expanduser(text) if Path in self.types else text
         if tuple in self.types:
             value = tuple(part.strip() for part in text.split(","))
             if len(set(value)) < len(value) or "" in value:
-                raise InputError(self.name, text, "names with a comma between two, each once")
+                raise InputError(self.name, text, "write names separated by commas, each once")
         return value_of(self.kind, value, self.name)
 
-    def line(self, wide: int) -> str:
-        """Return the line of help."""
+    def line(self, width: int) -> str:
+        """Return the line of help; ``width`` is the width of the column of names."""
         name = "..." if self.others else self.name
         values = ", ".join(self.choices) if bool not in self.types and len(self.choices) <= MOST_LISTED else ""
         default = written(self.default) if isinstance(self.default, str | int | float | tuple | Path) else ""
         shown = f"[{default}] " if default else ""
-        return f"  {name:<{wide}}  {shown}{'; '.join(part for part in (self.text, values) if part)}"
+        return f"  {name:<{width}}  {shown}{'; '.join(part for part in (self.text, values) if part)}"
 
 
 MOST_LISTED = 12
-"""Number of names up to which a line of help lists those of a field."""
+"""A line of help lists the choices of a field up to this number."""
 
 
 def fields_of(declared: Callable[..., Any]) -> dict[str, Field]:
-    """Return the fields of a verb or of a dataclass by name."""
+    """Return the fields of a function or dataclass by name."""
     kinds = typing.get_type_hints(declared, include_extras=True)
     fields = {}
     for name, parameter in inspect.signature(declared).parameters.items():
@@ -145,7 +146,7 @@ def fields_of(declared: Callable[..., Any]) -> dict[str, Field]:
 
 
 def written(value: Any) -> str:
-    """Return a value as the text of a field; empty where there is none."""
+    """Format a value as the text of a field; None is empty."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple | list):

@@ -1,4 +1,4 @@
-"""Experiments, and the jobs and cells of a sweep: every combination of values, validated before any runs."""
+"""Experiments and sweeps: every combination of values becomes a validated job before any runs."""
 
 from __future__ import annotations
 
@@ -12,26 +12,29 @@ from typing import Any
 from bench.config.choices import GROUPS, check_choice, choices, default_choices
 from bench.config.composition import Part, composed, content_of, part_of
 from bench.config.declaration import written
-from bench.config.drawn import drawn_scenarios
 from bench.config.fields import GROUPS as COMPOSED
 from bench.config.fields import SWEPT
-from bench.config.overrides import DELETED, Overrides, check_of_records, read_overrides
+from bench.config.overrides import DELETED, Overrides, check_record_fields, read_overrides
+from bench.config.random_scenarios import drawn_scenarios
 from bench.config.schema import Job, config_from
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 
 MOST_CELLS = 200_000
-"""Most cells of one sweep."""
-OF_EXPERIMENTS = ("draw", "sweep", "also", "replicates_by_method", "table", "defaults")
-"""Fields that only an experiment sets."""
+"""Largest number of cells of a sweep."""
+EXPERIMENT_FIELDS = ("draw", "sweep", "also", "replicates_by_method", "table", "defaults")
+"""Fields that only an experiment's file has."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A file of ``conf/experiment``: sweeps with their replicates, and the table that is made of them.
+    """An experiment of ``conf/experiment``: its sweeps, and the table made of their results.
 
-    Raises InputError for an unknown name. ``Experiment("table3").cells({"method": ["ls"]})`` are those of one method.
+    ``Experiment("table3").cells({"method": ["ls"]})`` returns the cells of one method.
+
+    Raises:
+        InputError: The name is unknown.
     """
 
     name: str
@@ -41,32 +44,29 @@ class Experiment:
 
     @cached_property
     def content(self) -> Mapping[str, Any]:
-        """Its file over the experiments that it starts from."""
+        """Content of its file, composed with the experiments of its ``defaults``."""
         return content_of("experiment", self.name)
 
     @property
     def table(self) -> Mapping[str, Any]:
-        """The description of its table: ``title``, ``number``, ``form``, ``release``; empty where there is none."""
+        """Description of its table: ``title``, ``number``, ``form``, ``release``; empty if it has no table."""
         release = {"release": drawn["release"]} if (drawn := self.content.get("draw")) else {}
         return {**table, **release} if (table := self.content.get("table")) else {}
 
     @property
     def blocks(self) -> list[dict[str, list[Any]]]:
-        """Its sweeps: the first, and each further one with what it has in common with the first.
-
-        Where it draws scenarios, one for each of them.
-        """
+        """Its sweeps: ``sweep``, then each of ``also`` over the values of ``sweep``; or one per drawn scenario."""
         first = self.content.get("sweep", {})
         if self.content.get("draw"):
             return [{**drawn.block(), **first} for drawn in drawn_scenarios(self.name)]
         return [dict(first), *({**first, **block} for block in self.content.get("also", []))]
 
     def jobs(self, overrides: Overrides | None = None) -> list[Job]:
-        """Return its jobs; a further sweep that sets an overridden field is left out."""
+        """Return its jobs. A sweep of ``also`` that sets an overridden field is left out."""
         given = overrides or {}
         if "experiment" in given:
             raise InputError("experiment", given["experiment"][0], "given twice; give it once")
-        if self.content.get("draw"):  # of the drawn scenarios those that are named, if any are
+        if self.content.get("draw"):  # system= selects among the drawn scenarios
             rest = {field: values for field, values in given.items() if field != "system"}
             blocks = [{**b, **rest} for b in self.blocks if b["system"][0] in given.get("system", b["system"])]
         else:
@@ -76,26 +76,26 @@ class Experiment:
         return [job for block in blocks for job in _product(block, self.content, frozenset(given))]
 
     def cells(self, overrides: Overrides | None = None) -> list[Cell]:
-        """Return its cells in order; one that stands in several of its sweeps stands here as often."""
+        """Return its cells in order; a cell that belongs to several sweeps is repeated."""
         return [job.cell() for job in self.jobs(overrides)]
 
     def scenarios(self) -> Iterator[tuple[Scenario, int]]:
-        """Give its scenarios with their seeds, method apart: all methods of a sweep have the same."""
+        """Yield its scenarios with their seeds; they are the same for all methods of a sweep."""
         for block in self.blocks:
             for job in _product({**block, "method": block.get("method", ["oracle"])[:1]}, self.content):
                 yield job.scenario, job.config.seed
 
 
 def sweep(overrides: Overrides, multirun: bool = True, measured: bool = False) -> list[Job]:
-    """Return the jobs of overrides, over those of the experiments among them.
+    """Return the jobs of all combinations of overrides, applied to the experiments that they name.
 
     Args:
-        overrides: fields with their values.
-        multirun: whether a field may have several.
-        measured: the jobs are of a record though no file is named, as where it is given as arrays.
+        overrides: Values by field.
+        multirun: True if a field may have several values.
+        measured: True if the jobs use a measured record that is given as arrays rather than as a file.
 
     Raises:
-        InputError: for what makes no sense.
+        InputError: A field has several values without ``multirun``, or the values are inconsistent.
     """
     experiments = [name for name in overrides.get("experiment", []) if name is not None]
     if not multirun:
@@ -105,7 +105,7 @@ def sweep(overrides: Overrides, multirun: bool = True, measured: bool = False) -
                 raise InputError(field, written(values), "several values need -m: python -m bench -m ...")
     given = {field: values for field, values in overrides.items() if field != "experiment"}
     if not measured and all(value is None for value in given.get("data", [])):
-        check_of_records(given)
+        check_record_fields(given)
     if not experiments:
         return _product(given, {}, frozenset(given))
     return [job for name in experiments for job in Experiment(name).jobs(given)]
@@ -120,7 +120,7 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
     """Return a job for every combination of values; raises InputError."""
     for field, values in sweep.items():
         if len(values) > 1 and field.partition(".")[0] not in SWEPT:
-            raise InputError(field, written(values), "one value: it is of the run, not of a cell")
+            raise InputError(field, written(values), "give one value; this field cannot be swept")
     if "method" not in sweep:
         raise InputError("method", "", f"choose one: {', '.join(choices('method'))}")
     number = math.prod(map(len, sweep.values()))
@@ -148,12 +148,12 @@ def _job(
     experiment: Mapping[str, Any],
     explicit: frozenset[str],
 ) -> Job:
-    """Return the job of one combination: the fields of its experiment, over them those that are chosen."""
+    """Return the job of one combination of values, which take precedence over the fields of its experiment."""
     if "prior" not in chosen and "default_prior" in groups["system"]:
         check_choice("prior", groups["system"]["default_prior"])
         prior = _part("prior", {**chosen, "prior": groups["system"]["default_prior"]})
         groups["prior"] = composed([prior])[prior]
-    values = {k: v for k, v in experiment.items() if k not in OF_EXPERIMENTS} | groups
+    values = {k: v for k, v in experiment.items() if k not in EXPERIMENT_FIELDS} | groups
     by_method = experiment.get("replicates_by_method", {})
     if chosen["method"] in by_method and "replicates" not in explicit:
         values["replicates"] = by_method[chosen["method"]]

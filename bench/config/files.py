@@ -1,4 +1,4 @@
-"""Files of ``conf``, and scenarios in files of your own: YAML of plain values, as Hydra reads it."""
+"""Reading of YAML files: those of ``conf``, and scenario files of the user."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ import yaml
 from bench.errors import InputError
 
 FOLDERS = {"system": ("system", "development")}
-"""Where the files of a group lie, if not in the folder of its name alone."""
+"""Folders of a group's files, where not only the folder of its name."""
 ENDING = ".yaml"
 MOST_BYTES = 2**16
-"""Size of a scenario's file at most; chains of twenty masses take 2 kB."""
-KIND = "a file like those of conf/system is wanted"
+"""Largest size of a scenario file; a chain of twenty masses takes 2 kB."""
+KIND = "expected a file like those of conf/system"
 NUMBER = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
-"""A number such as 1e-3, which YAML alone takes for a word."""
+"""Numbers such as 1e-3, which YAML 1.1 reads as text."""
 
 
 @cache
 def file_names(group: str) -> dict[str, str]:
-    """Return the files of a group by name, each with its folder."""
+    """Return the folders of a group's files by file name."""
     folders = FOLDERS.get(group, (group,))
     entries = [(entry.name, folder) for folder in folders for entry in files("conf").joinpath(folder).iterdir()]
     return {name.removesuffix(ENDING): folder for name, folder in entries if name.endswith(ENDING)}
 
 
 def read_yaml(group: str, name: str) -> dict[str, Any]:
-    """Return the content of a file of ``conf``, by itself; one beside its folders where the group is empty."""
+    """Return the content of a file of ``conf``, before composition; an empty ``group`` means its top folder."""
     return deepcopy(_content(group, name))
 
 
@@ -49,11 +49,11 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER, list("-+0123456
 
 
 class _Strict(yaml.SafeLoader):
-    """Refuses aliases, a few lines of which stand for gigabytes, and keys that stand twice."""
+    """Rejects aliases, a few lines of which can expand to gigabytes, and duplicate keys."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
-            raise ValueError("aliases are not read; write the values out")
+            raise ValueError("aliases are not supported; write the values out")
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
@@ -67,19 +67,27 @@ class _Strict(yaml.SafeLoader):
 _Strict.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER, list("-+0123456789"))
 
 
-def read_own(path: str, field: str = "system", kind: str = KIND) -> dict[str, Any]:
-    """Return the content of a user's YAML file; raises InputError, with the ``kind`` that is wanted, where it is none.
+def read_user_yaml(path: str, field: str = "system", kind: str = KIND) -> dict[str, Any]:
+    """Return the content of a user's YAML file.
 
-    Interpolations are not read: they stand for what the machine's environment holds.
+    Interpolations (``${...}``) are rejected, since they can read the environment of the machine.
+
+    Args:
+        path: The file.
+        field: Field of the command line that names it, for error messages.
+        kind: Description of the expected content, for error messages.
+
+    Raises:
+        InputError: The file cannot be read, is too large, or is not plain YAML with fields.
     """
     try:
         with open(path, "rb") as file:
             data = file.read(MOST_BYTES + 1)
         text = data.decode("utf-8")
     except OSError as error:
-        raise InputError(field, path, f"it cannot be read: {error.strerror}") from None
+        raise InputError(field, path, f"cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(field, path, f"it is no text in UTF-8; {kind}") from None
+        raise InputError(field, path, f"not UTF-8 text; {kind}") from None
     if len(data) > MOST_BYTES:
         raise InputError(field, path, f"at most {MOST_BYTES} bytes; {kind}")
     if "${" in text:
@@ -87,21 +95,22 @@ def read_own(path: str, field: str = "system", kind: str = KIND) -> dict[str, An
     try:
         content = yaml.load(text, _Strict)
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-        raise InputError(field, path, f"it is no plain YAML ({error}); {kind}") from None
+        raise InputError(field, path, f"not plain YAML ({error}); {kind}") from None
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
-        raise InputError(field, path, f"it has no fields; {kind}")
+        raise InputError(field, path, f"has no fields; {kind}")
     return content
 
 
-def read_own_system(path: str) -> dict[str, Any]:
-    """Return the content of a scenario's file, which may start from scenarios of ``conf/system``, by ``defaults``.
+def read_user_system(path: str) -> dict[str, Any]:
+    """Return the content of a user's scenario file; its ``defaults`` may name scenarios of ``conf/system``.
 
-    Raises InputError where it is none.
+    Raises:
+        InputError: The file is not a scenario.
     """
-    content = read_own(path)
+    content = read_user_yaml(path)
     defaults = content.get("defaults", [])
     for name in defaults if isinstance(defaults, list) else [defaults]:
         if not isinstance(defaults, list) or name not in ("_self_", *file_names("system")):
             known = ", ".join(sorted(file_names("system")))
-            raise InputError("system", path, f"defaults has {name}; it is a list of scenarios: {known}")
+            raise InputError("system", path, f"defaults contains {name}; it must be a list of scenarios: {known}")
     return content

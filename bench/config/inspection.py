@@ -1,4 +1,4 @@
-"""What Hydra itself shows of one cell's configuration: ``--cfg``, ``--info``, ``--hydra-help``, shell completion."""
+"""Hydra's own displays of a cell's configuration: ``--cfg``, ``--info``, ``--hydra-help``, shell completion."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from bench.config.sources import hydra_ready, register_plugins
 from bench.errors import InputError
 
 PROGRAM = "vibration-bench"
-"""The installed command, whose words the shell completes."""
+"""The installed command, whose arguments the shell completes."""
 
 
-def in_place(overrides: Overrides) -> list[str]:
-    """Return overrides of Hydra that compose one cell in its own configuration; raises InputError."""
+def hydra_overrides(overrides: Overrides) -> list[str]:
+    """Return the overrides with which Hydra composes the configuration of one cell; raises InputError."""
     lines = []
     for field, values in overrides.items():
         if len(values) > 1:
-            raise InputError(field, written(values), "one cell is shown; a sweep by dry_run=true")
+            raise InputError(field, written(values), "give one value to show one cell; dry_run=true lists a sweep")
         value = values[0]
         if field == "system":
             check_choice(field, value)
@@ -36,18 +36,18 @@ def in_place(overrides: Overrides) -> list[str]:
     return lines
 
 
-def compose_in_place(overrides: Overrides) -> dict[str, Any]:
-    """Return what Hydra composes of one cell; raises InputError."""
+def compose_cell(overrides: Overrides) -> dict[str, Any]:
+    """Return the configuration that Hydra composes for one cell; raises InputError."""
     from hydra import compose
     from omegaconf import OmegaConf
 
-    lines = in_place(overrides)
+    lines = hydra_overrides(overrides)
     with hydra_ready():
         return OmegaConf.to_container(compose("config", lines), resolve=True)  # type: ignore[return-value]
 
 
 def ask_hydra(options: Sequence[str], words: Sequence[str]) -> int:
-    """Have Hydra print what its options ask for, with the words of a command line; raises InputError."""
+    """Run Hydra with its own command-line options, and return its exit status; raises InputError."""
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException

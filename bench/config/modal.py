@@ -1,4 +1,4 @@
-"""The scenarios of the modal track, read from ``conf/modal``."""
+"""Scenarios of the modal track, from ``conf/modal/track.yaml``."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def modal_track() -> dict[str, Any]:
 
 
 def modal_scenario_names() -> list[str]:
-    """Return the scenarios of Table 12, in its order."""
+    """Return the names of the scenarios, in the order of Table 12."""
     return list(modal_track()["scenarios"])
 
 
 def modal_scenario(name: str) -> ModalScenario:
-    """Return a scenario of the track; raises InputError for another name."""
+    """Return a scenario of the track; raises InputError for an unknown name."""
     check_name("scenario", name, modal_scenario_names())
     content = modal_track()
     stated = content["scenarios"][name]

@@ -1,6 +1,6 @@
-"""What is set beside the defaults: a mapping from fields to the values to sweep over, and how it is written.
+"""Overrides: a mapping from fields to the values to sweep over, read from a command line or a call from Python.
 
-A command line, in Hydra's grammar, and a call from Python become the same mapping; an experiment holds such mappings.
+Command lines use Hydra's override grammar.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from bench.config.files import ENDING
 from bench.errors import InputError, did_you_mean
 
 BRANCHED = (*GROUPS, "fixed", "nominal")
-"""Fields that have others below them."""
+"""Fields with fields below them."""
 MOST_VALUES = 100_000
-"""Most values of one field in a sweep."""
+"""Largest number of values of a field in a sweep."""
 DELETED: Final = object()
-"""Value of a field below a group that ``~`` removes."""
+"""Marks a field below a group that ``~`` removes."""
 NONE: Mapping[str, str | None] = {"prior": "none", "disturbance": "none", "experiment": None}
-"""Groups that ``~`` removes, by the choice that stands for nothing."""
+"""Groups that ``~`` removes, with the choice that this means."""
 
 Overrides = Mapping[str, list[Any]]
-"""Fields such as ``snr`` or ``method.width``, each with its values: one, or several to sweep over."""
+"""Values by field, such as ``snr`` or ``method.width``; several values are swept over."""
 
 
 def settable() -> tuple[str, ...]:
-    """Return the fields that can be set."""
+    """Return the names of all fields that can be set."""
     return (*declared(), "experiment")
 
 
 def overrides_of(*settings: Mapping[str, Any]) -> Overrides:
-    """Return settings from Python as overrides.
+    """Convert settings from Python to overrides.
 
     Args:
-        *settings: values by field: a list, tuple, range or array is swept over, a mapping sets what is below its field,
-            None stands for what is not set.
+        *settings: Values by field. A list, tuple, range or array is swept over, a mapping sets the fields below its
+            field, and None leaves a field unset.
 
     Raises:
-        InputError: for an unknown field or choice, for nothing to sweep over, and for a field that is set twice.
+        InputError: A field or choice is unknown, a sweep is empty, or a field is set twice.
     """
     overrides: dict[str, list[Any]] = {}
     for field, value in [item for part in settings for item in part.items() if item[1] is not None]:
@@ -56,8 +56,8 @@ def overrides_of(*settings: Mapping[str, Any]) -> Overrides:
 
 
 def _values(item: Any) -> list[Any]:
-    """Return the values to sweep over, as Python's own numbers."""
-    if hasattr(item, "tolist"):  # of numpy: an array, or one number
+    """Return the values to sweep over, as plain Python numbers."""
+    if hasattr(item, "tolist"):  # a numpy array or scalar
         item = item.tolist()
     if isinstance(item, list | tuple | range):
         return [value.item() if hasattr(value, "item") else value for value in item]
@@ -67,15 +67,15 @@ def _values(item: Any) -> list[Any]:
 def _add(
     overrides: dict[str, list[Any]], field: str, values: list[Any], text: str, unchecked: Sequence[str] = ()
 ) -> None:
-    """Add a field with its values; choices of groups that are ``unchecked`` are looked up where records are read."""
+    """Add a field with its values; the choices of ``unchecked`` groups are checked later, when records are read."""
     if field in overrides:
         raise InputError(field, text, "given twice; give it once")
     if not values:
-        raise InputError(field, text, "sweeps over nothing")
+        raise InputError(field, text, "give at least one value")
     if len(values) > MOST_VALUES:
         raise InputError(field, text, f"more than {MOST_VALUES} values")
     if any("${" in str(value) for value in values):
-        raise InputError(field, text, "write the value itself; ${...} is not looked up")
+        raise InputError(field, text, "write the value itself; ${...} is not supported")
     if field in GROUPS and field not in unchecked and not (unchecked and values == ["all"]):
         for value in values:
             check_choice(field, value)
@@ -83,7 +83,7 @@ def _add(
 
 
 def check_field(field: str, value: Any) -> None:
-    """Raise InputError for a field that cannot be set."""
+    """Raise InputError for an unknown field."""
     group, _, below = field.partition(".")
     if group not in settable():
         near = did_you_mean(field, settable())
@@ -91,14 +91,13 @@ def check_field(field: str, value: Any) -> None:
     if below and group not in BRANCHED:
         raise InputError(field, value, f"{group} has no fields below it; write {group}=<value>")
     if below == "name" and group in GROUPS:
-        raise InputError(field, value, f"a name stands for all that it brings; choose it by {group}=<name>")
+        raise InputError(field, value, f"cannot be changed alone; select another by {group}=<name>")
 
 
 def read_overrides(texts: Sequence[str]) -> Overrides:
-    """Read a command line: ``field=value`` in Hydra's grammar, where ``+`` and ``++`` change nothing.
+    """Parse a command line of ``field=value`` in Hydra's grammar; raises InputError.
 
-    Every field is declared, so there is none to append. Texts and paths are taken as they are written. Raises
-    InputError.
+    The prefixes ``+`` and ``++`` have no effect, since all fields are declared. Texts and paths are not parsed.
     """
     of_record = any(text.startswith("data=") and text != "data=null" for text in texts)
     unchecked = ("system", *(("method",) if any(text.startswith("modes=") for text in texts) else ()))
@@ -115,15 +114,17 @@ def _deleted(text: str) -> tuple[str, list[Any]]:
     if below and group in GROUPS:
         return field, [DELETED]
     if field not in NONE:
-        raise InputError(f"~{field}", "", f"only {', '.join(NONE)} and fields below a group can be left out")
+        raise InputError(f"~{field}", "", f"only {', '.join(NONE)} and fields below a group can be removed")
     return field, [NONE[field]]
 
 
 def _assigned(text: str) -> tuple[str, list[Any]]:
     key, equals, value = text.partition("=")
     if not key or not equals:
-        named = [name for name in settable() if text in (choices(name) if name in GROUPS else declared()[name].choices)]
-        near = f"did you mean {named[0]}={text}? " if named else ""
+        fields = [
+            name for name in settable() if text in (choices(name) if name in GROUPS else declared()[name].choices)
+        ]
+        near = f"did you mean {fields[0]}={text}? " if fields else ""
         raise InputError("argument", repr(text), f"{near}write field=value, without spaces or dashes, see --help")
     if key in taken_as_written() or (key == "system" and value.endswith(ENDING) and not set(value) & set(",()")):
         return key, [_unquoted(key, value)]
@@ -132,7 +133,7 @@ def _assigned(text: str) -> tuple[str, list[Any]]:
 
 
 def _unquoted(field: str, text: str) -> str | None:
-    """Return a text without the quotes around it, ``~`` as the home folder; None for null. Raises InputError."""
+    """Remove surrounding quotes and expand ``~``; None for null. Raises InputError for an empty text."""
     if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
         text = text[1:-1]
     if not text:
@@ -141,7 +142,7 @@ def _unquoted(field: str, text: str) -> str | None:
 
 
 def values_of(field: str, text: str) -> list[Any]:
-    """Return the values of a text by Hydra's parser: one, or those of a sweep; raises InputError."""
+    """Parse one value, or the values of a sweep, with Hydra's parser; raises InputError."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.core.override_parser.types import Glob, IntervalSweep, QuotedString
     from hydra.errors import HydraException
@@ -159,15 +160,15 @@ def values_of(field: str, text: str) -> list[Any]:
     except InputError:
         raise
     except (HydraException, ValueError, TypeError, ArithmeticError, RecursionError):
-        remedy = f"""not understood; a text with signs in it is quoted: "{field}='{text.replace("'", "")}'\""""
+        remedy = f"""not understood; quote a text with special characters: "{field}='{text.replace("'", "")}'\""""
         raise InputError(field, text, remedy) from None
     if not values:
-        raise InputError(field, text, "stands for no value")
+        raise InputError(field, text, "matches no value")
     return [item.text if isinstance(item, QuotedString) else item for item in values]
 
 
-def check_of_records(overrides: Overrides) -> None:
-    """Raise InputError where a field of a measured record is set, and there is none."""
+def check_record_fields(overrides: Overrides) -> None:
+    """Raise InputError if a field of a measured record is set without a record."""
     for field, values in overrides.items():
         if field.split(".")[0] in RECORD and values != [None]:
-            raise InputError(field, values[0], "it is of a measured record; name one by data=, or leave it out")
+            raise InputError(field, values[0], "requires a measured record; add data=<file>, or leave it out")

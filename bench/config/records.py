@@ -1,4 +1,4 @@
-"""Which methods serve a measured record where none is named: ``conf/records.yaml``."""
+"""Default methods for measured records, from ``conf/records.yaml``."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from bench.config.files import read_yaml
 
 
 def primary_method() -> str:
-    """The one whose answer is stated."""
-    return str(_said("primary"))
+    """Return the method whose estimate is reported."""
+    return str(_content()["primary"])
 
 
 def robust_settings(method: str) -> dict[str, Any]:
-    """The settings by which a method expects outliers; none where it has no such settings."""
-    return dict(_said("robust").get(method, {}))
+    """Return the settings that make a method robust against outliers; empty if it has none."""
+    return dict(_content()["robust"].get(method, {}))
 
 
 def certificate_methods() -> list[str]:
-    """Those that a certificate compares, the primary one first."""
-    return list(_said("certificate"))
+    """Return the methods that a certificate compares, the primary method first."""
+    return list(_content()["certificate"])
 
 
 def track_methods() -> list[str]:
-    """Those of the measured track."""
-    return list(_said("track"))
+    """Return the methods of the measured track."""
+    return list(_content()["track"])
 
 
-def _said(name: str) -> Any:
-    return read_yaml("", "records")[name]
+def _content() -> dict[str, Any]:
+    return read_yaml("", "records")

@@ -1,4 +1,4 @@
-"""A composed configuration, validated: the fields of a run, and the scenario by its own declaration."""
+"""Validation of a composed configuration: the fields of a run, and the scenario by its own declaration."""
 
 from __future__ import annotations
 
@@ -21,36 +21,35 @@ from bench.store.cell import Cell
 from bench.systems.contract import Kind
 
 SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state")
-"""Fields of a run that make the scenario; the first three are groups."""
+"""Fields of a run that define the scenario; the first three are groups."""
 KINDS = get_args(Kind)
 WRITTEN = {"from_": "from"}
-"""Fields of a run that are written otherwise than their attribute."""
+"""Names on the command line of the attributes that differ from them."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A validated configuration, with the variant of the method as it was named."""
+    """A validated configuration; ``label`` names the method's variant, ``explicit`` the fields that the user set."""
 
     config: Config
     label: str
     explicit: frozenset[str]
-    """Fields that the user set, as opposed to defaults."""
 
     @cached_property
     def scenario(self) -> Scenario:
-        """The scenario; raises InputError where it does not make sense."""
+        """The scenario; raises InputError if its fields are inconsistent."""
         return _shared_scenario(json.dumps({name: getattr(self.config, name) for name in SCENARIO}, default=str))
 
     def prior_spec(self) -> PriorSpec | None:
-        """Return the prior, None for none."""
+        """Return the prior; None if there is none."""
         return _prior(self.config.prior)
 
     def settings(self) -> dict[str, Any]:
-        """Return all settings of the method, defaults included, as validated plain values."""
+        """Return all settings of the method, defaults included, validated."""
         name, given = self.config.method["name"], {k: v for k, v in self.config.method.items() if k != "name"}
         if name in REFERENCES:
             for key, value in given.items():
-                raise InputError(f"method.{key}", value, f"no such field; {name} has none")
+                raise InputError(f"method.{key}", value, f"not a field; {name} has no settings")
             return {}
         for key, default in default_settings(name).items():
             if isinstance(given.get(key), bool) and not isinstance(default, bool):
@@ -59,7 +58,7 @@ class Job:
         return {key: getattr(method, key) for key in default_settings(name)}
 
     def cell(self) -> Cell:
-        """Return the cell; raises InputError where the scenario or a setting does not make sense."""
+        """Return the cell; raises InputError for an inconsistent scenario or setting."""
         return Cell(
             scenario=self.scenario,
             method=self.config.method["name"],
@@ -80,12 +79,15 @@ def config_from(content: Mapping[str, Any]) -> Config:
 
 @lru_cache(maxsize=1024)
 def _shared_scenario(stated: str) -> Scenario:
-    """Return the scenario of JSON: one for the cells of all methods, which share what it works out."""
+    """Return the scenario of a JSON text; the cells of all methods share it, and what it caches."""
     return scenario_from(json.loads(stated))
 
 
 def scenario_from(content: Mapping[str, Any]) -> Scenario:
-    """Return the scenario of a composed configuration, each field from where it is declared; raises InputError."""
+    """Return the scenario of a composed configuration; raises InputError.
+
+    The declaration of each field of the scenario states its path in the configuration.
+    """
     check_numbers({name: content[name] for name in SCENARIO[:3]})
     check_system(content["system"].get("kind"), content["system"].get("options"))
     kind = declaration.Scenario
@@ -103,7 +105,7 @@ def scenario_from(content: Mapping[str, Any]) -> Scenario:
             raise InputError(paths[f.name], "", "field required")
     for name, value in system.items():
         known = [path.removeprefix("system.") for path in paths.values() if path.startswith("system.")]
-        remedy = f"no such field; {did_you_mean(name, known)}there are {', '.join(known)}"
+        remedy = f"not a field; {did_you_mean(name, known)}fields: {', '.join(known)}"
         raise InputError(f"system.{name}", value, remedy)
     return validated(kind, values, paths)
 
@@ -111,7 +113,7 @@ def scenario_from(content: Mapping[str, Any]) -> Scenario:
 def _prior(content: Mapping[str, Any]) -> PriorSpec | None:
     for name, value in (content["sd_by_kind"] or {}).items():
         if name not in KINDS:
-            raise InputError(f"prior.sd_by_kind.{name}", value, f"no such field; there are {', '.join(KINDS)}")
+            raise InputError(f"prior.sd_by_kind.{name}", value, f"not a field; fields: {', '.join(KINDS)}")
     return validated(PriorSpec, content, "prior") if content["sd_by_kind"] is not None else None
 
 

@@ -1,7 +1,7 @@
-"""Where Hydra finds what is chosen by name: ``conf``, and ``bench://``.
+"""Hydra plugins that add the configuration source ``bench://`` to the files of ``conf``.
 
-``bench://`` serves what is not a file of its group in ``conf``: registered methods with their default settings,
-development scenarios, drawn scenarios, scenarios in files of your own, and the fields of a run.
+``bench://`` serves registered methods with their default settings, development scenarios, drawn scenarios, scenario
+files of the user, and the fields of a run.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from bench.config.choices import GROUPS, choices, content, is_choice
 from bench.config.fields import defaults
 
 FIELDS = "fields"
-"""The configuration with the default of every field of a run."""
+"""Name of the configuration with the defaults of the fields of a run."""
 
 
 class BenchSource(ConfigSource):
-    """Serves choices to Hydra by :func:`content`."""
+    """Configuration source with the choices of :mod:`bench.config.choices`."""
 
     @staticmethod
     def scheme() -> str:
@@ -52,21 +52,21 @@ class BenchSource(ConfigSource):
 
 
 class BenchSearchPath(SearchPathPlugin):
-    """Appends ``bench://`` to the places where Hydra searches."""
+    """Appends ``bench://`` to Hydra's search path."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         search_path.append("bench", "bench://")
 
 
 def register_plugins() -> None:
-    """Make both plugins known to Hydra."""
+    """Register both plugins with Hydra."""
     for plugin in (BenchSource, BenchSearchPath):
         Plugins.instance().register(plugin)
 
 
 @contextmanager
 def hydra_ready() -> Iterator[None]:
-    """Initialise Hydra on ``conf``; that of a program which calls bench is restored at the end."""
+    """Initialise Hydra on ``conf``; an outer initialisation by the calling program is restored at the end."""
     register_plugins()
     outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bench.config.choices import choices
-from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
+from bench.config.random_scenarios import drawn_scenarios
 from bench.errors import InputError
 from bench.files import read_regular
 from bench.store.archive import Archive

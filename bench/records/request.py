@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench.config.choices import choices, own_file
+from bench.config.choices import choices, is_user_file
 from bench.config.experiment import sweep
 from bench.config.fields import GROUPS, MODAL, Config
 from bench.config.overrides import Overrides
@@ -190,7 +190,7 @@ def _of_configuration(system: str) -> bool:
     words = [word.strip().lower() for word in system.split("+")]
     if system == AUTO or len(words) > 1 or words[0] in {*TERMS, *SYSTEMS, *FIRST}:
         return False
-    if system not in choices("system") and not own_file("system", system):
+    if system not in choices("system") and not is_user_file("system", system):
         known = ", ".join([AUTO, *dict.fromkeys([*SYSTEMS, *TERMS])])
         raise InputError("system", system, f"auto, a file of conf/system, or a sum by + of {known}")
     return True

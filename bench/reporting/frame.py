@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.config.choices import choices
-from bench.config.drawn import drawn_scenarios
 from bench.config.experiment import Experiment
+from bench.config.random_scenarios import drawn_scenarios
 from bench.contract.estimate import Status
 from bench.contract.problem import InitialState
 from bench.entrants.reference import REFERENCES

@@ -14,7 +14,7 @@ import pandas as pd
 
 from bench.atlas.model import AtlasModel, unknown
 from bench.atlas.point import FreeDecay
-from bench.config.atlas import on_the_bound
+from bench.config.atlas import efficient_methods
 from bench.contract.method import Identifier
 from bench.entrants.registry import load_method
 from bench.errors import InputError
@@ -144,7 +144,7 @@ def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
     text = (
         "Each line is the test of fewest samples for its initial displacement, released from rest; percentages are "
         f"standard deviations by the Cramér-Rao bound{doubt if request.likely.in_doubt else ''}. "
-        f"Methods that reach it: {', '.join(on_the_bound())}."
+        f"Methods that reach it: {', '.join(efficient_methods())}."
     )
     if request.simulations:
         text += (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.config.composition import content_of
-from bench.config.drawn import one_mass
+from bench.config.random_scenarios import one_mass
 from bench.config.schema import scenario_from
 from bench.contract.problem import Problem
 from bench.errors import InputError
@@ -53,7 +53,7 @@ def draw_round(seed: int, scenarios: int, ranges: Ranges) -> list[DrawnProblem]:
     Args:
         seed: Secret, of 256 bits.
         scenarios: Number of problems.
-        ranges: The two ends of each of :data:`bench.config.drawn.RANGES`.
+        ranges: The two ends of each of :data:`bench.config.random_scenarios.RANGES`.
     """
     order = sorted(range(scenarios), key=lambda i: derived_key(seed, "order", i))
     return [_draw(seed, f"P{number:03d}", KINDS[i % len(KINDS)], ranges) for number, i in enumerate(order, 1)]

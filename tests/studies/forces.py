@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from bench.config.atlas import on_the_bound
+from bench.config.atlas import efficient_methods
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
@@ -77,7 +77,7 @@ def forces(
     simulated and fitted by a method.
     """
     single_threaded()
-    name = on_the_bound()[0]
+    name = efficient_methods()[0]
     method, planned = make_method(name, {}), drawn(requests)
     shares: dict[str, list[float]] = {title: [] for title in SIMULATED}
     with counter("test", requests * tests * len(SIMULATED)) as advance:

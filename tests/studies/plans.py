@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from scipy.stats import binom, norm
 
-from bench.config.atlas import on_the_bound
+from bench.config.atlas import efficient_methods
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
@@ -80,7 +80,7 @@ def plans(
     Requests are drawn at random, each is planned, and the test that is proposed is simulated and fitted by a method.
     """
     single_threaded()
-    name = on_the_bound()[0]
+    name = efficient_methods()[0]
     method, lines, inside = make_method(name, {}), [], 0
     planned = drawn(requests)
     with counter("test", requests * tests) as advance:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from bench.config.drawn import drawn_scenarios
+from bench.config.random_scenarios import drawn_scenarios
 from bench.reporting.family import is_variant
 from bench.reporting.frame import (
     ERROR,

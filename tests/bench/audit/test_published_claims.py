@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from bench.audit.claim import read_claim
 from bench.audit.evidence import audit
-from bench.config.files import read_own
+from bench.config.files import read_user_yaml
 
 FOLDER = Path(__file__).parents[3] / "claims"
 TURN = 2 * np.pi
@@ -77,6 +77,6 @@ def bound(
 @pytest.mark.parametrize("claim", GIVEN, ids="-".join)
 def test_the_bound_of_a_claim_is_that_of_finite_differences(claim: tuple[str, str, str]) -> None:
     name, case, quantity = claim
-    audited = audit(read_claim(name, read_own(str(FOLDER / f"{name}.yaml"), "claim", "a claim"), FOLDER))
+    audited = audit(read_claim(name, read_user_yaml(str(FOLDER / f"{name}.yaml"), "claim", "a claim"), FOLDER))
     bounds = {f.bound for f in audited.of("") if (f.row.case, f.row.quantity) == (case, quantity)}
     assert list(bounds) == [pytest.approx(bound(*GIVEN[claim]), rel=2e-3)]

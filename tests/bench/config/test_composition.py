@@ -6,7 +6,7 @@ import pytest
 
 from bench.config.choices import choices
 from bench.config.experiment import expand
-from bench.config.inspection import compose_in_place
+from bench.config.inspection import compose_cell
 from bench.config.overrides import read_overrides
 
 ALL = [f"{group}={name}" for group in ("system", "prior", "disturbance") for name in choices(group)]
@@ -24,7 +24,7 @@ def test_a_cell_is_computed_from_what_hydra_composes(line: str) -> None:
     texts = line.split()
     if "method=" not in line:
         texts = ["method=ls", *texts]
-    shown = compose_in_place(read_overrides(texts))
+    shown = compose_cell(read_overrides(texts))
     (config,) = {job.config.seed: job.config for job in expand(texts, multirun=True)[:1]}.values()
     for group in ("method", "system", "prior", "disturbance"):
         if "experiment" not in line or group in ("system", "disturbance"):

@@ -172,7 +172,7 @@ def test_nominal_values_of_a_measured_record_can_be_set() -> None:
     assert job.config.nominal == {"m": 1.2, "k": 8.0}
     with pytest.raises(InputError, match=r"nominal.m=-1: input should be greater than 0"):
         expand(["method=oracle", "data=record.csv", "nominal.m=-1"], False)
-    with pytest.raises(InputError, match=r"nominal.m=1: it is of a measured record; name one by data="):
+    with pytest.raises(InputError, match=r"nominal.m=1: requires a measured record; add data="):
         expand(["method=oracle", "nominal.m=1"], False)
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from bench.config.drawn import draw, drawn_scenarios
 from bench.config.experiment import Experiment, expand
 from bench.config.files import read_yaml
+from bench.config.random_scenarios import draw, drawn_scenarios
 from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 

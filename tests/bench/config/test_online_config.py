@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.commands.main import main
-from bench.config.online import online_scenario, own_scenarios, scenario_names
+from bench.config.online import online_scenario, scenario_names, scenarios_from_system
 
 
 def test_every_scenario_of_the_track_is_one() -> None:
@@ -13,7 +13,7 @@ def test_every_scenario_of_the_track_is_one() -> None:
 
 
 def test_courses_compose_with_any_system() -> None:
-    found = own_scenarios("duffing", {"k": ["step", {"kind": "ramp", "change": -0.2}], "c": ["step"]}, snr=30)
+    found = scenarios_from_system("duffing", {"k": ["step", {"kind": "ramp", "change": -0.2}], "c": ["step"]}, snr=30)
     assert [one.varying["k"].kind for one in found] == ["step", "ramp"]
     assert found[1].varying["k"].change == -0.2
     assert all(one.varying["c"].kind == "step" and one.snr_db == 30 for one in found)

@@ -145,10 +145,10 @@ def test_methods_that_cannot_take_it_say_why(method: str, folder: Path, capfd: p
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "no such file"),
+        (None, "file not found"),
         ("", "conf/system"),
         ("defaults: [nowhere]\nlabel: a", "nowhere"),
-        ("label: [", "it is no plain YAML"),
+        ("label: [", "not plain YAML"),
         ("defaults: [sdof]\nsamplez: 3", "samplez"),
         ("defaults: [sdof]\nparameters: {m: -1.0}", "greater than 0"),
     ],

@@ -1,8 +1,8 @@
-"""Scenarios drawn at random from stated ranges, by a seed that names a release: the open split.
+"""Random scenarios (the open split), drawn from the ranges in the ``draw`` section of an experiment's file.
 
-An experiment whose file has ``draw`` describes them; ``open_007`` is the seventh of ``conf/experiment/open.yaml``. Each
-is one mass in free or forced vibration. A scenario depends on the release and its number alone, and its numbers are
-rounded, so that the last digit of a logarithm does not change which cell it is.
+``open_007`` is the seventh scenario of ``conf/experiment/open.yaml``. Each is a single mass in free or forced
+vibration. The name of the release is the seed. The drawn numbers are rounded, so that the identity of a cell does not
+depend on the rounding errors of a platform's logarithm.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from bench.config.files import file_names, read_yaml
 from bench.errors import InputError
 
 DIGITS = 5
-"""Significant digits of what is drawn."""
+"""Significant digits of the drawn numbers."""
 SHAPES = ("multisine", "swept_sine", "step", "impulse")
-"""The forces that are drawn from, equally likely."""
+"""Kinds of force, drawn with equal probability."""
 HOLDS = ("zero_order", "linear", "cubic")
 BAND = (0.2, 2.0)
-"""Lowest and highest frequency of a multisine and a sweep, over the natural frequency."""
+"""Lowest and highest frequency of a multisine or sweep, over the natural frequency."""
 PULSE = 0.3
-"""Length of a pulse in natural periods, where it is not more than a quarter of the record."""
+"""Duration of an impulse in natural periods; at most a quarter of the record."""
 FORCE_SAMPLES = 1000
-"""As many as there are times at which displacement is scored: on one grid the true response costs a tenth."""
+"""Samples of the force: the number of times at which displacement is scored, since the simulation is ten times faster
+on a common grid."""
 RANGES = ("cycles", "damping_ratio", "samples", "snr", "frequency_hz", "mass", "amplitude")
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawn scenario: its ``system`` as a file of ``conf/system`` would write it, and its other fields."""
+    """A drawn scenario: the ``system`` in the form of a file of ``conf/system``, and the other fields."""
 
     name: str
     system: Mapping[str, Any]
@@ -45,14 +46,14 @@ class Drawn:
     disturbance: str
 
     def block(self) -> dict[str, list[Any]]:
-        """Return the sweep of this scenario alone."""
+        """Return a sweep that consists of this scenario only."""
         names = {"snr": self.snr, "initial_state": self.initial_state, "disturbance": self.disturbance}
         return {"system": [self.name], **{name: [value] for name, value in names.items()}}
 
 
 @cache
 def drawn_scenario(name: str) -> Drawn | None:
-    """Return the drawn scenario of a name such as ``open_007``; None where no experiment draws one of that name."""
+    """Return the drawn scenario of a name such as ``open_007``; None if there is none of that name."""
     match = re.fullmatch(r"([a-z]\w*)_(\d{3,})", name)
     if not match or match[1] not in file_names("experiment"):
         return None
@@ -61,28 +62,28 @@ def drawn_scenario(name: str) -> Drawn | None:
 
 @cache
 def drawn_scenarios(experiment: str) -> tuple[Drawn, ...]:
-    """Return the scenarios that an experiment draws, in order; none where its file has no ``draw``."""
+    """Return the scenarios that an experiment draws, in order; empty if its file has no ``draw``."""
     stated = read_yaml("experiment", experiment).get("draw")
     return draw(experiment, stated) if stated else ()
 
 
 def drawn_ranges() -> list[str]:
-    """Return the names of drawn scenarios in words: ``open_001 to open_200``, one an experiment that draws any."""
+    """Return the ranges of names of drawn scenarios, such as ``open_001 to open_200``, one per experiment."""
     drawn = [drawn_scenarios(experiment) for experiment in file_names("experiment")]
     return [f"{scenarios[0].name} to {scenarios[-1].name}" for scenarios in drawn if scenarios]
 
 
 def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
-    """Draw scenarios.
+    """Draw the scenarios of an experiment.
 
     Args:
-        experiment: names them, ``<experiment>_001`` and so on.
-        stated: ``release``, whose name is the seed; ``scenarios``, their number; and of each of :data:`RANGES` its two
-            ends: SNR in dB, uniform; the number of samples, cycles in the record, damping ratio, natural frequency
-            (Hz), mass (kg) and amplitude (m) uniform in the logarithm.
+        experiment: Prefix of the names: ``<experiment>_001`` and so on.
+        stated: ``release``, whose name is the seed; ``scenarios``, their number; and the two ends of each of
+            :data:`RANGES`. The SNR (dB) is uniform; cycles in the record, damping ratio, number of samples, natural
+            frequency (Hz), mass (kg) and amplitude (m) are uniform in the logarithm.
 
     Raises:
-        InputError: for a range that is missing, unknown or empty.
+        InputError: A range is missing, unknown or empty.
     """
     ranges = {name: ends for name, ends in stated.items() if name not in ("release", "scenarios")}
     for name in {*RANGES, *ranges}:
@@ -99,15 +100,15 @@ def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
 def one_mass(
     name: str, ranges: Mapping[str, tuple[float, float]], rng: Any, digits: int = DIGITS, misjudged: float = 0.0
 ) -> Drawn:
-    """Draw one mass in free or forced vibration.
+    """Draw a single mass in free or forced vibration.
 
     Args:
-        name: Its label.
+        name: Label of the scenario.
         ranges: The two ends of each of :data:`RANGES`.
-        rng: What draws: ``random``, ``uniform`` and ``choice`` as numpy's generators have them.
-        digits: Significant digits of what is drawn.
-        misjudged: The force is made for a natural frequency that is off by a factor between exp(-misjudged) and
-            exp(misjudged); at 0 its band states the natural frequency.
+        rng: Random generator with numpy's ``random``, ``uniform`` and ``choice``.
+        digits: Significant digits of the drawn numbers.
+        misjudged: The force is designed for a natural frequency that is wrong by a factor between exp(-misjudged) and
+            exp(misjudged), so that its band does not reveal the natural frequency.
     """
 
     def rounded(value: float) -> float:
@@ -118,7 +119,9 @@ def one_mass(
     size = {key: float(np.exp(rng.uniform(*np.log(ranges[key])))) for key in RANGES if key != "snr"}
     rate, phase = 2 * math.pi * size["frequency_hz"], rng.uniform(0.0, 2 * math.pi)
     mass, duration = size["mass"], rounded(size["cycles"] / size["frequency_hz"])
-    start = (0.0, 0.0) if forced else (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
+    initial = (
+        (0.0, 0.0) if forced else (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
+    )
     parameters = {"m": mass, "c": 2 * size["damping_ratio"] * mass * rate, "k": mass * rate**2}
     hertz = size["frequency_hz"] * (math.exp(rng.uniform(-misjudged, misjudged)) if misjudged else 1.0)
     push = rounded(parameters["k"] * size["amplitude"])
@@ -127,7 +130,7 @@ def one_mass(
         "kind": "sdof",
         "options": {},
         "parameters": {key: rounded(value) for key, value in parameters.items()},
-        "initial": {"displacement": [rounded(start[0])], "velocity": [rounded(start[1])]},
+        "initial": {"displacement": [rounded(initial[0])], "velocity": [rounded(initial[1])]},
         "duration": duration,
         "samples": round(size["samples"]),
         "force": _force(push, hertz, duration, rng, rounded) if forced else None,
@@ -140,7 +143,7 @@ def one_mass(
 def _force(
     amplitude: float, hertz: float, duration: float, rng: Any, rounded: Callable[[float], float]
 ) -> dict[str, Any]:
-    """Return a known force for a natural frequency (Hz), fine enough for its own highest frequency."""
+    """Draw a force for a natural frequency (Hz)."""
     kind, hold = str(rng.choice(SHAPES)), str(rng.choice(HOLDS))
     force: dict[str, Any] = {
         "kind": kind, "amplitude": amplitude, "samples": FORCE_SAMPLES,

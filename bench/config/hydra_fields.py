@@ -1,4 +1,4 @@
-"""Hydra's own fields on a command line: a launcher and its options, the folder of a run, its log."""
+"""Hydra's own fields on the command line: launcher and its options, output folder, log level."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from bench.errors import InputError, check_name
 
 CHOICE, OPTION = "hydra/launcher", "hydra.launcher."
 FOLDERS, VERBOSE = ("hydra.run.dir", "hydra.sweep.dir"), "hydra.verbose"
-READ = f"of Hydra {CHOICE}=, {OPTION}<option>=, {'=, '.join(FOLDERS)}= and {VERBOSE}= are read"
-OURS = "local"
-"""The launcher that is none: this machine's cores."""
+SUPPORTED = f"not supported; of Hydra's fields {CHOICE}=, {OPTION}<option>=, {'=, '.join(FOLDERS)}=, {VERBOSE}= are"
+LOCAL = "local"
+"""Name of the default: worker processes on this machine, without a launcher of Hydra."""
 
 
 def is_of_hydra(text: str) -> bool:
-    """Return whether an argument is one of Hydra's own: ``hydra/launcher=ray``, ``hydra.launcher.partition=debug``."""
+    """Return whether an argument sets a field of Hydra: ``hydra/launcher=ray``, ``hydra.launcher.partition=debug``."""
     return text.lstrip("+~").startswith(("hydra/", "hydra."))
 
 
 def check_of_hydra(texts: Sequence[str]) -> None:
-    """Raise InputError for a field of Hydra's that has no effect here, and for a launcher that is not installed.
+    """Raise InputError for unsupported fields of Hydra, and for a launcher that is not installed.
 
-    An option of a launcher sets a value. What it is made of, ``_target_``, is no option: it would be called.
+    ``_target_`` is rejected, since Hydra would call the function that it names.
     """
     launchers = [text.partition("=")[2] for text in texts if text.lstrip("+").partition("=")[0] == CHOICE]
     for text in texts:
         key, equals, value = text.partition("=")
         plain = key.lstrip("+")
         if not equals or not (plain.startswith(OPTION) or plain in (CHOICE, *FOLDERS, VERBOSE)):
-            raise InputError(key, value, READ)
+            raise InputError(key, value, SUPPORTED)
         if "_target_" in text or "${" in text:
-            raise InputError(key, value, f"{CHOICE}=<name> says what is called; an option is a plain value")
+            raise InputError(key, value, f"give a plain value; {CHOICE}=<name> selects the launcher")
         if plain in FOLDERS and not value:
             raise InputError(key, value, "name a folder")
         if plain.startswith(OPTION) and not launchers:
-            raise InputError(key, value, f"an option of a launcher: name that too, by {CHOICE}=")
+            raise InputError(key, value, f"an option of a launcher requires {CHOICE}=<name>")
     for name in launchers:
         from hydra.core.config_store import ConfigStore
         from hydra.core.plugins import Plugins
 
-        Plugins.instance()  # launchers register themselves as it looks for them
-        known = {OURS, *(name.removesuffix(".yaml") for name in ConfigStore.instance().list("hydra/launcher"))}
+        Plugins.instance()  # importing the plugins registers the launchers
+        known = {LOCAL, *(name.removesuffix(".yaml") for name in ConfigStore.instance().list("hydra/launcher"))}
         check_name(CHOICE, name, sorted(known), " (pip install 'vibration-bench[ray]' or '[slurm]' for more)")
 
 
-def prepared(texts: Sequence[str], overrides: Mapping[str, list[Any]]) -> Mapping[str, list[Any]]:
-    """Return overrides with the store in the folder that is named to Hydra, and start the log where it is asked for."""
+def apply_hydra_fields(texts: Sequence[str], overrides: Mapping[str, list[Any]]) -> Mapping[str, list[Any]]:
+    """Return the overrides with the store in Hydra's output folder, and set the log level of ``hydra.verbose``."""
     for key, _, value in (text.lstrip("+").partition("=") for text in texts):
         if key in FOLDERS and "store" not in overrides:
             overrides = {**overrides, "store": [f"{value.strip(chr(39))}/rows"]}
