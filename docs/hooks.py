@@ -1,10 +1,12 @@
-"""What the site has beyond the pages of docs/: numbers in prose, results, documents of the root, help of commands."""
+"""Complete the pages of docs/ when the site is built: numbers, results, generated tables, links to the glossary."""
 
 from __future__ import annotations
 
+import csv
 import io
 import posixpath
 import re
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 from functools import cache
 from importlib import import_module
@@ -15,20 +17,27 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 
 ROOT = Path(__file__).parents[1]
-PLACE = "<!-- the help of every command, written by docs/hooks.py when the site is built -->"
 FIRST = "<!-- the site has the first screen of the results in place of what is above -->"
 README = "readme.md"
-"""Where README.md stands in the site, whose first page is docs/index.md."""
-OF_THE_ROOT = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "SECURITY.md")
-SHOWN = (".md", ".png")
-"""Files of results/ that the site has; the others are in the repository."""
+"""Path of README.md in the site, whose first page is docs/index.md."""
+ROOT_DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "SECURITY.md")
+PUBLISHED = (".md", ".png")
+"""Suffixes of the files of results/ that the site contains."""
 LINK = re.compile(r"\[(?P<text>[^\[\]]*)\]\((?P<target>[^)#\s]+)(?P<part>#[^)\s]*)?\)")
+GLOSSARY = "reference/glossary.md"
+ENTRY = re.compile(r"^### (?P<term>.+)\n(?P<meaning>.+)$", re.MULTILINE)
+NOT_PROSE = re.compile(
+    r"(^```.*?^```|^#.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)", re.DOTALL | re.MULTILINE
+)
+"""Parts of a page that get no link to the glossary: code, headings, tables, links, comments and tags."""
+COMMON_WORDS = ("alternative", "card", "cell", "identifiable", "round", "store", "track", "verdict")
+"""Terms that are ordinary words too; they are linked behind an article only."""
 
 
 def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
-    """Add the results, the documents of the root, and the pages of what the archive holds."""
-    results = [path for path in sorted((ROOT / "results").rglob("*")) if path.suffix in SHOWN]
-    for path in (*(ROOT / name for name in OF_THE_ROOT), *results):
+    """Add the results, the documents of the root, and the pages made from the archive."""
+    results = [path for path in sorted((ROOT / "results").rglob("*")) if path.suffix in PUBLISHED]
+    for path in (*(ROOT / name for name in ROOT_DOCUMENTS), *results):
         name = path.relative_to(ROOT).as_posix()
         place = README if name == "README.md" else name
         files.append(File.generated(config, place, abs_src_path=str(path), inclusion=InclusionLevel.NOT_IN_NAV))
@@ -46,16 +55,16 @@ def on_page_read_source(page: Any, **_: Any) -> str | None:
 
 
 def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: Files, **_: Any) -> str:
-    """Let links lead to where files stand in the site, and fill in numbers and the help of the commands."""
+    """Fill in numbers and generated tables, redirect links to their place in the site, and link to the glossary."""
     documents = import_module("bench.reporting.documents")
     if any(documents.used(markdown)):
         markdown = documents.filled(markdown, _facts())
-    if PLACE in markdown:
-        pages = (f"## `{f'python -m bench {verb}'.strip()}`\n\n```text\n{text}\n```" for verb, text in helps().items())
-        markdown = markdown.replace(PLACE, "\n\n".join(pages))
+    for mark, generate in GENERATED.items():
+        if mark in markdown:
+            markdown = markdown.replace(mark, generate())
     source = page.file.src_uri
 
-    def moved(link: re.Match[str]) -> str:
+    def redirected(link: re.Match[str]) -> str:
         if re.match(r"\w+:|/", link["target"]):
             return link[0]
         target = _place(source, link["target"])
@@ -66,21 +75,60 @@ def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: File
             return f"[{link['text']}]({config.repo_url}/blob/main/{target})" if config.repo_url else link["text"]
         return link[0]
 
-    return LINK.sub(moved, markdown)
+    markdown = LINK.sub(redirected, markdown)
+    if (ROOT / "docs" / source).is_file() and source not in (GLOSSARY, "index.md"):
+        glossary = posixpath.relpath(GLOSSARY, posixpath.dirname(source) or ".")
+        markdown = linked_to_glossary(markdown, glossary)
+    return markdown
+
+
+def linked_to_glossary(markdown: str, glossary: str) -> str:
+    """Link the first use of each glossary term in a page, with its meaning as the link's title.
+
+    Args:
+        markdown: The page.
+        glossary: Address of the glossary, relative to the page.
+
+    Returns:
+        The page; code, headings, tables and existing links are unchanged.
+    """
+    remaining = {term.lower(): meaning for term, meaning in glossary_entries().items()}
+
+    def link(use: re.Match[str]) -> str:
+        term = use["term"].lower()
+        if term not in remaining or (term in COMMON_WORDS and not use["article"]):
+            return use[0]
+        title = re.sub(r"[*`]", "", remaining.pop(term)).replace('"', "'")
+        anchor = term.replace(" ", "-")
+        return f'{use["article"] or ""}[{use["term"]}{use["plural"]}]({glossary}#{anchor} "{title}")'
+
+    terms = "|".join(sorted(map(re.escape, remaining), key=len, reverse=True))
+    pattern = re.compile(
+        rf"(?P<article>\b(?:an?|the|each|every|one|per) )?\b(?P<term>{terms})(?P<plural>s?)\b(?![-=])", re.IGNORECASE
+    )
+    parts = NOT_PROSE.split(markdown)
+    return "".join(part if i % 2 else pattern.sub(link, part) for i, part in enumerate(parts))
+
+
+@cache
+def glossary_entries() -> dict[str, str]:
+    """Return the meaning of each term of the glossary."""
+    text = (ROOT / "docs" / GLOSSARY).read_text(encoding="utf-8")
+    return {entry["term"]: entry["meaning"] for entry in ENTRY.finditer(text)}
 
 
 def _place(source: str, target: str) -> str:
-    """Where a link's target stands in the site, in which docs/ is the root beside results/ and the documents."""
-    outside = source in (README, *OF_THE_ROOT) or source.startswith("results/")
+    """Return the path in the site of a link's target; docs/ is the root there, next to results/."""
+    outside = source in (README, *ROOT_DOCUMENTS) or source.startswith("results/")
     folder = posixpath.dirname(source if outside else f"docs/{source}")
-    found = posixpath.normpath(posixpath.join(folder, target))
-    if found.startswith("results") and (ROOT / found).is_dir():
+    path = posixpath.normpath(posixpath.join(folder, target))
+    if path.startswith("results") and (ROOT / path).is_dir():
         return "results/README.md"
-    return README if found == "README.md" else found.removeprefix("docs/")
+    return README if path == "README.md" else path.removeprefix("docs/")
 
 
 def helps() -> dict[str, str]:
-    """Return the page of help of a run, by the empty word, and of every verb by its name."""
+    """Return the help page of a run, under the empty name, and of every verb."""
     main, verbs = import_module("bench.commands.main").main, import_module("bench.commands.verbs").VERBS
     pages = {}
     for verb in ("", *verbs):
@@ -91,15 +139,81 @@ def helps() -> dict[str, str]:
     return pages
 
 
+def help_pages() -> str:
+    """Return the help pages as sections."""
+    titles = {verb: f"python -m bench {verb}".strip() for verb in helps()}
+    return "\n\n".join(f"## `{titles[verb]}`\n\n```text\n{text}\n```" for verb, text in helps().items())
+
+
+def field_table(names: Iterable[str]) -> str:
+    """Return the table of some fields of a run, with their defaults and, where there are few, their choices."""
+    fields, declaration = import_module("bench.config.fields"), import_module("bench.config.declaration")
+    choices = import_module("bench.config.choices").default_choices() | {"method": ""}
+    rows = []
+    for name in names:
+        field = fields.declared()[name]
+        stated = isinstance(field.default, str | int | float | Path)
+        default = choices[name] if name in fields.GROUPS else declaration.written(field.default) if stated else ""
+        few = name not in fields.GROUPS and bool not in field.types and len(field.choices) <= declaration.MOST_LISTED
+        meaning = "; ".join([field.text, *([", ".join(field.choices)] if few and field.choices else [])])
+        rows.append((f"`{name}`", f"`{default}`" if default else "", meaning))
+    return table(("field", "default", "meaning"), rows)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown; angle brackets outside of code are shown as they are."""
+    lines = [
+        head,
+        ["---"] * len(head),
+        *([v if v.startswith("`") else v.replace("<", "&lt;") for v in r] for r in rows),
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def run_fields() -> str:
+    """Return the table of the fields of a cell and of a run."""
+    fields = import_module("bench.config.fields")
+    rows = field_table(name for name in fields.declared() if name not in ("data", *fields.RECORD))
+    return f"{rows}\n| `experiment` | | a sweep of `conf/experiment`; other fields override it |"
+
+
+def record_fields() -> str:
+    """Return the table of the fields of a measured record."""
+    return field_table(("data", *import_module("bench.config.fields").RECORD))
+
+
+def column_tables() -> str:
+    """Return the data dictionary, docs/reference/columns.csv, as one table per file."""
+    with (ROOT / "docs" / "reference" / "columns.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    columns = {
+        name: [row for row in rows if row["file"] == name] for name in dict.fromkeys(row["file"] for row in rows)
+    }
+    tables = {
+        name: table(("column", "unit", "meaning"), [(f"`{r['column']}`", r["unit"], r["meaning"]) for r in listed])
+        for name, listed in columns.items()
+    }
+    return "\n\n".join(f"### {name.replace('<', '&lt;')}\n\n{text}" for name, text in tables.items())
+
+
+GENERATED: dict[str, Callable[[], str]] = {
+    "<!-- the help of every command, written by docs/hooks.py when the site is built -->": help_pages,
+    "<!-- fields of a run -->": run_fields,
+    "<!-- fields of a record -->": record_fields,
+    "<!-- columns of every file -->": column_tables,
+}
+"""Comments in pages that the build replaces with text from the code."""
+
+
 @cache
 def _facts() -> Any:
-    """What the documents say about results; a name that is unknown, or a conclusion that is false, ends the build."""
+    """Return the numbers and conclusions of the documents; an unknown or false one stops the build."""
     return import_module("bench.reporting.sentences").facts(ROOT / "results")
 
 
 @cache
 def _pages() -> dict[str, bytes]:
-    """The pages of the published results, and the files that they use, by path."""
+    """Return the pages of the published results, and the files that they use, by path."""
     store, site = import_module("bench.store.store"), import_module("bench.reporting.page.site")
     published = store.open_store(ROOT / "build" / "no cells of one's own", str(ROOT / "results" / "archive"))
     return dict(site.site_files(published, ROOT / "results"))

@@ -8,9 +8,12 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from conftest import REPOSITORY, StoreFactory
@@ -50,48 +53,49 @@ def test_every_public_name_is_on_the_page_once_and_explained() -> None:
             assert inspect.getdoc(value), name
 
 
-def test_the_commands_whose_help_is_shown_are_all() -> None:
-    """Those of a run and of every verb."""
+@pytest.fixture(scope="module")
+def hooks() -> ModuleType:
+    """The module that completes pages when the site is built."""
     pytest.importorskip("mkdocs")
-    from importlib.util import module_from_spec, spec_from_file_location
-
     spec = spec_from_file_location("hooks", REPOSITORY / "docs" / "hooks.py")
     assert spec is not None
     assert spec.loader is not None
-    hooks = module_from_spec(spec)
-    spec.loader.exec_module(hooks)
-    assert hooks.PLACE in page("commands.md")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_generated_part_has_its_place(hooks: ModuleType) -> None:
+    """The help of a run and of every verb, the fields with their defaults, the columns of files."""
+    pages = "".join(path.read_text(encoding="utf-8") for path in REFERENCE.glob("*.md"))
+    assert [mark for mark in hooks.GENERATED if pages.count(mark) != 1] == []
     assert hooks.helps().keys() == {"", *VERBS}
 
 
-def defaults() -> dict[str, str]:
-    """Of each field on the page of the configuration, its default as it is written there."""
-    found = {}
-    for cells in lines(page("configuration.md")):
-        names = re.findall(r"`([\w.]+)`", cells[0])
-        for name in names:
-            found.setdefault(name, cells[1].strip("`"))
-    return found
-
-
-def test_every_field_of_a_cell_is_there_with_its_default() -> None:
+def test_every_field_of_a_run_is_there_with_its_default(hooks: ModuleType) -> None:
+    shown = {cells[0].strip("`"): cells[1].strip("`") for cells in lines(hooks.run_fields() + hooks.record_fields())}
+    assert shown["timeout_s"] == "600"
+    assert (shown["workers"], shown["system"], shown["disturbance"]) == ("", "sdof", "none")
     config = yaml.safe_load((REPOSITORY / "conf" / "config.yaml").read_text(encoding="utf-8"))
-    shown = defaults()
-    for name, value in fields_of_a_run().items():
-        assert name in shown, name
-        if isinstance(value, bool | int | str):
-            assert shown[name] == (str(value).lower() if isinstance(value, bool) else str(value)), name
-    groups = {key: value for entry in config["defaults"] if isinstance(entry, dict) for key, value in entry.items()}
-    assert {"method", "system", "prior", "disturbance", "experiment"} == set(groups)
-    assert {name: shown[name] for name in ("method", "system", "disturbance")} == {
-        name: groups[name] for name in ("method", "system", "disturbance")
-    }
+    groups = {name for entry in config["defaults"] if isinstance(entry, dict) for name in entry}
+    assert groups | fields_of_a_run().keys() <= shown.keys()
 
 
-@pytest.mark.parametrize(("kind", "heading"), [(Scenario, "Fields of a scenario"), (ForceSpec, "Of a force")])
+def test_a_term_of_the_glossary_is_linked_once(hooks: ModuleType) -> None:
+    page = "## A cell\n\nThe `excess` of a cell is its *excess*; cells round numbers. A cell, | excess |\n\n| excess |"
+    linked = hooks.linked_to_glossary(page, "g.md")
+    assert re.findall(r"\[(\w+)\]\(g\.md#(\w+) \"[^\"]+\"\)", linked) == [("cell", "cell"), ("excess", "excess")]
+    assert linked.startswith("## A cell\n\nThe `excess` of a [cell]")
+    assert linked.endswith("| excess |\n\n| excess |")
+    terms = [term.lower() for term in hooks.glossary_entries()]
+    assert terms == sorted(terms)
+    assert set(hooks.COMMON_WORDS) <= set(terms)
+
+
+@pytest.mark.parametrize(("kind", "heading"), [(Scenario, "Fields of a scenario"), (ForceSpec, "Fields of `force`")])
 def test_every_field_of_a_scenario_and_of_a_force_is_there_with_its_default(kind: type[Any], heading: str) -> None:
     text = page("configuration.md").partition(heading)[2].partition("\n## ")[0]
-    text = text.partition("Of a force")[0] if kind is Scenario else text
+    text = text.partition("Fields of `force`")[0] if kind is Scenario else text
     shown = {name: cells[1] for cells in lines(text) for name in re.findall(r"`(\w+)`", cells[0])}
     for field in fields(kind):
         name = config_path(field).removeprefix("system.") if kind is Scenario else field.name
@@ -108,30 +112,35 @@ def test_every_field_of_a_scenario_and_of_a_force_is_there_with_its_default(kind
 
 
 def test_every_field_of_a_prior_is_there() -> None:
-    shown = defaults()
-    assert {field.name for field in fields(PriorSpec)} <= set(shown)
+    text = page("configuration.md").partition("## Fields of a prior")[2].partition("\n## ")[0]
+    assert {field.name for field in fields(PriorSpec)} == {cells[0].strip("`") for cells in lines(text)} - {
+        "field",
+        "---",
+    }
 
 
 def test_the_limits_of_a_fit_are_those_that_hold() -> None:
-    text = page("configuration.md").partition("### Limits of a fit")[2].partition("\n## ")[0]
+    text = page("configuration.md").partition("## Limits of a fit")[2].partition("\n## ")[0]
     shown = {cells[0].partition(",")[0].partition(":")[0]: cells[1:] for cells in lines(text)}
-    assert shown["what it prints"] == [f"{LONGEST_FILE >> 20} MB", f"`{Status.CRASHED}`"]
-    assert shown["its answer"] == [f"{LONGEST_ANSWER >> 20} MB", f"`{Status.INVALID}`"]
+    assert shown["printed output"] == [f"{LONGEST_FILE >> 20} MB", f"`{Status.CRASHED}`"]
+    assert shown["estimate"] == [f"{LONGEST_ANSWER >> 20} MB", f"`{Status.INVALID}`"]
     assert shown["processor time"] == [f"`timeout_s` and {CPU_MARGIN_S:g} s", f"`{Status.TIMEOUT}`"]
-    assert shown["time to start and to import its packages"][0] == f"{READY_S:g} s"
+    assert shown["start-up and import of its packages"][0] == f"{READY_S:g} s"
     assert {one for *_, status in shown.values() for one in re.findall(r"`(\w+)`", status)} <= set(map(str, Status))
     assert f"with {MEMORY_MB:g} MB" in text
 
 
-def dictionary() -> dict[str, set[str]]:
-    """Of each CSV of results, the columns that the page of the formats explains for it, shared ones included."""
-    sections = re.split(r"^## ", page("file_formats.md"), flags=re.MULTILINE)
-    columns = {
-        part.partition("\n")[0]: {c for cells in lines(part) for c in re.findall(r"`([^`]+)`", cells[0])}
-        for part in sections
-    }
-    shared = columns["Columns that tables share"]
-    return {name: shared | own for title, own in columns.items() for name in re.findall(r"`([\w.]+)`", title)}
+def dictionary(shared: bool = True) -> dict[str, set[str]]:
+    """Return the columns that the data dictionary explains, by file, with or without those that tables share."""
+    with (REFERENCE / "columns.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert all(row["meaning"] or row["column"] == "the shared columns" for row in rows)
+    common = {row["column"] for row in rows if shared and row["file"] == "shared by the tables"}
+    columns: dict[str, set[str]] = {}
+    for row in rows:
+        for name in row["file"].split():
+            columns.setdefault(name, set(common)).add(row["column"])
+    return columns
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.csv")), ids=lambda path: path.name)
@@ -140,6 +149,14 @@ def test_every_column_of_a_published_file_is_explained(path: Path) -> None:
         header = next(csv.reader(file))
     known = dictionary()[path.name]
     assert [column for column in header if column.removesuffix(": median") not in known] == []
+
+
+@pytest.mark.parametrize("name", ["cells", "summaries", "arrays", "bounds"])
+def test_every_column_of_the_archive_is_explained(name: str) -> None:
+    published = set(pq.read_schema(RESULTS / "archive" / f"{name}.parquet").names)
+    explained = dictionary(shared=False)[f"{name}.parquet"]
+    assert published <= explained
+    assert explained - published <= {"supplied_versions"}  # written only where a cell has some
 
 
 def test_every_key_of_a_stored_cell_is_explained(new_store: StoreFactory) -> None:
