@@ -27,7 +27,7 @@ LINK = re.compile(r"\[(?P<text>[^\[\]]*)\]\((?P<target>[^)#\s]+)(?P<part>#[^)\s]
 GLOSSARY = "reference/glossary.md"
 ENTRY = re.compile(r"^### (?P<term>.+)\n(?P<meaning>.+)$", re.MULTILINE)
 NOT_PROSE = re.compile(
-    r"(^```.*?^```|^#.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)", re.DOTALL | re.MULTILINE
+    r"(^```.*?^```|^#.*?$|^:::.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)", re.DOTALL | re.MULTILINE
 )
 """Parts of a page that get no link to the glossary: code, headings, tables, links, comments and tags."""
 COMMON_WORDS = ("alternative", "card", "cell", "identifiable", "round", "store", "track", "verdict")
