@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from bench.isolation import signals as _  # noqa: F401 - first: it waits for Ctrl-C while the others load
 
 # isort: split
-from bench.contract.belief import Belief, Draws, Marginal, Normal
+from bench.contract.distribution import Distribution, Draws, Marginal, Normal
 from bench.contract.estimate import Cost, Estimate, NoEstimate, Reconstruction, Status
-from bench.contract.method import EVERY_PROBLEM, Card, Choice, Identifier, Serves
+from bench.contract.method import EVERY_PROBLEM, Card, Choice, Identifier, Scope
 from bench.contract.modal import (
     Blows,
     FreeDecays,
@@ -30,24 +30,24 @@ from bench.contract.online import (
     Sample,
     SampleStatus,
     Sensor,
-    Standing,
     Tracker,
+    TrackerOutput,
 )
 from bench.contract.prior import Prior, dimension_scale
 from bench.contract.problem import Channel, Force, InitialState, Problem, Record, Units
 from bench.contract.progress import report_progress
 from bench.contract.window import WindowTracker
-from bench.contract.zero import levelled
-from bench.dynamics.held import HeldModel
+from bench.contract.zero import remove_jumps
+from bench.dynamics.discrete_model import DiscreteModel
 from bench.dynamics.intervals import Steps, interval_polynomials, step_counts
 from bench.dynamics.mechanics import acceleration, mass_matrix, regression_columns, state_matrix, state_rate
 from bench.dynamics.ops import array_ops, numpy_ops, ops_from
 from bench.dynamics.rates import fastest_rates
-from bench.dynamics.simulate import SimulatedMotion, SimulatedResponse, fitted_start, measurements, simulate
+from bench.dynamics.simulate import SimulatedMotion, SimulatedResponse, fit_initial_state, measurements, simulate
 from bench.dynamics.stepper import compiled_path, rk4, rk4_path, rk4_scan, rk4_step
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError, check_name
-from bench.likelihood.autoregression import autoregression, whitened
+from bench.likelihood.autoregression import autoregression, whiten_model
 from bench.likelihood.batching import batches, layout
 from bench.likelihood.least_squares import (
     FIRST_DAMPING,
@@ -58,7 +58,7 @@ from bench.likelihood.least_squares import (
     degrees_used,
     minimise,
 )
-from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, OutputError, SimulatedData, Start, estimate_at
+from bench.likelihood.output_error import LOG_LIMIT, SIGMA_FLOOR, InitialValues, OutputError, SimulatedData, estimate_at
 from bench.systems import Components, Dimension, Ops, Parameter, Quantity, System
 from bench.systems.linear import SDOF
 
@@ -72,7 +72,6 @@ __all__ = [
     "LOG_LIMIT",
     "SDOF",
     "SIGMA_FLOOR",
-    "Belief",
     "Blows",
     "Card",
     "Channel",
@@ -80,15 +79,17 @@ __all__ = [
     "Components",
     "Cost",
     "Dimension",
+    "DiscreteModel",
+    "Distribution",
     "Draws",
     "Estimate",
     "Force",
     "FreeDecays",
     "FrequencyResponses",
-    "HeldModel",
     "Identification",
     "Identifier",
     "InitialState",
+    "InitialValues",
     "InputError",
     "Layout",
     "Linearisation",
@@ -114,18 +115,17 @@ __all__ = [
     "Results",
     "Sample",
     "SampleStatus",
+    "Scope",
     "Sensor",
-    "Serves",
     "SimulatedData",
     "SimulatedMotion",
     "SimulatedResponse",
-    "Standing",
-    "Start",
     "Status",
     "StepLimits",
     "Steps",
     "System",
     "Tracker",
+    "TrackerOutput",
     "Units",
     "WindowTracker",
     "acceleration",
@@ -141,11 +141,10 @@ __all__ = [
     "estimate_at",
     "experiment",
     "fastest_rates",
-    "fitted_start",
+    "fit_initial_state",
     "identify",
     "interval_polynomials",
     "layout",
-    "levelled",
     "load_entry_point",
     "mass_matrix",
     "measurements",
@@ -153,6 +152,7 @@ __all__ = [
     "numpy_ops",
     "ops_from",
     "regression_columns",
+    "remove_jumps",
     "report_progress",
     "rk4",
     "rk4_path",
@@ -163,7 +163,7 @@ __all__ = [
     "state_matrix",
     "state_rate",
     "step_counts",
-    "whitened",
+    "whiten_model",
 ]
 __version__ = "0.1.0"
 

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 import psutil
 
-from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Serves, report_progress
+from bench import Card, Cost, Estimate, Identifier, Normal, Problem, Scope, report_progress
 
 LEAKS = ("Truth", "Scenario", "PriorSpec", "Cell", "Bound")
 NOMINAL = 1
@@ -172,7 +172,7 @@ class Double(Identifier):
     """A test double."""
 
     card: ClassVar[Card] = Card("a test double", "not used", "groups", "simulated", "none", "tests")
-    serves: ClassVar[Serves] = Serves()
+    scope: ClassVar[Scope] = Scope()
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         return answer(problem)
@@ -259,7 +259,7 @@ class Needy(Double):
 class FreeOnly(Double):
     """Cannot use a known force."""
 
-    serves: ClassVar[Serves] = Serves(forced=False)
+    scope: ClassVar[Scope] = Scope(forced=False)
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,7 @@ class Exact(Double):
     k_over_m: float = 9.0
     c_over_m: float = 0.5
 
-    serves: ClassVar[Serves] = Serves(offsets=True)
+    scope: ClassVar[Scope] = Scope(offsets=True)
     covariance: ClassVar[np.ndarray | None] = np.diag([0.04, 0.0025])
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:

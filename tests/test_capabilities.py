@@ -47,8 +47,8 @@ class Nominal(Identifier):
                 lines.write("fit\\n")
         time.sleep(self.seconds)
         prior = problem.prior
-        belief = Normal(prior.names, prior.log_mean, np.diag(prior.log_sds**2), log=True)
-        return Estimate(problem.system, parameters=belief)
+        distribution = Normal(prior.names, prior.log_mean, np.diag(prior.log_sds**2), log=True)
+        return Estimate(problem.system, parameters=distribution)
 
 @dataclass(frozen=True)
 class Hangs(Identifier):

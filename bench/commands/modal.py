@@ -70,7 +70,7 @@ def _fits(scenarios: Iterable[ModalScenario], names: Sequence[str], count: int, 
             method = make_modal(name)
             problem, title = of.draw(seed, 0)[0], method.card.title
             objection = method.objection(problem)
-            if not names and not isinstance(problem.data, method.serves):
+            if not names and not isinstance(problem.data, method.scope):
                 continue  # a method of the other kind of data
         except InputError as error:
             if names:

@@ -83,13 +83,15 @@ def valid(estimate: Estimate) -> Estimate:
         raise Refusal(f"estimate returned a {type(estimate).__name__}", "return a bench.Estimate")
     if estimate.status is not Status.OK:
         raise Refusal(f"no answer to ordinary data: {estimate.status}, {estimate.message}")
-    belief = estimate.belief
-    if belief is None or (estimate.parameters is not None and estimate.groups is not None):
+    distribution = estimate.distribution
+    if distribution is None or (estimate.parameters is not None and estimate.groups is not None):
         raise Refusal("it gives parameters and groups, or neither")
     known = {quantity.name for quantity in estimate.system.quantities}
-    if not set(belief.names) <= known:
-        raise Refusal(f"it names {', '.join(sorted(set(belief.names) - known))}; known: {', '.join(sorted(known))}")
-    if not belief.finite():
+    if not set(distribution.names) <= known:
+        raise Refusal(
+            f"it names {', '.join(sorted(set(distribution.names) - known))}; known: {', '.join(sorted(known))}"
+        )
+    if not distribution.finite():
         raise Refusal("its answer is not finite, and its status is ok")
     return estimate
 
@@ -154,11 +156,11 @@ def answer(candidate: Candidate) -> str:
     if objection is not None:
         raise Refusal(f"it objects to a free decay of one mass, the first scenario of every table: {objection}")
     estimate = candidate.first
-    belief = estimate.belief
-    assert belief is not None
-    if min(belief.values().values()) <= 0:
-        raise Refusal(f"a value is not a positive number: {belief.values()}")
-    covariance = getattr(belief, "covariance", None)
+    distribution = estimate.distribution
+    assert distribution is not None
+    if min(distribution.values().values()) <= 0:
+        raise Refusal(f"a value is not a positive number: {distribution.values()}")
+    covariance = getattr(distribution, "covariance", None)
     if covariance is not None and float(np.linalg.eigvalsh(covariance)[0]) < -1e-9 * float(np.trace(covariance)):
         raise Refusal("its covariance has a negative eigenvalue")
     try:
@@ -299,7 +301,7 @@ def ratios_alone(candidate: Candidate) -> str:
     return ""
 
 
-@METHOD_CHECKS.add("known force", "use problem.records[i].force, or set forced=False in serves")
+@METHOD_CHECKS.add("known force", "use problem.records[i].force, or set forced=False in scope")
 def mass_of_a_force(candidate: Candidate) -> str:
     """With a known force and no prior the mass is determined, or the case is declined."""
     problem = forced_problem()

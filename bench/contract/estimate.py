@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from bench.contract.belief import Belief, Marginal, Normal, mixed, normal_marginal
+from bench.contract.distribution import Distribution, Marginal, Normal, mixed, normal_marginal
 from bench.contract.problem import InitialState, Problem, Units
 from bench.systems import LENGTH, MEASURED, Dimension, Quantity, System
 
@@ -83,7 +83,7 @@ class Estimate:
     """
 
     system: System
-    parameters: Belief | None = None
+    parameters: Distribution | None = None
     groups: Normal | None = None
     reconstructions: tuple[Reconstruction, ...] = ()
     bands: tuple[Reconstruction, ...] = ()
@@ -103,12 +103,12 @@ class Estimate:
         return Estimate(system, status=status, message=message, cost=cost)
 
     @property
-    def belief(self) -> Belief | None:
-        """The parameters' belief, or the groups' where the method has only those."""
+    def distribution(self) -> Distribution | None:
+        """The parameters' distribution, or the groups' where the method has only those."""
         return self.parameters if self.parameters is not None else self.groups
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The belief about a quantity of the system; None where this estimate does not determine it.
+        """The distribution about a quantity of the system; None where this estimate does not determine it.
 
         With ``alternatives`` a mixture, whose value is that of this estimate without them.
         """
@@ -177,7 +177,9 @@ class Estimate:
 
     def checked(self) -> Estimate:
         """Itself, or a failure with status ``nonfinite`` where a number in it is not finite."""
-        beliefs = [part.belief for part in (self, *self.alternatives)]
-        if self.status is Status.OK and not all(belief is not None and belief.finite() for belief in beliefs):
+        distributions = [part.distribution for part in (self, *self.alternatives)]
+        if self.status is Status.OK and not all(
+            distribution is not None and distribution.finite() for distribution in distributions
+        ):
             return Estimate.failed(self.system, Status.NONFINITE, "the estimate is not finite", self.cost)
         return self

@@ -68,7 +68,7 @@ class Card:
 
 
 @dataclass(frozen=True)
-class Serves:
+class Scope:
     """What problems a method can take; anything else becomes a row with status ``unsupported`` and a sentence."""
 
     measures: tuple[Measures, ...] = ("displacement",)
@@ -83,7 +83,7 @@ class Serves:
     added_mass: bool = False
 
 
-EVERY_PROBLEM = Serves(
+EVERY_PROBLEM = Scope(
     measures=("displacement", "velocity", "acceleration"),
     several_records=True,
     several_channels=True,
@@ -111,7 +111,7 @@ class Identifier(ABC):
 
     version: ClassVar[int] = 1
     card: ClassVar[Card]
-    serves: ClassVar[Serves] = Serves()
+    scope: ClassVar[Scope] = Scope()
     requires: ClassVar[tuple[str, ...]] = ()
     extra: ClassVar[str] = ""
     works_in: ClassVar[Literal["given units", "natural units"]] = "given units"
@@ -185,7 +185,7 @@ class Identifier(ABC):
 
     def objection(self, problem: Problem) -> str | None:
         """Why this method cannot take the problem, in a sentence; None where it can."""
-        s, system = self.serves, problem.system
+        s, system = self.scope, problem.system
         channels = [channel for record in problem.records for channel in record.channels]
         unmeasured = {c.measures for c in channels} - set(s.measures)
         checks = {

@@ -152,7 +152,7 @@ class ModalIdentifier(ABC):
 
     version: ClassVar[int] = 1
     card: ClassVar[ModalCard]
-    serves: ClassVar[tuple[type, ...]] = (FreeDecays, Blows, FrequencyResponses)
+    scope: ClassVar[tuple[type, ...]] = (FreeDecays, Blows, FrequencyResponses)
     requires: ClassVar[tuple[str, ...]] = ()
     extra: ClassVar[str] = ""
 
@@ -162,9 +162,9 @@ class ModalIdentifier(ABC):
 
     def objection(self, problem: ModalProblem) -> str | None:
         """Say why this method cannot serve the problem, in a sentence; None where it can."""
-        if isinstance(problem.data, self.serves):
+        if isinstance(problem.data, self.scope):
             return None
-        return f"it is made for {' or '.join(WORDS[kind] for kind in self.serves)}, not {WORDS[type(problem.data)]}"
+        return f"it is made for {' or '.join(WORDS[kind] for kind in self.scope)}, not {WORDS[type(problem.data)]}"
 
 
 WORDS: dict[type, str] = {

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, Self, final
 
 import numpy as np
 
-from bench.contract.belief import Marginal, Normal
+from bench.contract.distribution import Marginal, Normal
 from bench.contract.problem import Measures
 from bench.errors import InputError
 from bench.systems import MEASURED, Quantity, System
@@ -115,32 +115,32 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class TrackerOutput:
     """What a tracker believes after a sample, from the past alone.
 
-    ``belief``: normal, in the logarithms of the layout's free parameters (or of quantities by name); None where there
-    is none yet. ``prediction`` and ``prediction_sd``, shape (n_sensors,): of this sample before it was seen, in the
-    sensors' units. ``alarm``: what a detector of changes stands at, compared with a threshold of the user's choice;
+    ``distribution``: normal, in the logarithms of the layout's free parameters (or of quantities by name); None where
+    there is none yet. ``prediction`` and ``prediction_sd``, shape (n_sensors,): of this sample before it was seen, in
+    the sensors' units. ``alarm``: what a detector of changes stands at, compared with a threshold of the user's choice;
     NaN where the method has none. ``message``: a sentence where the status is not ``ok``.
     """
 
     time: float
     status: SampleStatus
-    belief: Normal | None = None
+    distribution: Normal | None = None
     prediction: np.ndarray | None = None
     prediction_sd: np.ndarray | None = None
     alarm: float = float("nan")
     message: str = ""
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The belief about a quantity of :attr:`Layout.quantities`; None where there is none."""
-        if self.belief is None:
+        """The distribution about a quantity of :attr:`Layout.quantities`; None where there is none."""
+        if self.distribution is None:
             return None
-        if quantity.name in self.belief.names:
+        if quantity.name in self.distribution.names:
             quantity = replace(quantity, exponents={quantity.name: 1.0}, coefficient=1.0)
-        held = set(self.belief.names)
+        held = set(self.distribution.names)
         known = {name: power for name, power in quantity.exponents.items() if name in held}
-        return self.belief.marginal(replace(quantity, exponents=known))
+        return self.distribution.marginal(replace(quantity, exponents=known))
 
 
 @dataclass(frozen=True)
@@ -172,13 +172,13 @@ class Tracker(ABC):
         self.last: float | None = None
         self.stray: float | None = None
         self.forces = list[float]()
-        self._standing: Standing | None = None
+        self._standing: TrackerOutput | None = None
         n = len(layout.sensors)
         self.repeats = [0] * n
         self.lowest, self.highest = [float("inf")] * n, [float("-inf")] * n
 
     @abstractmethod
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         """Write this: what is believed after a sample.
 
         Args:
@@ -192,12 +192,12 @@ class Tracker(ABC):
     def reset_motion(self) -> None:  # noqa: B027
         """Forget the motion, but not the parameters: behind a long gap. By default nothing."""
 
-    def smooth(self) -> list[Standing]:
+    def smooth(self) -> list[TrackerOutput]:
         """What is believed of the samples still held, given all of them; empty where a method has none."""
         return []
 
     @final
-    def update(self, sample: Sample) -> Standing:
+    def update(self, sample: Sample) -> TrackerOutput:
         """Take a sample and say what is believed. Raises InputError for a sample that does not fit the layout."""
         if len(sample.values) != len(self.layout.sensors) or len(sample.forces) != len(self.layout.forced):
             wanted = f"{len(self.layout.sensors)} value(s) and {len(self.layout.forced)} force(s)"
@@ -234,7 +234,7 @@ class Tracker(ABC):
         followed = self.stray is not None and 0 < time - self.stray <= reach
         return self.last is not None and time - self.last > reach and not followed
 
-    def _stepped(self, sample: Sample, steps: int) -> Standing:
+    def _stepped(self, sample: Sample, steps: int) -> TrackerOutput:
         try:
             found = self.step(sample, steps)
             self.owed, self.skipped = 0, []
@@ -243,14 +243,16 @@ class Tracker(ABC):
             self.owed = max(steps, 1)  # to the next step it is a gap, whose forces are known
             self.skipped = [*self.skipped[1 - MOST_SKIPPED :], list(sample.forces)]
             before = self._standing
-            belief = before.belief if before else None
+            distribution = before.distribution if before else None
             said = f"{type(error).__name__}: {error}"
-            return Standing(sample.time, SampleStatus.FAILED, belief, message=f"the step went wrong ({said})")
+            return TrackerOutput(
+                sample.time, SampleStatus.FAILED, distribution, message=f"the step went wrong ({said})"
+            )
 
-    def _unread(self, sample: Sample, status: SampleStatus, message: str) -> Standing:
+    def _unread(self, sample: Sample, status: SampleStatus, message: str) -> TrackerOutput:
         before = self._standing
         alarm = before.alarm if before else float("nan")
-        return Standing(sample.time, status, before.belief if before else None, alarm=alarm, message=message)
+        return TrackerOutput(sample.time, status, before.distribution if before else None, alarm=alarm, message=message)
 
     def _usable(self, sample: Sample) -> tuple[Sample, SampleStatus]:
         """The sample with NaN for values that say nothing and forces as before for missing ones; and why."""

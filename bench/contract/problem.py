@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.contract.prior import Prior, dimension_scale
 from bench.errors import InputError
-from bench.systems import FORCE, MASS, MEASURED, Dimension, Loaded, System
+from bench.systems import FORCE, MASS, MEASURED, Dimension, LoadedSystem, System
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -199,7 +199,7 @@ class Record:
 
     def rig(self, system: System) -> System:
         """The system as it was in this run: with the added masses in its equation of motion."""
-        return system if self.added_mass is None else Loaded(system, tuple(map(float, self.added_mass)))
+        return system if self.added_mass is None else LoadedSystem(system, tuple(map(float, self.added_mass)))
 
     def force(self, times: np.ndarray, n_dof: int) -> list[np.ndarray]:
         """The known force (N) on each DOF at the times: ``n_dof`` arrays of the shape of ``times``."""

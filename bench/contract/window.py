@@ -2,7 +2,7 @@
 
 Windows overlap, so estimates one behind the other share samples. With an **arrival cost** (C. V. Rao, J. B. Rawlings,
 D. Q. Mayne, IEEE Trans. Automatic Control 48:246, 2003) what was learned before a window joins what the window tells:
-the belief that stood when the sample before the window's first had come, so that no sample counts twice. Both are
+the distribution that stood when the sample before the window's first had come, so that no sample counts twice. Both are
 normal in the logarithms, so their product is. How much the parameters may have changed meanwhile is not set by hand:
 of :data:`WIDTHS` the one is taken under which the difference of the two is most likely. The motion at the start of a
 window is estimated from the window alone.
@@ -19,11 +19,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench.contract.belief import Normal, standard_quantile
+from bench.contract.distribution import Normal, standard_quantile
 from bench.contract.estimate import Estimate, Status
-from bench.contract.online import Layout, Sample, SampleStatus, Standing, Tracker
+from bench.contract.online import Layout, Sample, SampleStatus, Tracker, TrackerOutput
 from bench.contract.problem import Channel, Force, Problem, Record
-from bench.contract.zero import levelled
+from bench.contract.zero import remove_jumps
 
 SPIKE = 5.0
 """Robust standard deviations from the reconstruction, beyond which a sample is left out and the window fitted again."""
@@ -56,7 +56,7 @@ class WindowTracker(Tracker):
     def answer(self, problem: Problem) -> Estimate:
         """Write this: the estimate from a window."""
 
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         """Fit the window where it is time."""
         if steps > 1 and self.layout.forced:  # the force of the gap is not known, so no fit may reach across it
             self.times, self.values, self.pushes = self.times[:0], self.values[:0], self.pushes[:0]
@@ -68,27 +68,29 @@ class WindowTracker(Tracker):
         if self.times.size < self.length or self.unseen < self.every:
             waits = not self.belief_names
             status = SampleStatus.WARMING_UP if waits else SampleStatus.OK
-            return Standing(sample.time, status, self._belief(), message="the window is not full" if waits else "")
+            return TrackerOutput(
+                sample.time, status, self._distribution(), message="the window is not full" if waits else ""
+            )
         self.unseen = 0
         moved = self._levelled()
         found, message = self._fitted()
         if found is not None and moved:  # the zero is known better now
             found, message = self._fitted()
         if found is None:
-            return Standing(sample.time, SampleStatus.FAILED, self._belief(), message=message)
+            return TrackerOutput(sample.time, SampleStatus.FAILED, self._distribution(), message=message)
         status = SampleStatus.SENSOR_JUMP if moved else SampleStatus.OK
         message = "the sensor's zero has jumped, and is taken off" if moved else ""
         if self.arrival:
             found = self._joined(found)
         self.belief_names, self.belief_mean = list(found.names), found.mean
         self.belief_covariance = np.asarray(found.covariance)
-        return Standing(sample.time, status, self._belief(), message=message)
+        return TrackerOutput(sample.time, status, self._distribution(), message=message)
 
     def _levelled(self) -> bool:
         """Take a jump of a sensor's zero off the samples behind it; whether there was one."""
         if np.ptp(np.diff(self.times)) > 0.5 * self.layout.interval:
             return False
-        at = levelled(self.values, self.zero)
+        at = remove_jumps(self.values, self.zero)
         if at is not None:
             self.jumped = float(self.times[at])
         return at is not None
@@ -105,13 +107,13 @@ class WindowTracker(Tracker):
                 self.values[self.times - self.times[0] >= behind - 0.5 * self.layout.interval, i] -= np.median(left)
                 self.zero[i] += np.median(left)
 
-    def _belief(self) -> Normal | None:
+    def _distribution(self) -> Normal | None:
         if not self.belief_names:
             return None
         return Normal(tuple(self.belief_names), self.belief_mean, self.belief_covariance, log=True)
 
     def _joined(self, found: Normal) -> Normal:
-        """The belief together with the one that stood before the window's first sample, which is then forgotten."""
+        """Combine the window's distribution with the one from before its first sample, which is then dropped."""
         if list(found.names) != self.belief_names:
             self.past_times, self.past_means, self.past_covariances = [], [], []
         before = [i for i, t in enumerate(self.past_times) if t < self.times[0]]
@@ -139,11 +141,11 @@ class WindowTracker(Tracker):
         if estimate.status is not Status.OK:
             return None, estimate.message
         self._relevelled(problem, estimate)
-        return _log_belief(estimate, self.layout)
+        return _log_distribution(estimate, self.layout)
 
 
 def product(own: Normal, mean: np.ndarray, covariance: np.ndarray) -> Normal:
-    """A belief and an earlier one of the same names, which is first widened by the most likely of :data:`WIDTHS`."""
+    """Combine a distribution with an earlier one, which is first widened by the most likely of :data:`WIDTHS`."""
     assert own.covariance is not None
     off, size = own.mean - mean, len(own.mean)
 
@@ -187,16 +189,16 @@ def _without_spikes(problem: Problem, estimate: Estimate) -> Problem | None:
     return replace(problem, records=(replace(record, channels=tuple(channels)),)) if dropped else None
 
 
-def _log_belief(estimate: Estimate, layout: Layout) -> tuple[Normal | None, str]:
+def _log_distribution(estimate: Estimate, layout: Layout) -> tuple[Normal | None, str]:
     """Normal in logarithms: of the parameters as they are, of groups by their 95 % intervals."""
-    belief = estimate.belief
+    distribution = estimate.distribution
     if (
-        isinstance(belief, Normal)
-        and belief.log
-        and belief.covariance is not None
-        and set(belief.names) >= set(layout.free)
+        isinstance(distribution, Normal)
+        and distribution.log
+        and distribution.covariance is not None
+        and set(distribution.names) >= set(layout.free)
     ):
-        return belief, ""
+        return distribution, ""
     names, means, sds, width = [], [], [], 2.0 * float(standard_quantile(0.975, None))
     for quantity in layout.quantities:
         marginal = estimate.marginal(quantity)

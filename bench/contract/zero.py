@@ -47,7 +47,7 @@ def largest_jump(values: np.ndarray) -> Jump | None:
     return Jump(top + SIDE, float(steps[top])) if sizes[top] > GATE * scale else None
 
 
-def levelled(values: np.ndarray, zero: np.ndarray) -> int | None:
+def remove_jumps(values: np.ndarray, zero: np.ndarray) -> int | None:
     """Take the largest jump of each sensor off the samples behind it, and add it to the sensor's zero, both in place.
 
     Args:

@@ -225,7 +225,7 @@ class SimulatedResponse:
         return simulate(self.system, self.parameters, self.start, times, self.forces).displacement
 
 
-def fitted_start(system: System, p: Mapping[str, float], record: Record) -> InitialState:
+def fit_initial_state(system: System, p: Mapping[str, float], record: Record) -> InitialState:
     """Return the initial state that fits a record best at given parameters, or the one that is known.
 
     Gauss-Newton on the simulated measurements by finite differences of the state, with the offsets of channels; one

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.belief import Draws, Normal
+from bench.contract.distribution import Draws, Normal
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.engine.method_process import FitTask, outcomes
@@ -38,7 +38,7 @@ from bench.store.store import Store
 from bench.store.stored import StoredCell
 
 KEPT_DRAWS = 500
-"""How many draws of a belief are kept, evenly thinned, for the replicate whose arrays are."""
+"""How many draws of a distribution are kept, evenly thinned, for the replicate whose arrays are."""
 NO_BOUND = Bound((), {}, {}, {}, math.inf, math.inf, ())
 """Says nothing: of a cell whose bound cannot be computed."""
 KEPT = 0
@@ -230,12 +230,12 @@ def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> tuple[list[
     columns |= score_columns([trace_scores(*judged) for judged in zip(combined, truths, strict=True)])
     good = [estimate.status is Status.OK for estimate in combined]
     columns["realised_snr_db"] = np.where(good, [truth.realised_snr_db for truth in truths], np.nan)
-    for name in filter(is_of_belief, columns):
+    for name in filter(is_of_distribution, columns):
         columns[name][unsure] = np.nan
     return combined, columns
 
 
-def is_of_belief(name: str) -> bool:
+def is_of_distribution(name: str) -> bool:
     """Whether a score judges a stated uncertainty; a method that states none has it from the prior's step alone."""
     return any(mark in name for mark in ("_coverage_", "_pit", "_interval_score_pct", "_crps_pct"))
 
@@ -264,7 +264,7 @@ def data_digest(problem: Problem) -> str:
 
 
 def kept_arrays(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, np.ndarray]:
-    """Record, truth, reconstruction, band, belief and traces of one replicate, for pictures."""
+    """Record, truth, reconstruction, band, distribution and traces of one replicate, for pictures."""
     record = problem.records[0]
     arrays = {
         "sample_times": np.concatenate([c.times for c in record.channels]),
@@ -277,12 +277,12 @@ def kept_arrays(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str,
         arrays["displacement"] = estimate.reconstructions[0](truth.dense_times)
     if estimate.bands:
         arrays["displacement_sd"] = estimate.bands[0](truth.dense_times)
-    belief = estimate.belief
-    if isinstance(belief, Draws):
-        step = max(1, len(belief.samples) // KEPT_DRAWS)
-        arrays["draws"] = belief.samples[::step][:KEPT_DRAWS]
-    elif isinstance(belief, Normal):
-        arrays["mean"] = belief.mean
-        if belief.covariance is not None:
-            arrays["covariance"] = belief.covariance
+    distribution = estimate.distribution
+    if isinstance(distribution, Draws):
+        step = max(1, len(distribution.samples) // KEPT_DRAWS)
+        arrays["draws"] = distribution.samples[::step][:KEPT_DRAWS]
+    elif isinstance(distribution, Normal):
+        arrays["mean"] = distribution.mean
+        if distribution.covariance is not None:
+            arrays["covariance"] = distribution.covariance
     return arrays | {f"trace_{name}": values for name, values in estimate.traces.items()}

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.belief import Belief, Draws, Normal
+from bench.contract.distribution import Distribution, Draws, Normal
 from bench.contract.estimate import Cost, Estimate, Reconstruction, Rescaled, Status
 from bench.contract.problem import InitialState
 from bench.dynamics.simulate import SimulatedResponse, displacements
@@ -90,8 +90,8 @@ def plain(estimate: Estimate, times: np.ndarray) -> Estimate:
     what is not as the contract has it.
     """
     starts, n_dof = estimate.initial_states, estimate.system.n_dof
-    bare = _plain_beliefs(estimate)
-    alternatives = tuple(map(_plain_beliefs, estimate.alternatives[:MOST_ALTERNATIVES]))
+    bare = _plain_distributions(estimate)
+    alternatives = tuple(map(_plain_distributions, estimate.alternatives[:MOST_ALTERNATIVES]))
     weights = [part.weight for part in (bare, *alternatives)]
     if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) < WEIGHT_ROUNDING):
         raise ValueError(f"weights of an answer and its alternatives that add up to 1 were expected, not {weights}")
@@ -111,13 +111,13 @@ def plain(estimate: Estimate, times: np.ndarray) -> Estimate:
     )
 
 
-def _plain_beliefs(estimate: Estimate) -> Estimate:
+def _plain_distributions(estimate: Estimate) -> Estimate:
     """Return what an estimate, or an alternative of one, believes of the parameters, and its weight."""
-    groups = _plain_belief(estimate.groups)
+    groups = _plain_distribution(estimate.groups)
     assert groups is None or isinstance(groups, Normal)
     return Estimate(
         None,  # type: ignore[arg-type]
-        parameters=_plain_belief(estimate.parameters),
+        parameters=_plain_distribution(estimate.parameters),
         groups=groups,
         weight=float(estimate.weight),
     )
@@ -130,18 +130,18 @@ def _sampled(function: Reconstruction, times: np.ndarray, n_dof: int) -> Sampled
     return Sampled(times, values)
 
 
-def _plain_belief(belief: Belief | None) -> Belief | None:
-    if belief is None:
+def _plain_distribution(distribution: Distribution | None) -> Distribution | None:
+    if distribution is None:
         return None
-    names = tuple(str(name) for name in belief.names)
+    names = tuple(str(name) for name in distribution.names)
     n = len(names)
-    if isinstance(belief, Draws):
-        return Draws(names, _shaped(belief.samples, (None, n)))
-    if not isinstance(belief, Normal):
-        raise TypeError(f"a belief is a Normal or Draws, not {type(belief).__name__}")
-    covariance = None if belief.covariance is None else _shaped(belief.covariance, (n, n))
-    dof = None if belief.dof is None else float(belief.dof)
-    return Normal(names, _shaped(belief.mean, (n,)), covariance, bool(belief.log), dof)
+    if isinstance(distribution, Draws):
+        return Draws(names, _shaped(distribution.samples, (None, n)))
+    if not isinstance(distribution, Normal):
+        raise TypeError(f"a distribution is a Normal or Draws, not {type(distribution).__name__}")
+    covariance = None if distribution.covariance is None else _shaped(distribution.covariance, (n, n))
+    dof = None if distribution.dof is None else float(distribution.dof)
+    return Normal(names, _shaped(distribution.mean, (n,)), covariance, bool(distribution.log), dof)
 
 
 def _shaped(values: Any, shape: Sequence[int | None]) -> np.ndarray:

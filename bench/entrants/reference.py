@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.contract.belief import Normal
+from bench.contract.distribution import Normal
 from bench.contract.estimate import Cost, Estimate, Status
 from bench.contract.problem import Problem
-from bench.dynamics.simulate import fitted_start
+from bench.dynamics.simulate import fit_initial_state
 from bench.likelihood.output_error import OutputError, estimate_at
 from bench.scenario.truth import Truth
 
@@ -40,9 +40,9 @@ def prior_estimate(problem: Problem, truth: Truth) -> Estimate:
     if problem.prior is None:
         return Estimate.failed(problem.system, Status.UNSUPPORTED, "there is no prior in this scenario")
     prior = problem.prior
-    belief = Normal(prior.names, prior.log_mean, np.diag(prior.log_sds**2), log=True)
-    starts = tuple(fitted_start(problem.system, prior.nominal, record) for record in problem.records)
-    return Estimate(problem.system, parameters=belief, initial_states=starts, message="the nominal values")
+    distribution = Normal(prior.names, prior.log_mean, np.diag(prior.log_sds**2), log=True)
+    starts = tuple(fit_initial_state(problem.system, prior.nominal, record) for record in problem.records)
+    return Estimate(problem.system, parameters=distribution, initial_states=starts, message="the nominal values")
 
 
 def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:

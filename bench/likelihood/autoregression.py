@@ -41,7 +41,7 @@ class Autoregression:
         length = 1 << max(13, int(np.ceil(np.log2(4 * n))))
         return np.fft.irfft(self.spectrum(length), length)[:n]
 
-    def whitened(self, values: np.ndarray) -> np.ndarray:
+    def whiten(self, values: np.ndarray) -> np.ndarray:
         """Prediction errors of values (..., n) over their standard deviations: white where the values are this noise.
 
         A value that lacks predecessors is predicted from those there are, so these are the factors of the exact
@@ -106,7 +106,7 @@ def log_likelihoods(noise: Autoregression, residuals: np.ndarray) -> np.ndarray:
 
     The same samples count whatever the order is, so that orders can be compared.
     """
-    errors = noise.whitened(residuals - np.mean(residuals))[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
+    errors = noise.whiten(residuals - np.mean(residuals))[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
     scale = np.mean(errors**2)
     return np.asarray(-0.5 * (np.log(2 * np.pi * scale * noise.variance) + errors**2 / scale))
 
@@ -139,11 +139,11 @@ class Whitened(OutputError):
         for i, noise in enumerate(self.noises):
             if noise is not None and noise.order:
                 channel = self.channel_of == i
-                values[..., channel] = noise.whitened(values[..., channel]) * np.sqrt(noise.autocovariance(1)[0])
+                values[..., channel] = noise.whiten(values[..., channel]) * np.sqrt(noise.autocovariance(1)[0])
         return values
 
 
-def whitened(model: OutputError, theta: np.ndarray) -> Whitened:
+def whiten_model(model: OutputError, theta: np.ndarray) -> Whitened:
     """Whiten a model by what its residuals at ``theta`` show; channels at uneven times stay as they are."""
     residuals, share = model.data - model.predict(theta), min(theta.size / model.data.size, 1.0)
     noises = []

@@ -11,7 +11,7 @@ from bench.dynamics.intervals import Steps, merged_grid, sample_times, step_coun
 from bench.dynamics.rates import longest_step
 from bench.dynamics.simulate import MAX_STEPS, SimulatedMotion
 from bench.dynamics.stepper import compiled_path
-from bench.likelihood.output_error import OutputError, Start
+from bench.likelihood.output_error import InitialValues, OutputError
 
 
 def compiled_output_error(problem: Problem, gauge: float = 1.0) -> OutputError:
@@ -23,7 +23,7 @@ def compiled_output_error(problem: Problem, gauge: float = 1.0) -> OutputError:
 class CompiledOutputError(OutputError):
     """The same by the steps of order four that :func:`bench.simulate` takes for many sets, for one set too."""
 
-    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+    def readings(self, p: dict[str, np.ndarray], start: InitialValues, record: Record) -> np.ndarray:
         """What the sensors would show, shape (..., n), without offsets; not finite where the response diverges."""
         rig, n = record.rig(self.system), self.system.n_dof
         x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from bench.contract.belief import Normal
+from bench.contract.distribution import Normal
 from bench.contract.estimate import Cost, Estimate
 from bench.contract.prior import Prior
 from bench.contract.problem import Channel, InitialState, Problem, Record
@@ -43,7 +43,7 @@ LONGEST_STEP = 1.5
 START_STEPS = 5
 """Gauss-Newton steps of the initial states and offsets that fit the data of a nonlinear system best."""
 
-Start = InitialState | tuple[np.ndarray, np.ndarray]
+InitialValues = InitialState | tuple[np.ndarray, np.ndarray]
 """A known initial state, or displacement and velocity of shape (n_dof, ...) of many sets at once."""
 
 
@@ -182,10 +182,10 @@ class OutputError:
             return p
         return {q.name: p[q.name] / self.mass_unit**q.dimension.mass for q in self.system.parameters}
 
-    def starts(self, theta: np.ndarray) -> list[Start]:
+    def starts(self, theta: np.ndarray) -> list[InitialValues]:
         """Initial state by record: the known one, or displacement and velocity of shape (n_dof, ...)."""
         n = self.system.n_dof
-        states: list[Start] = []
+        states: list[InitialValues] = []
         for record, state in zip(self.problem.records, self.states(theta), strict=True):
             part = np.moveaxis(state, -1, 0)
             known = record.initial_state if self.data.ndim == 1 else None
@@ -219,7 +219,7 @@ class OutputError:
         ]
         return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
 
-    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+    def readings(self, p: dict[str, np.ndarray], start: InitialValues, record: Record) -> np.ndarray:
         """What the sensors of a record would show, channel after channel, shape (..., n), without offsets."""
         return measurements(self.system, p, start, record)
 

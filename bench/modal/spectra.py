@@ -343,7 +343,7 @@ class SpectralLikelihood(ModalIdentifier):
         title="Spectra",
         order=20,
     )
-    serves = (Blows, FrequencyResponses)
+    scope = (Blows, FrequencyResponses)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
         """Fit one mode, two and so on; answer those in the band."""

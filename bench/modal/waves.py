@@ -63,7 +63,7 @@ class WaveFit(PoleFit):
         """Return rows (1, channels or 1, k, n) as (1, channels, n, k), (1, 1, n, k) for white noise."""
         if self.filters:
             rows = np.broadcast_to(rows[0], (len(self.filters), *rows.shape[2:]))
-            rows = np.stack([noise.whitened(part) for noise, part in zip(self.filters, rows, strict=True)])[None]
+            rows = np.stack([noise.whiten(part) for noise, part in zip(self.filters, rows, strict=True)])[None]
         return np.swapaxes(rows, -1, -2)
 
     @cached_property
@@ -116,8 +116,8 @@ class WaveFit(PoleFit):
         noises, deviations = self._noises(bool(self.filters)), np.std(self.values[0], axis=1)
         for residuals, noise, deviation in zip(self.residuals[0], noises, deviations, strict=True):
             unit = replace(noise, variance=1.0)
-            square = np.mean(unit.whitened(residuals) ** 2) + (ROUNDING * deviation) ** 2 + 1e-300
-            total += n * np.log(square) - 2.0 * np.sum(np.log(np.diag(unit.whitened(np.eye(noise.order)))))
+            square = np.mean(unit.whiten(residuals) ** 2) + (ROUNDING * deviation) ** 2 + 1e-300
+            total += n * np.log(square) - 2.0 * np.sum(np.log(np.diag(unit.whiten(np.eye(noise.order)))))
         return float(total + (self.unknowns + sum(noise.order for noise in noises)) * np.log(n))
 
     def _noises(self, coloured: bool, spent: float = 0.0) -> list[Autoregression]:
@@ -197,7 +197,7 @@ class Waves(ModalIdentifier):
         title="Damped waves",
         order=10,
     )
-    serves = (FreeDecays,)
+    scope = (FreeDecays,)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
         """Fit one mode, two and so on; answer those in the band."""

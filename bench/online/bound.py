@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from bench.contract.online import Layout
-from bench.dynamics.held import HeldModel
+from bench.dynamics.discrete_model import DiscreteModel
 from bench.online.scenario import OnlineScenario, Stream
 
 OPEN_LOG_SD = 3.0
@@ -41,7 +41,7 @@ def bound_variances(scenario: OnlineScenario, stream: Stream) -> dict[str, np.nd
 def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     """Covariances of the log-parameters after each sample, (n, n_free, n_free)."""
     layout, truth = stream.layout, stream.truth
-    model = HeldModel(layout)
+    model = DiscreteModel(layout)
     n = len(stream.times)
     logs = np.log(np.stack([truth.parameters[name] for name in layout.free], axis=1))
     if not layout.scale_told:
@@ -108,7 +108,7 @@ def _slopes(layout: Layout) -> Any:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    model = HeldModel(layout)
+    model = DiscreteModel(layout)
     advance, observe = jax.jacfwd(model.advance), jax.jacfwd(model.observe)
 
     def both(joint: Any, force: Any, kept: Any) -> tuple[Any, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.contract.online import Layout, OnlineIdentifier, SampleStatus, Standing, Tracker
+from bench.contract.online import Layout, OnlineIdentifier, SampleStatus, Tracker, TrackerOutput
 from bench.online.scenario import Stream
 
 
@@ -16,8 +16,8 @@ class Followed:
     """The path of a tracker over one stream of n samples.
 
     ``means`` and ``sds`` (n, n_quantities): of the logarithm of each quantity of the layout, NaN where there is no
-    belief; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time of a sample; ``held_bytes``: what the tracker
-    holds at the end.
+    distribution; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time of a sample; ``held_bytes``: what the
+    tracker holds at the end.
     """
 
     means: np.ndarray
@@ -28,20 +28,20 @@ class Followed:
     held_bytes: int
 
 
-def moments(standing: Standing, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of the logarithm of each quantity; NaN where the belief does not tell it."""
+def moments(standing: TrackerOutput, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of the logarithm of each quantity; NaN where the distribution does not tell it."""
     n = len(layout.quantities)
-    means, sds, belief = np.full(n, np.nan), np.full(n, np.nan), standing.belief
-    if belief is None or belief.covariance is None:
+    means, sds, distribution = np.full(n, np.nan), np.full(n, np.nan), standing.distribution
+    if distribution is None or distribution.covariance is None:
         return means, sds
     for i, quantity in enumerate(layout.quantities):
-        if quantity.name in belief.names:
-            j = belief.names.index(quantity.name)
-            means[i], sds[i] = belief.mean[j], np.sqrt(belief.covariance[j, j])
-        elif set(layout.free) <= set(belief.names):
-            weights = np.array(quantity.vector(belief.names))
-            means[i] = weights @ belief.mean + np.log(quantity.coefficient)
-            sds[i] = np.sqrt(max(weights @ belief.covariance @ weights, 0.0))
+        if quantity.name in distribution.names:
+            j = distribution.names.index(quantity.name)
+            means[i], sds[i] = distribution.mean[j], np.sqrt(distribution.covariance[j, j])
+        elif set(layout.free) <= set(distribution.names):
+            weights = np.array(quantity.vector(distribution.names))
+            means[i] = weights @ distribution.mean + np.log(quantity.coefficient)
+            sds[i] = np.sqrt(max(weights @ distribution.covariance @ weights, 0.0))
     return means, sds
 
 
@@ -57,18 +57,18 @@ def follow(method: OnlineIdentifier, stream: Stream) -> Followed:
     n, q = len(samples), len(layout.quantities)
     means, sds = np.full((n, q), np.nan), np.full((n, q), np.nan)
     alarms, micros, status = np.full(n, np.nan), np.empty(n), np.empty(n, dtype="<U12")
-    before: Standing | None = None
+    before: TrackerOutput | None = None
     for i, sample in enumerate(samples):
         started = time.perf_counter()
         standing = tracker.update(sample)
         micros[i] = 1e6 * (time.perf_counter() - started)
-        same = before is not None and standing.belief is before.belief
+        same = before is not None and standing.distribution is before.distribution
         means[i], sds[i] = (means[i - 1], sds[i - 1]) if same else moments(standing, layout)
         alarms[i], status[i], before = standing.alarm, standing.status.value, standing
     return Followed(means, sds, alarms, status, micros, held_bytes(tracker))
 
 
 def begun(path: Followed) -> int:
-    """The first sample with a belief; the number of samples where there is none."""
+    """The first sample with a distribution; the number of samples where there is none."""
     there = np.flatnonzero(np.all(np.isfinite(path.means), axis=1) & (path.status != SampleStatus.WARMING_UP.value))
     return int(there[0]) if there.size else len(path.means)

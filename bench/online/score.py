@@ -47,11 +47,11 @@ def scored(stream: Stream, path: Followed, bound: Mapping[str, np.ndarray], quan
 class Score:
     """Of one quantity over the replicates. NaN where it does not apply.
 
-    ``excess``: root mean square error over the bound, pooled from :data:`SCORED_FROM` on, over samples with a belief;
-    ``share``: of those samples that have one; ``rms``: that error, in percent; ``after``: excess by samples since the
-    change (:data:`AFTER`); ``coverage``: of the 95 % intervals; ``delay``: median samples from the change until the
-    95 % interval excludes the old value, infinite where most never do; ``curve``: (false alarms in 1,000 samples,
-    median delay) by :data:`LEVELS`, each NaN where the scenario cannot tell it.
+    ``excess``: root mean square error over the bound, pooled from :data:`SCORED_FROM` on, over samples with a
+    distribution; ``share``: of those samples that have one; ``rms``: that error, in percent; ``after``: excess by
+    samples since the change (:data:`AFTER`); ``coverage``: of the 95 % intervals; ``delay``: median samples from the
+    change until the 95 % interval excludes the old value, infinite where most never do; ``curve``: (false alarms in
+    1,000 samples, median delay) by :data:`LEVELS`, each NaN where the scenario cannot tell it.
     """
 
     excess: float

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
+from bench.contract.distribution import standard_quantile
 from bench.contract.problem import Channel, Record
 from bench.likelihood.autoregression import MOST_ORDER, SAMPLES_PER_ORDER, Autoregression, autoregression
 from bench.likelihood.least_squares import SETTLED, Linearisation, covariances, minimise
@@ -257,8 +257,8 @@ class LawFitter:
         white, turned = np.zeros_like(left), np.zeros_like(slopes)
         for case, noises_of_case in enumerate(noises):
             for row, (noise, n) in enumerate(zip(noises_of_case, self.counts, strict=True)):
-                white[case, row, :n] = noise.whitened(left[case, row, :n])
-                turned[case, row, :n] = noise.whitened(slopes[case, row, :n].T).T
+                white[case, row, :n] = noise.whiten(left[case, row, :n])
+                turned[case, row, :n] = noise.whiten(slopes[case, row, :n].T).T
         return white, turned
 
     def fitted(self) -> ClassFits:
@@ -350,7 +350,7 @@ class LawFitter:
 
 def _log_likelihoods(noise: Autoregression, residuals: np.ndarray, floor: float) -> np.ndarray:
     """Compute those of each sample but the first, the same ones whatever the order; noise is at least ``floor``."""
-    errors = noise.whitened(residuals)[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
+    errors = noise.whiten(residuals)[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
     scale = max(float(np.mean(errors**2)), floor**2 / noise.variance)
     return np.asarray(-0.5 * (np.log(2 * np.pi * scale * noise.variance) + errors**2 / scale))
 

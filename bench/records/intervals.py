@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
+from bench.contract.distribution import standard_quantile
 from bench.contract.estimate import Estimate
 from bench.records.linearised_fit import LinearisedFit
 from bench.records.models import ClassComparison

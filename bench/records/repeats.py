@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.contract.belief import standard_quantile
+from bench.contract.distribution import standard_quantile
 from bench.records.diagnostics import readable, reasons_of_intervals
 from bench.records.finding import Finding, Run
 from bench.records.intervals import CHANCE, HALF, PRIOR_SPREAD, UPPER, WIDEST, StatedInterval, paule_mandel

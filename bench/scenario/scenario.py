@@ -19,7 +19,7 @@ from bench.scenario.disturbance import Disturbance
 from bench.scenario.force import ForceSpec
 from bench.scenario.stream import anonymous_stream
 from bench.scenario.truth import Truth, reference_response
-from bench.systems import Loaded, System, make_system
+from bench.systems import LoadedSystem, System, make_system
 
 NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
 """Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
@@ -220,7 +220,9 @@ class Scenario:
     def rigs(self) -> tuple[System, ...]:
         """Return the system of each record: as it is, and with the added mass where one is."""
         system = self.make_system()
-        return (system,) if self.added_mass is None else (system, Loaded(system, tuple(map(float, self.added_mass))))
+        return (
+            (system,) if self.added_mass is None else (system, LoadedSystem(system, tuple(map(float, self.added_mass))))
+        )
 
     @property
     def measured_dofs(self) -> tuple[int, ...]:
@@ -310,7 +312,7 @@ class Scenario:
         """Return what methods see of a record whose sensors read ``values`` (measured, n)."""
         rig = self.rigs()[number]
         channels = tuple(Channel(times, own, dof=i) for i, own in zip(self.measured_dofs, values, strict=True))
-        added = np.array(rig.added) if isinstance(rig, Loaded) else None
+        added = np.array(rig.added) if isinstance(rig, LoadedSystem) else None
         forces = []
         if self.force is not None:
             rng = self.stream(FORCE_NOISE, seed, index, *_later(number))

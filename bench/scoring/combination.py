@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import leastsq
 
-from bench.contract.belief import Normal
+from bench.contract.distribution import Normal
 from bench.contract.estimate import Estimate, Status
 from bench.contract.prior import Prior
 from bench.information.fisher import inverse_root

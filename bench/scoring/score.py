@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.contract.belief import Marginal, Normal, standard_quantile
+from bench.contract.distribution import Marginal, Normal, standard_quantile
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
-from bench.dynamics.simulate import displacements, fitted_start
+from bench.dynamics.simulate import displacements, fit_initial_state
 from bench.scenario.truth import Truth
 from bench.systems import Quantity
 
@@ -58,11 +58,19 @@ def scores(estimates: Sequence[Estimate], problems: Sequence[Problem], truths: S
 
 def _form(estimate: Estimate, replicate: int) -> object:
     """Return a key that is equal for estimates of the same form; samples and alternatives are scored one by one."""
-    belief = estimate.belief
-    if not isinstance(belief, Normal) or estimate.alternatives:
+    distribution = estimate.distribution
+    if not isinstance(distribution, Normal) or estimate.alternatives:
         return replicate
-    form = (belief.names, np.shape(belief.mean), belief.log, belief.covariance is None, belief.dof is None)
-    positive = belief.log or bool(np.all(belief.mean > 0))  # modal quantities exist for positive groups only
+    form = (
+        distribution.names,
+        np.shape(distribution.mean),
+        distribution.log,
+        distribution.covariance is None,
+        distribution.dof is None,
+    )
+    positive = distribution.log or bool(
+        np.all(distribution.mean > 0)
+    )  # modal quantities exist for positive groups only
     curves = len(estimate.reconstructions), len(estimate.bands)
     return form, positive, estimate.parameters is None, estimate.initial_states is None, curves
 
@@ -72,11 +80,13 @@ def _joint(estimates: Sequence[Estimate]) -> Estimate:
     first = estimates[0]
     if first.alternatives:
         return first
-    beliefs: list[Any] = [estimate.belief for estimate in estimates]
-    names = ("mean", "covariance", "dof") if isinstance(beliefs[0], Normal) else ("samples",)
-    arrays = {name: [getattr(belief, name) for belief in beliefs] for name in names}
-    belief = replace(beliefs[0], **{name: None if a[0] is None else np.stack(a) for name, a in arrays.items()})
-    return Estimate(first.system, **{"groups" if first.parameters is None else "parameters": belief})
+    distributions: list[Any] = [estimate.distribution for estimate in estimates]
+    names = ("mean", "covariance", "dof") if isinstance(distributions[0], Normal) else ("samples",)
+    arrays = {name: [getattr(distribution, name) for distribution in distributions] for name in names}
+    distribution = replace(
+        distributions[0], **{name: None if a[0] is None else np.stack(a) for name, a in arrays.items()}
+    )
+    return Estimate(first.system, **{"groups" if first.parameters is None else "parameters": distribution})
 
 
 def _columns(estimates: Sequence[Estimate], problems: Sequence[Problem], truths: Sequence[Truth]) -> Columns:
@@ -92,7 +102,7 @@ def _columns(estimates: Sequence[Estimate], problems: Sequence[Problem], truths:
         columns["other_basins_pct"] = np.array([100.0 * (1.0 - joint.weight)])
     columns |= _simulated_scores(estimates, problems, truths, point_parameters(joint))
     if estimates[0].reconstructions:
-        columns |= _reconstruction_scores(estimates, truths, getattr(joint.belief, "dof", None))
+        columns |= _reconstruction_scores(estimates, truths, getattr(joint.distribution, "dof", None))
     return columns
 
 
@@ -169,7 +179,7 @@ def _simulated_scores(
     initial_states = [
         estimate.initial_states[0]
         if estimate.initial_states
-        else fitted_start(system, {name: float(value[i]) for name, value in p.items()}, record)
+        else fit_initial_state(system, {name: float(value[i]) for name, value in p.items()}, record)
         for i, (estimate, record) in enumerate(zip(estimates, records, strict=True))
     ]
     rig, forces = records[0].rig(system), [record.forces for record in records]

@@ -14,6 +14,7 @@ from typing import Any
 
 from bench.entry_points import entry_points_of, load_entry_point
 from bench.errors import InputError
+from bench.systems.added_mass import LoadedSystem
 from bench.systems.contract import (
     DAMPING,
     FORCE,
@@ -30,7 +31,6 @@ from bench.systems.contract import (
     Quantity,
     System,
 )
-from bench.systems.loaded import Loaded
 
 GROUP = "bench.systems"
 OURS = {
@@ -50,7 +50,7 @@ __all__ = [
     "Components",
     "Dimension",
     "Kind",
-    "Loaded",
+    "LoadedSystem",
     "Ops",
     "Parameter",
     "Quantity",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TextIO
 
-from bench.contract.online import OnlineIdentifier, Sample, Standing, Tracker
+from bench.contract.online import OnlineIdentifier, Sample, Tracker, TrackerOutput
 from bench.errors import InputError
 from bench.online.follow import moments
 from bench.online.score import Z95
@@ -82,7 +82,7 @@ class Session:
             if again:
                 print(f"bench track: {again} sample(s) had been seen before; left out", file=sys.stderr)
 
-    def report(self, sample: Sample, standing: Standing) -> dict[str, Any]:
+    def report(self, sample: Sample, standing: TrackerOutput) -> dict[str, Any]:
         """Return the answer to a sample as JSON holds it; null stands for what is not known."""
         layout = self.tracker.layout
         means, sds = moments(standing, layout)

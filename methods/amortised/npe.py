@@ -40,9 +40,9 @@ from bench import (
     Normal,
     Prior,
     Problem,
-    Serves,
+    Scope,
     SimulatedResponse,
-    fitted_start,
+    fit_initial_state,
 )
 from methods.amortised.cache import Arrays, cache_folder, cached
 from methods.amortised.correction import log_likelihood, resampled
@@ -105,7 +105,7 @@ class NPE(BandIdentifier):
             }
         },
     )
-    serves: ClassVar[Serves] = Serves(forced=False, nonlinear=False, max_dof=1)
+    scope: ClassVar[Scope] = Scope(forced=False, nonlinear=False, max_dof=1)
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
     works_in = "natural units"
@@ -222,7 +222,7 @@ def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> E
     mass, damping, stiffness = _parameters(problem)
     middle = np.exp(np.median(logs, axis=0))
     p = {mass: 1.0, damping: float(middle[1]), stiffness: float(middle[0])}
-    start = fitted_start(system, p, record)
+    start = fit_initial_state(system, p, record)
     response = SimulatedResponse(system, p, start)
     y = record.channels[0].values
     left = float(np.mean((y - response(record.channels[0].times)[0]) ** 2) / np.mean(y**2))

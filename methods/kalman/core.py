@@ -1,20 +1,20 @@
 """The Kalman filter, written once for numpy and jax: maps made affine, prediction, update, smoothing, mixtures.
 
 Any number of filters stand side by side along the leading axes of all arrays. A filter of a nonlinear system is a rule
-that replaces each map by an affine one about a belief N(m, P); for these the Kalman filter is exact.
+that replaces each map by an affine one about a distribution N(m, P); for these the Kalman filter is exact.
 
 - :func:`tangent` makes the extended filter: ``f(s) ~ f(m) + F (s - m)``.
-- :func:`regression` makes the unscented one. The belief is replaced by points at ``m ± sqrt(d + kappa)`` times each
-  column of a square root of P, and at m (S. J. Julier, J. K. Uhlmann, Proc. SPIE 3068:182, 1997), where d is the size
-  of the state. The straight line through what the map makes of them is the affine map of least mean square error, and
-  what it leaves is that map's error (statistical linear regression; T. Lefebvre et al., IEEE Trans. Automatic Control
-  47:1406, 2002): mean and covariance are then those of the unscented transform.
+- :func:`regression` makes the unscented one. The distribution is replaced by points at ``m ± sqrt(d + kappa)`` times
+  each column of a square root of P, and at m (S. J. Julier, J. K. Uhlmann, Proc. SPIE 3068:182, 1997), where d is the
+  size of the state. The straight line through what the map makes of them is the affine map of least mean square error,
+  and what it leaves is that map's error (statistical linear regression; T. Lefebvre et al., IEEE Trans. Automatic
+  Control 47:1406, 2002): mean and covariance are then those of the unscented transform.
 
-A belief is carried by its covariance (:data:`COVARIANCE`) or by a root of it (:data:`ROOT`; P. Kaminski, A. Bryson, S.
-Schmidt, IEEE Trans. Automatic Control 16:727, 1971). Channels have independent noise, so their values are taken one by
-one, and nothing is inverted. The update of a covariance is Joseph's, which keeps it positive. The smoother is the
-modified Bryson-Frazier one (G. J. Bierman, Int. J. Control 18:65, 1973): it needs no inverse either, so a state that is
-known exactly, a singular covariance, does no harm.
+A distribution is carried by its covariance (:data:`COVARIANCE`) or by a root of it (:data:`ROOT`; P. Kaminski, A.
+Bryson, S. Schmidt, IEEE Trans. Automatic Control 16:727, 1971). Channels have independent noise, so their values are
+taken one by one, and nothing is inverted. The update of a covariance is Joseph's, which keeps it positive. The smoother
+is the modified Bryson-Frazier one (G. J. Bierman, Int. J. Control 18:65, 1973): it needs no inverse either, so a state
+that is known exactly, a singular covariance, does no harm.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class Affine(NamedTuple):
 
 
 Rule = Callable[[Map, Array, Array], Affine]
-"""How a map becomes affine about beliefs: means (L, d) and covariances (L, d, d)."""
+"""How a map becomes affine about distributions: means (L, d) and covariances (L, d, d)."""
 
 
 class Update(NamedTuple):
-    """A belief after its samples, and what the smoother needs of them.
+    """A distribution after its samples, and what the smoother needs of them.
 
     ``spread`` is the covariance. By channel: ``gains`` (..., d); ``innovations`` (...), each over its variance;
     ``precisions`` (...): 1 over these variances, 0 where a channel gave nothing. ``likelihood`` (...): log-likelihood
@@ -81,11 +81,11 @@ def regression(
 
     Args:
         function: The map.
-        means: Means of the beliefs, (L, d).
-        covariances: Covariances of the beliefs, (L, d, d).
+        means: Means of the distributions, (L, d).
+        covariances: Covariances of the distributions, (L, d, d).
         kappa: Weight of the central point against those about it; 0 is the cubature rule (I. Arasaratnam, S. Haykin,
             IEEE Trans. Automatic Control 54:1254, 2009).
-        least: Least standard deviation of a direction, which makes the line a tangent where a belief is certain.
+        least: Least standard deviation of a direction, which makes the line a tangent where a distribution is certain.
         relative: The same, over the largest one.
     """
     xp, d = means.__array_namespace__(), means.shape[1]
@@ -106,23 +106,23 @@ def regression(
 
 
 def error(affine: Affine, walk: Array) -> Array:
-    """Return the covariance that a belief gains by an affine map and by random walks of variances (..., d)."""
+    """Return the covariance that a distribution gains by an affine map and by random walks of variances (..., d)."""
     return transposed(affine.scatter) @ affine.scatter + walk[..., None] * np.eye(walk.shape[-1])
 
 
 def predict(slopes: Array, constants: Array, gained: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Carry a belief through an affine map, by which it gains a covariance (..., d, d)."""
+    """Carry a distribution through an affine map, by which it gains a covariance (..., d, d)."""
     return apply(slopes, mean) + constants, slopes @ covariance @ transposed(slopes) + gained
 
 
 def update(
     mean: Array, covariance: Array, slopes: Array, constants: Array, variances: Array, values: Array, used: Array
 ) -> Update:
-    """Update a belief by the values of channels whose noise is independent.
+    """Update a distribution by the values of channels whose noise is independent.
 
     Args:
-        mean: Of the belief, (..., d).
-        covariance: Of the belief, (..., d, d).
+        mean: Of the distribution, (..., d).
+        covariance: Of the distribution, (..., d, d).
         slopes: Of the measurement, (..., C, d).
         constants: Of the measurement, (..., C).
         variances: Of the noise, (..., C).
@@ -166,7 +166,7 @@ def _predict_covariance(affine: Affine, walk: Array, mean: Array, covariance: Ar
 
 
 def predict_root(affine: Affine, walk: Array, mean: Array, root: Array) -> tuple[Array, Array]:
-    """Carry a belief by a root of its covariance through an affine map; ``walk`` (..., d): variances that it gains."""
+    """Carry a covariance root through an affine map; ``walk`` (..., d) are the variances of the added random walk."""
     xp = mean.__array_namespace__()
     noise = xp.sqrt(walk)[..., None] * np.eye(walk.shape[-1])
     wide = xp.concatenate([affine.slopes @ root, transposed(affine.scatter), noise], axis=-1)
@@ -190,7 +190,7 @@ def update_root(
 
 
 class SpreadForm(NamedTuple):
-    """Form in which a belief carries its spread: prediction, update, and conversion from and to a covariance."""
+    """Form in which a distribution carries its spread: prediction, update, and conversion from and to a covariance."""
 
     predict: Callable[..., tuple[Array, Array]]
     update: Callable[..., Any]
@@ -211,7 +211,7 @@ ROOT = SpreadForm(predict_root, update_root, _root, lambda root: root @ transpos
 
 
 def mixture(share: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of mixtures of the same M beliefs, with shares (..., M)."""
+    """Return mean and covariance of mixtures of the same M distributions, with shares (..., M)."""
     mean = share @ means
     off = means - mean[..., None, :]
     return mean, (share[..., None, None] * (covariances + outer(off, off))).sum(-3)

@@ -5,29 +5,29 @@ constants that the measurements of the motion tell of, once the equation of moti
 sample (R. E. Kopp, R. J. Orford, AIAA J. 1:2300, 1963). Several records are one chain: between two of them the motion
 starts anew and the constants carry over.
 
-**Iteration.** The record is passed again and again, each time from the original belief, with the maps taken about the
-smoothed trajectory of the pass before: the iterated extended Kalman smoother (B. M. Bell, SIAM J. Optimization 4:626,
-1994), which without process noise is a Gauss-Newton method for the most probable parameters, or its counterpart with
-sigma points (A. F. Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Trans. Automatic Control 62:2056, 2017). Nothing is
-counted twice, as it would be if a pass began at the end of the one before.
+**Iteration.** The record is passed again and again, each time from the original distribution, with the maps taken about
+the smoothed trajectory of the pass before: the iterated extended Kalman smoother (B. M. Bell, SIAM J. Optimization
+4:626, 1994), which without process noise is a Gauss-Newton method for the most probable parameters, or its counterpart
+with sigma points (A. F. Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Trans. Automatic Control 62:2056, 2017). Nothing
+is counted twice, as it would be if a pass began at the end of the one before.
 
 **Starting points.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter
 from a wrong one stays there. So the first maps are taken about the trajectories of a few separate starting points of
-the scan that multiple shooting has, too, side by side. The belief that each pass begins with is the prior all the same.
-Of their ends the most probable one is kept, as every search here does. (The likelihood of the innovations, by which
-D. T. Magill weighs a bank of filters, IEEE Trans. Automatic Control 10:434, 1965, adds the volume of what the data
-leave open: at 0 dB it prefers a motion that dies at once, and explains nothing, to the true one.) The ends that are
-nearly as probable widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE Trans.
-Automatic Control 17:439, 1972), and the answer says so.
+the scan that multiple shooting has, too, side by side. The distribution that each pass begins with is the prior all the
+same. Of their ends the most probable one is kept, as every search here does. (The likelihood of the innovations, by
+which D. T. Magill weighs a bank of filters, IEEE Trans. Automatic Control 10:434, 1965, adds the volume of what the
+data leave open: at 0 dB it prefers a motion that dies at once, and explains nothing, to the true one.) The ends that
+are nearly as probable widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE
+Trans. Automatic Control 17:439, 1972), and the answer says so.
 
 **Noise.** At first what the trajectory of a starting point leaves; from then on each channel's variance is its residual
 sum of squares over N less the part of them that was fitted, ``sum H P H' / R``: the fixed point of the EM step of R. H.
 Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982).
 
-**First belief.** Log-parameters: the prior. Without one: ``open_sd``, a factor of ``e``, about the first candidate as
-the data gave it, moved by no search; where the scale is not identifiable the gauge mass is 1 and the answer is the
-groups. An unknown initial state: rest, with a standard deviation of :data:`methods.kalman.joint.START` times the
-largest displacement (times the fastest rate for velocities).
+**First distribution.** Log-parameters: the prior. Without one: ``open_sd``, a factor of ``e``, about the first
+candidate as the data gave it, moved by no search; where the scale is not identifiable the gauge mass is 1 and the
+answer is the groups. An unknown initial state: rest, with a standard deviation of :data:`methods.kalman.joint.START`
+times the largest displacement (times the fastest rate for velocities).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from bench import (
     NoEstimate,
     OutputError,
     Problem,
-    Serves,
+    Scope,
     estimate_at,
 )
 from methods.kalman.core import Rule, outer
@@ -98,7 +98,7 @@ class IteratedSmoother(SearchingIdentifier):
     drift: float = 0.0
     open_sd: float = 1.0
 
-    serves: ClassVar[Serves] = EVERY_PROBLEM
+    scope: ClassVar[Scope] = EVERY_PROBLEM
     works_in = "natural units"
 
     def __post_init__(self) -> None:
@@ -119,7 +119,7 @@ class IteratedSmoother(SearchingIdentifier):
         """Estimate all parameters, or the groups where the scale is not identifiable. Uses no randomness."""
         model = OutputError(problem)
         first, thetas = starting_points(model)
-        joint = first_belief(model, first, thetas[0], self.drift, self.open_sd)
+        joint = first_distribution(model, first, thetas[0], self.drift, self.open_sd)
         nodes = Nodes.of(model, longest_step(model, thetas, np.ones((1, 1))))
         bank = started(joint, nodes, thetas)
         passes = 0
@@ -157,10 +157,10 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
     return sets[0], np.stack(kept)
 
 
-def first_belief(
+def first_distribution(
     model: OutputError, candidate: dict[str, float], theta: np.ndarray, drift: float, open_sd: float
 ) -> Joint:
-    """The belief before any sample: the prior, or ``open_sd`` about a candidate.
+    """The distribution before any sample: the prior, or ``open_sd`` about a candidate.
 
     ``theta``: the best starting point, whose fastest rate says how fast an unknown initial state may be. ``drift``:
     standard deviation of the random walk of a log-parameter over a unit of time, the longest record.

@@ -131,7 +131,7 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """The joint state ``[x, v, z, log-parameters, offsets]`` and the belief in it before any sample.
+    """The joint state ``[x, v, z, log-parameters, offsets]`` and the distribution in it before any sample.
 
     ``logs`` and ``log_sds`` (k,): log-parameters at first; ``log_walk``: variance that they gain a unit of time.
     ``speed``: the rate (radians a unit of time) by which an unknown velocity is thought to be larger than a

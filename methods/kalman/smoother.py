@@ -40,7 +40,7 @@ class Smoothed:
 
 
 def smooth(joint: Joint, nodes: Nodes, rule: Rule, sigma: np.ndarray, about: np.ndarray, width: np.ndarray) -> Smoothed:
-    """Pass forth and back at noise ``sigma`` (B, C), always from the belief before any sample.
+    """Pass forth and back at noise ``sigma`` (B, C), always from the distribution before any sample.
 
     The affine maps are taken about the means ``about`` (B, K, d) and the covariances ``width`` (B, K, d, d).
     """
@@ -60,11 +60,11 @@ def smooth(joint: Joint, nodes: Nodes, rule: Rule, sigma: np.ndarray, about: np.
     noise = np.tile(sigma**2, c // sigma.shape[1])
     measured = _measurements(observed, errors + noise, values)
     mean, covariance = joint.first()
-    belief = np.tile(mean, (len(sigma), 1)), np.tile(covariance, (len(sigma), 1, 1))
+    distribution = np.tile(mean, (len(sigma), 1)), np.tile(covariance, (len(sigma), 1, 1))
     updates, moves = list[Update](), (transitions.slopes, transitions.constants, error(transitions, walk[:, None]))
     for row, move in zip(zip(*measured, strict=True), zip(*moves, strict=True), strict=True):
-        updates.append(update(*belief, *row))
-        belief = predict(*move, *updates[-1][:2])
+        updates.append(update(*distribution, *row))
+        distribution = predict(*move, *updates[-1][:2])
     means, covariances = _smoothed(updates, transitions.slopes, measured[0])
     here = np.isfinite(values)[:, None]
     left = np.where(here, values[:, None] - apply(observed.slopes, means) - observed.constants, 0.0)
@@ -77,7 +77,7 @@ def smooth(joint: Joint, nodes: Nodes, rule: Rule, sigma: np.ndarray, about: np.
 
 
 def _linearised(joint: Joint, nodes: Nodes, rule: Rule, means: np.ndarray, covariances: np.ndarray) -> Affine:
-    """The affine maps of all nodes about all beliefs, (K, B, ...); those of a rig in blocks."""
+    """The affine maps of all nodes about all distributions, (K, B, ...); those of a rig in blocks."""
     count, number, d = means.shape
     maps: list[np.ndarray] = []
     for rig, places in joint.nodes_by_rig(nodes):
@@ -97,7 +97,7 @@ def _followed(points: np.ndarray, joint: Joint, nodes: Nodes, which: np.ndarray,
 
 
 def _measurements(observed: Affine, variances: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the arguments of :func:`methods.kalman.core.update` after the belief; no more rows than unknowns."""
+    """Return the arguments of :func:`methods.kalman.core.update` after the distribution; no more rows than unknowns."""
     here, d = np.isfinite(values), observed.slopes.shape[-1]
     values = np.where(here, values, 0.0)[:, None]
     if values.shape[-1] <= d:

@@ -1,8 +1,8 @@
 """Unscented Kalman filter for state and parameters together, iterated: each map is replaced by its regression.
 
-The belief is replaced by symmetric points, and a map by the straight line through its values there
-(:func:`methods.kalman.core.regression`). Directions in which the belief is certain (a known start) get a small spread,
-which makes the line a tangent there. ``kappa`` = 0 weighs all points alike and the centre not at all, as in the
+The distribution is replaced by symmetric points, and a map by the straight line through its values there
+(:func:`methods.kalman.core.regression`). Directions in which the distribution is certain (a known start) get a small
+spread, which makes the line a tangent there. ``kappa`` = 0 weighs all points alike and the centre not at all, as in the
 cubature filter (I. Arasaratnam, S. Haykin, IEEE Trans. Automatic Control 54:1254, 2009); the other usual choice, 3 - d,
 weighs the centre negatively from four unknowns on, and covariances then need not stay positive.
 
@@ -43,7 +43,7 @@ class UKF(IteratedSmoother):
         uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
         settings_source="kappa of the cubature filter; starts and screening of multiple shooting; no process noise, "
         "since parameters are constants; passes until they settle",
-        tuning="width of the belief without a prior: 3; relaxation of the passes; on development systems "
+        tuning="width of the distribution without a prior: 3; relaxation of the passes; on development systems "
         "at 200 to 0 dB, damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
         title="Unscented Kalman filter",
         order=180,

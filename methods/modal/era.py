@@ -27,7 +27,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Estimate, InputError, Problem, Serves, Status
+from bench import Card, Estimate, InputError, Problem, Scope, Status
 from methods.modal.realisation import MAX_SAMPLES, realise, step_of
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, solve
@@ -60,7 +60,7 @@ class ERA(RegressionIdentifier):
         title="Eigensystem realisation",
         order=190,
     )
-    serves: ClassVar[Serves] = Serves(several_channels=True, forced=False, nonlinear=False, max_dof=None)
+    scope: ClassVar[Scope] = Scope(several_channels=True, forced=False, nonlinear=False, max_dof=None)
     uses_start = False
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Estimate, Problem, Serves, Status
+from bench import Estimate, Problem, Scope, Status
 from methods.modal.overdamped import real_decays
 from methods.modal.realisation import step_of
 from methods.regression.equation import Regression
@@ -54,7 +54,7 @@ class Decays:
 class FreeDecayIdentifier(RegressionIdentifier):
     """A method for the free decay of one mass; the uncertainty is a bootstrap's where ``spread`` gives none."""
 
-    serves: ClassVar[Serves] = Serves(offsets=True, forced=False, nonlinear=False, max_dof=1)
+    scope: ClassVar[Scope] = Scope(offsets=True, forced=False, nonlinear=False, max_dof=1)
     uses_start = False
     unreadable: ClassVar[str]
     """The sentence for a record that ``read`` makes nothing of."""

@@ -102,7 +102,7 @@ class _StabilisedModes(ModalIdentifier):
 
     rows: float = 0.5
 
-    serves: ClassVar[tuple[type, ...]] = (FreeDecays,)
+    scope: ClassVar[tuple[type, ...]] = (FreeDecays,)
     below_each_other: ClassVar[bool]
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ from bench import (
     Normal,
     Problem,
     Record,
-    Serves,
+    Scope,
     Status,
     regression_columns,
 )
@@ -85,7 +85,7 @@ class DDNN(BandIdentifier):
         remarks=True,
         paper="ddnn",
     )
-    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, max_dof=None, added_mass=True)
+    scope: ClassVar[Scope] = Scope(several_records=True, several_channels=True, max_dof=None, added_mass=True)
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
     works_in = "natural units"
@@ -128,13 +128,13 @@ class DDNN(BandIdentifier):
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(covariance))):
             raise NoEstimate("the regression on the derivatives is not finite", Status.NONFINITE, cost)
         try:
-            belief = _belief(problem, values, covariance, max(problem.n - used, 1.0))
+            distribution = _distribution(problem, values, covariance, max(problem.n - used, 1.0))
         except NoEstimate as reason:
             raise NoEstimate(str(reason), cost=cost) from None
         return Estimate(
             system,
-            parameters=belief if problem.scale_told else None,
-            groups=None if problem.scale_told else belief,
+            parameters=distribution if problem.scale_told else None,
+            groups=None if problem.scale_told else distribution,
             reconstructions=tuple(s.response() for s in smoothers),
             initial_states=tuple(InitialState(*s.streams(np.zeros(1))[:2, 0]) for s in smoothers),
             cost=cost,
@@ -170,7 +170,7 @@ def _regressions(
     return full[0], full[1:]
 
 
-def _belief(problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float) -> Normal:
+def _distribution(problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float) -> Normal:
     """The groups, or the log-parameters where the scale is known, with the prior where there is one."""
     system = problem.system
     if not problem.scale_told:

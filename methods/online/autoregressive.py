@@ -26,7 +26,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from bench import Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing
+from bench import Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, TrackerOutput
 from methods.discrete.ar import coefficient_slopes, coefficients_of
 from methods.online.least_squares import LeastSquaresTracker
 
@@ -97,7 +97,7 @@ class _ARTracker(LeastSquaresTracker):
     def _forget_everything(self) -> None:
         self.information, self.recent, self.slopes = np.zeros((4, 4)), np.zeros(4), np.zeros((2, 4))
 
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         """Collect the first samples; then one Gauss-Newton step a sample."""
         value, force = float(sample.values[0]), float(sample.forces[0]) if self.forced else 0.0
         if not self.begun:
@@ -128,12 +128,14 @@ class _ARTracker(LeastSquaresTracker):
         if not np.all(np.isfinite(self.theta)):
             self.begun = False
             self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
-            return Standing(sample.time, SampleStatus.FAILED, message="the recursion is lost; it begins again")
-        belief = self._belief()
-        if belief is None:
-            return Standing(sample.time, SampleStatus.FAILED, message="its poles are not those of an oscillator")
+            return TrackerOutput(sample.time, SampleStatus.FAILED, message="the recursion is lost; it begins again")
+        distribution = self._distribution()
+        if distribution is None:
+            return TrackerOutput(sample.time, SampleStatus.FAILED, message="its poles are not those of an oscillator")
         sd = self.sizes[0] * np.sqrt(np.array([level]))
-        return Standing(sample.time, status, belief, self.sizes[0] * np.array([predicted]), sd, message=message)
+        return TrackerOutput(
+            sample.time, status, distribution, self.sizes[0] * np.array([predicted]), sd, message=message
+        )
 
     def _outlying(self, left: float, sd: float) -> tuple[SampleStatus, str]:
         """Leave a value out; several in a row on one side are a jump of the sensor's zero, which is taken off."""
@@ -154,11 +156,11 @@ class _ARTracker(LeastSquaresTracker):
         reach = 1.0 if self.forced else (1.0 + self.theta[2:].sum()) / (1.0 + self.theta[:2].sum())
         self.zero += float(np.clip(reach, 0.1, 10.0)) * left / self.zeroed
 
-    def _collected(self, sample: Sample, value: float, force: float, steps: int) -> Standing:
+    def _collected(self, sample: Sample, value: float, force: float, steps: int) -> TrackerOutput:
         if steps > 1 or self.head_values.size >= MOST * self.settings.warm_up:
             self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
         self.head_values, self.head_forces = np.append(self.head_values, value), np.append(self.head_forces, force)
-        waiting = Standing(sample.time, SampleStatus.WARMING_UP, message="the first samples are kept")
+        waiting = TrackerOutput(sample.time, SampleStatus.WARMING_UP, message="the first samples are kept")
         there = np.isfinite(self.head_values)
         if np.sum(there) < self.settings.warm_up or not there[-1]:
             return waiting
@@ -167,9 +169,9 @@ class _ARTracker(LeastSquaresTracker):
         self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
         self.sizes = np.array([np.sqrt(np.mean(values**2)) or 1.0, np.sqrt(np.mean(forces**2)) or 1.0])
         if not self._begin(values / self.sizes[0], forces / self.sizes[1]):
-            return Standing(sample.time, SampleStatus.FAILED, message="no model explains the first samples")
+            return TrackerOutput(sample.time, SampleStatus.FAILED, message="no model explains the first samples")
         self.begun = True
-        return Standing(sample.time, SampleStatus.OK, self._belief())
+        return TrackerOutput(sample.time, SampleStatus.OK, self._distribution())
 
     def _begin(self, y: np.ndarray, f: np.ndarray) -> bool:
         """Hold the best model of the first samples, and what they tell of it; False where there is none."""
@@ -199,7 +201,7 @@ class _ARTracker(LeastSquaresTracker):
             self.recent = np.array([-shown[-1], -shown[-2], f[-1], f[-2]])
         self.inverse = np.asarray(np.linalg.pinv(self.information, hermitian=True), float)
         self.power, self.weight = 2.0 * cost, float(y.size - (2 if self.forced else 0))
-        return self._belief() is not None
+        return self._distribution() is not None
 
     def _starts(self, values: np.ndarray) -> list[np.ndarray]:
         """Logarithms of frequency (a sample) and damping ratio, and under an unknown force the moving average."""
@@ -246,7 +248,7 @@ class _ARTracker(LeastSquaresTracker):
         self.slopes = np.stack([slope, self.slopes[0]])
         self.recent = np.array([-expected, old[0], f, old[2]] if self.forced else [-y, old[0], y - expected, old[2]])
 
-    def _belief(self) -> Normal | None:
+    def _distribution(self) -> Normal | None:
         """Normal in the logarithms by the delta method; None where the poles are no oscillator's."""
         groups, variance = self._groups(), self.variance
         if groups is None or variance is None:

@@ -1,12 +1,12 @@
 """Kalman filters of the joint state, several side by side, compiled: weights and their mixture.
 
-The joint state is that of :class:`bench.HeldModel`; each member of a bank is a filter with its own belief, by one of
-three rules (:mod:`methods.kalman.core`): ``extended``, its tangents by automatic differentiation; ``unscented``; and
-``square_root``, the extended filter that carries a root of the covariance.
+The joint state is that of :class:`bench.DiscreteModel`; each member of a bank is a filter with its own distribution, by
+one of three rules (:mod:`methods.kalman.core`): ``extended``, its tangents by automatic differentiation; ``unscented``;
+and ``square_root``, the extended filter that carries a root of the covariance.
 
 Weights follow the likelihood of the innovations, with forgetting (A. E. Raftery, M. Karny, P. Ettler, Technometrics
-52:52, 2010), or a Markov chain between members whose beliefs are mixed before each prediction (interacting multiple
-models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988).
+52:52, 2010), or a Markov chain between members whose distributions are mixed before each prediction (interacting
+multiple models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988).
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench import HeldModel, Layout
+from bench import DiscreteModel, Layout
 from methods.kalman.core import COVARIANCE, ROOT, Affine, SpreadForm, apply, mixture, regression
 
 Rule = Literal["extended", "unscented", "square_root"]
 HELD = 0.99
 LEAST_SHARE = 1e-3
-"""Share of a mixture below which a member is left out of it: a normal cannot show a belief that wide and that rare."""
+"""Least weight of a member of the mixture; a normal cannot represent a component that is wide and this improbable."""
 GATE = 6.0
 """Standard deviations from its prediction beyond which a value is an outlier."""
 FLOOR = -600.0
 """Least log-weight of a member: a number that can still be summed."""
 LEAST_SPREAD = 1e-6
-"""Of a belief's largest standard deviation: a direction of the unscented filter's points has at least this."""
+"""Of a distribution's largest standard deviation: a direction of the unscented filter's points has at least this."""
 WIDE = 4.0
 """A member that expects a value with so many times the variance of the surest may not explain it."""
 Outcome = np.void
@@ -53,8 +53,8 @@ class Bank:
         return _compiled(self)
 
     @cached_property
-    def model(self) -> HeldModel:
-        return HeldModel(self.layout)
+    def model(self) -> DiscreteModel:
+        return DiscreteModel(self.layout)
 
     @cached_property
     def outcome(self) -> np.dtype[np.void]:
@@ -78,7 +78,7 @@ class Bank:
         return ROOT if self.rule == "square_root" else COVARIANCE
 
     def _affine(self, function: Any, means: Any, spreads: Any) -> Affine:
-        """A map of one joint state made affine about each member's belief, by the rule."""
+        """A map of one joint state made affine about each member's distribution, by the rule."""
         import jax
         import jax.numpy as jnp
 
@@ -88,7 +88,7 @@ class Bank:
         return Affine(slopes, values - apply(slopes, means), jnp.zeros_like(values)[:, None])
 
     def coast(self, means: Any, spreads: Any, force: Any, interval: Any, noise: Any) -> tuple[Any, Any]:
-        """Carry beliefs an interval (s) on, to before the next sample.
+        """Carry distributions an interval (s) on, to before the next sample.
 
         ``noise``: variances of the process noise of each member (M, d), and what the unknown force keeps of itself.
         """
@@ -149,7 +149,7 @@ class Bank:
         return (means, spreads, weights), jnp.concatenate(row)
 
     def _mixed(self, means: Any, spreads: Any, weights: Any, chain: Any) -> tuple[Any, Any, Any]:
-        """Beliefs of each member given where the chain may have come from; ``chain[i, j]`` from i to j.
+        """Distributions of each member given where the chain may have come from; ``chain[i, j]`` from i to j.
 
         A member's share below :data:`LEAST_SHARE` is left out: the variance of a fast rate, however rare, would else
         be process noise of the constant parameters.

@@ -1,11 +1,11 @@
 """Bayesian online change-point detection: filters that each assume one last change, weighted by what they predicted.
 
-A hypothesis is a filter of constant parameters that began, at some sample, from the belief of then with one parameter
-opened (R. P. Adams, D. J. C. MacKay, arXiv:0710.3742, with the Kalman filter's predictive density in place of a
-conjugate one; P. Fearnhead, Z. Liu, J. Royal Statistical Society B 69:589, 2007, for bounding their number). Every few
-samples, and as soon as a value surprises, one begins for each parameter; the least likely of those that have had their
-time make room. The answer is the mixture, so between changes it is nearly that of a filter of constants, and behind one
-that of a filter that knew.
+A hypothesis is a filter of constant parameters that began, at some sample, from the distribution of then with one
+parameter opened (R. P. Adams, D. J. C. MacKay, arXiv:0710.3742, with the Kalman filter's predictive density in place of
+a conjugate one; P. Fearnhead, Z. Liu, J. Royal Statistical Society B 69:589, 2007, for bounding their number). Every
+few samples, and as soon as a value surprises, one begins for each parameter; the least likely of those that have had
+their time make room. The answer is the mixture, so between changes it is nearly that of a filter of constants, and
+behind one that of a filter that knew.
 
 Alarm: the logarithm (base 10) of the odds that something has changed within the samples that the bank remembers.
 """
@@ -64,7 +64,7 @@ class HypothesisTracker(FilterTracker):
         return self.since >= self.born or (self.since > 1 and bool(np.any(outcome["surprise"] > SURPRISE)))
 
     def begin(self, mean: np.ndarray, spread: np.ndarray, places: np.ndarray, kinds: np.ndarray) -> None:
-        """Begin hypotheses in some places: from a belief, a parameter of each kind opened, and the motion looser.
+        """Begin hypotheses in some places: from a distribution, a parameter of each kind opened, and the motion looser.
 
         What was filtered since the parameter changed was filtered wrongly.
         """

@@ -1,7 +1,7 @@
 """Kalman filters on line: state and log-parameters together, parameters as random walks of unknown rate.
 
 The rate is not set by hand. Filters of several rates run side by side, from none to a fast one, and the likelihood of
-what each predicted decides what counts: the rate is a Markov chain that seldom changes, and the beliefs are mixed
+what each predicted decides what counts: the rate is a Markov chain that seldom changes, and the distributions are mixed
 accordingly before each prediction (interacting multiple models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic
 Control 33:780, 1988), so a filter that has been wrong for long takes over from those that were right.
 """

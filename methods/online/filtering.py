@@ -5,7 +5,7 @@ by and by, until it determines the parameters (:data:`VAGUE`) and its prediction
 better than the mean (:func:`explained`). Until then there is no answer.
 
 **Losing the mode.** The same comparison judges the running filter. Where it fails the mode is lost: counted, said, the
-belief widened, and the last samples searched anew, unless the filter finds back before.
+distribution widened, and the last samples searched anew, unless the filter finds back before.
 
 **Unknown force.** Free motion is that under an unknown force, since blows come untold. The force's level follows the
 mean square of the innovations; so does the sensors' noise, within what the first samples leave open. Moves of the
@@ -17,10 +17,10 @@ has jumped. The sensor's offset is opened first, and the motion where the force 
 not the stiffness. If that explains nothing, parameters and motion are opened too.
 
 **Rest.** Where the motion that is expected falls below the noise, the samples say next to nothing of the parameters,
-and the status says so (:data:`REST`). Where the force is not known the belief then grows wider.
+and the status says so (:data:`REST`). Where the force is not known the distribution then grows wider.
 
-**Gaps.** The belief coasts. A known force is not known in a gap, so behind one the motion is open by as much as it has
-been moving. Behind a step that failed it is known.
+**Gaps.** The distribution coasts. A known force is not known in a gap, so behind one the motion is open by as much as
+it has been moving. Behind a step that failed it is known.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from bench import Layout, Normal, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from bench import Layout, Normal, OnlineIdentifier, Sample, SampleStatus, Tracker, TrackerOutput
 from methods.online.bank import FLOOR, GATE, Bank, Outcome, Rule
 from methods.online.likelihood import Head, beginning, without_spikes
 
@@ -66,8 +66,8 @@ REST = 0.7
 """Standard deviations of its noise: where every sensor is expected to show less, the samples tell nothing."""
 REST_RATE = 2e-3
 """Standard deviation that the log-parameters gain a sample at rest, where the force is not told."""
-RESTING = "nothing moves beyond the noise: the belief rests on what was learned before"
-OPENING = "several samples in a row are far off: the sensor's zero or the system has jumped, the belief is opened"
+RESTING = "nothing moves beyond the noise: the distribution rests on what was learned before"
+OPENING = "several samples in a row are far off: the sensor's zero or the system has jumped, the distribution is opened"
 
 
 Probability = Annotated[float, Interval(gt=0.0, lt=1.0)]
@@ -139,15 +139,15 @@ class FilterTracker(Tracker):
         self.constants = jax.tree.map(jax.numpy.asarray, (self.layout.interval, (walk, self.memory), levels))
         self.ungated = (*self.constants[:2], (*self.constants[2][:2], jax.numpy.asarray(np.inf)))
 
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         """Search until a mode is found; then coast over a gap, update, and let the subclass have its say."""
         self._kept(sample, steps)
         if not self.begun:
             self.before, lacking = list(sample.forces), self._searched()
             if not lacking:
-                return Standing(sample.time, SampleStatus.OK, self._belief_of_first())
+                return TrackerOutput(sample.time, SampleStatus.OK, self._distribution_of_first())
             self.lacking = lacking
-            return Standing(sample.time, SampleStatus.WARMING_UP, message=f"no answer yet: {lacking}")
+            return TrackerOutput(sample.time, SampleStatus.WARMING_UP, message=f"no answer yet: {lacking}")
         if steps > 1:
             self._gap(steps - 1)
         there = [isfinite(value) for value in sample.values]
@@ -163,7 +163,7 @@ class FilterTracker(Tracker):
         self.before = list(sample.forces)
         if not outcome["finite"]:
             self.begun, self.far, self.losses = False, 0, self.losses + 1
-            return Standing(sample.time, SampleStatus.FAILED, message="the filter is lost; it begins again")
+            return TrackerOutput(sample.time, SampleStatus.FAILED, message="the filter is lost; it begins again")
         self.block.append(np.asarray(numbers))
         alarm = self.judged(outcome)
         status, message = (SampleStatus.AT_REST, RESTING) if self.resting else (SampleStatus.OK, "")
@@ -173,24 +173,24 @@ class FilterTracker(Tracker):
             self.rows[(self.count - 1) % len(self.rows), self.columns :] = outcome["expected"]
             self.far = max(self.far - 1, 0)
         self._judge()
-        belief = self.belief(outcome["mean"], outcome["covariance"])
+        distribution = self.distribution(outcome["mean"], outcome["covariance"])
         if self.searching:
             status, message = SampleStatus.LOST, f"the mode is lost ({self.losses} so far); the search goes on"
             if not self._searched():
-                return Standing(sample.time, SampleStatus.OK, self._belief_of_first())
-        return Standing(sample.time, status, belief, outcome["expected"], outcome["sd"], alarm, message)
+                return TrackerOutput(sample.time, SampleStatus.OK, self._distribution_of_first())
+        return TrackerOutput(sample.time, status, distribution, outcome["expected"], outcome["sd"], alarm, message)
 
-    def belief(self, mean: np.ndarray, cov: np.ndarray) -> Normal:
-        """The log-parameters of a joint belief."""
+    def distribution(self, mean: np.ndarray, cov: np.ndarray) -> Normal:
+        """The log-parameters of a joint distribution."""
         logs = self.model.logs
         covariance = cov[logs, logs] * self.wider * self.wider[:, None]
         if self.searching:
             covariance += OPENED**2 * np.eye(len(covariance))
         return Normal(self.layout.free, mean[logs], covariance, log=True)
 
-    def _belief_of_first(self) -> Normal:
-        """The belief of a filter that has just begun: that of every member."""
-        return self.belief(np.asarray(self.means)[0], self.bank.form.covariance(np.asarray(self.spreads))[0])
+    def _distribution_of_first(self) -> Normal:
+        """The distribution of a filter that has just begun: that of every member."""
+        return self.distribution(np.asarray(self.means)[0], self.bank.form.covariance(np.asarray(self.spreads))[0])
 
     def afresh(self) -> None:
         """Forget what is held of an earlier filter. By default nothing."""
@@ -301,7 +301,7 @@ class FilterTracker(Tracker):
         return any(sd > VAGUE for kind, sd in zip(self._kinds, sds, strict=True) if kind in ("mass", "stiffness"))
 
     def _settled(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The belief with dampings that the first samples left open put where they can be learned."""
+        """The distribution with dampings that the first samples left open put where they can be learned."""
         mean, covariance, system = mean.copy(), covariance.copy(), self.layout.system
         logs = dict.fromkeys(system.names, 0.0) | dict(zip(self.layout.free, mean[self.model.logs], strict=True))
         sizes = {kind: [logs[p.name] for p in system.parameters if p.kind == kind] for kind in ("mass", "stiffness")}
@@ -361,7 +361,7 @@ class FilterTracker(Tracker):
         return np.asarray(np.where(moves, self.width**2, 0.0))
 
     def reset_motion(self) -> None:
-        """Behind a long gap the motion is as open as it has been moving; parameters keep their belief."""
+        """Behind a long gap the motion is as open as it has been moving; parameters keep their distribution."""
         self.count = 0
         if not self.begun:
             return

@@ -1,6 +1,6 @@
 """Interacting multiple models: at any time nothing changes, or one parameter does, slowly or fast.
 
-The modes form a Markov chain, and the belief of each is mixed from all before a prediction (H. A. P. Blom, Y.
+The modes form a Markov chain, and the distribution of each is mixed from all before a prediction (H. A. P. Blom, Y.
 Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988). A mode lasts some samples, since no single one shows a change.
 """
 

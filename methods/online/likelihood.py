@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import HeldModel, Layout, dimension_scale
+from bench import DiscreteModel, Layout, dimension_scale
 from methods.kalman.core import predict, update
 
 RATIOS = (0.01, 0.05, 0.25)
@@ -106,7 +106,7 @@ class Beginning:
 
 
 def beginning(head: Head) -> Beginning:
-    """Find the most likely parameters and levels of the first samples, and the belief after the last of them.
+    """Find the most likely parameters and levels of the first samples, and the distribution after the last of them.
 
     Not finite where no start of the scan leads anywhere. Methods that follow the same stream share the answer.
     """
@@ -159,7 +159,7 @@ def _searched(head: Head) -> Beginning:
         )
         if end.fun < best:
             best, found = float(end.fun), end.x
-    mean, covariance, expected = map(np.array, like.belief(found, head.values, head.forces, first))
+    mean, covariance, expected = map(np.array, like.distribution(found, head.values, head.forces, first))
     return Beginning(mean, covariance, Likelihood(head.layout).parts(found)[1], expected)
 
 
@@ -230,8 +230,8 @@ class Likelihood:
     layout: Layout
 
     @cached_property
-    def model(self) -> HeldModel:
-        return HeldModel(self.layout)
+    def model(self) -> DiscreteModel:
+        return DiscreteModel(self.layout)
 
     def parts(self, eta: Any) -> tuple[Any, Levels]:
         """Log-parameters and levels of a vector."""
@@ -261,16 +261,16 @@ class Likelihood:
         def observe(state: Any, force: Any) -> Any:
             return model.observe(jnp.concatenate([state, logs]), force)
 
-        belief = jnp.zeros(k), jnp.diag(self._first(first, levels)[:k])
+        distribution = jnp.zeros(k), jnp.diag(self._first(first, levels)[:k])
         fresh = jnp.zeros(k).at[model.ambient].set(levels.push**2 * (1.0 - levels.memory**2))
         fixed = None, None
         if layout.system.linear:  # one matrix for all samples
             still = jnp.zeros(len(layout.forced))
-            fixed = jax.jacfwd(observe)(belief[0], still), jax.jacfwd(advance)(belief[0], still)
-        total, (means, _) = _filtered(observe, advance, belief, fresh, levels, (values, forces, None), fixed)
+            fixed = jax.jacfwd(observe)(distribution[0], still), jax.jacfwd(advance)(distribution[0], still)
+        total, (means, _) = _filtered(observe, advance, distribution, fresh, levels, (values, forces, None), fixed)
         return -total, means
 
-    def belief(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any, Any]:
+    def distribution(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any, Any]:
         """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.
 
         The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there. The
@@ -285,12 +285,12 @@ class Likelihood:
         path = self._path(eta, values, forces, first)[1]
         about = jnp.concatenate([path, jnp.broadcast_to(logs, (len(path), len(logs)))], axis=1)
         fresh = jnp.zeros(model.size).at[model.ambient].set(levels.push**2 * (1.0 - levels.memory**2))
-        belief = jnp.zeros(model.size).at[model.logs].set(logs), jnp.diag(self._first(first, levels))
+        distribution = jnp.zeros(model.size).at[model.logs].set(logs), jnp.diag(self._first(first, levels))
 
         def advance(state: Any, force: Any) -> Any:
             return model.advance(state, force, layout.interval, levels.memory)
 
-        _, (means, covs) = _filtered(model.observe, advance, belief, fresh, levels, (values, forces, about))
+        _, (means, covs) = _filtered(model.observe, advance, distribution, fresh, levels, (values, forces, about))
         expected = jax.vmap(lambda state, before, now: model.observe(advance(state, before), now))(
             about[:-1], forces[:-1], forces[1:]
         )
@@ -309,14 +309,14 @@ class Likelihood:
 
 
 def _filtered(
-    observe: Any, advance: Any, belief: Any, fresh: Any, levels: Levels, rows: Any, fixed: Any = (None, None)
+    observe: Any, advance: Any, distribution: Any, fresh: Any, levels: Levels, rows: Any, fixed: Any = (None, None)
 ) -> tuple[Any, Any]:
     """Run an extended Kalman filter over rows of values (NaN: missing), forces and the states to linearise about.
 
     Args:
         observe: what the sensors give of a state, under forces.
         advance: the state after an interval, under forces.
-        belief: mean and covariance before the first row.
+        distribution: mean and covariance before the first row.
         fresh: variances that the state gains an interval.
         levels: noise of the sensors.
         rows: values (n, n_sensors), forces (n, n_forced), states (n, d), or None: about the filter's own mean.
@@ -341,16 +341,16 @@ def _filtered(
         line = straight(advance, mean if point is None else point, force, fixed[1])
         return (predict(*line, jnp.diag(fresh), mean, cov), total + gained), (mean, cov)
 
-    (_, total), path = jax.lax.scan(step, (belief, 0.0), rows)
+    (_, total), path = jax.lax.scan(step, (distribution, 0.0), rows)
     return total, path
 
 
 class CompiledLikelihood(NamedTuple):
-    """A likelihood compiled: of one vector with its slope, of many, and the belief at one."""
+    """A likelihood compiled: of one vector with its slope, of many, and the distribution at one."""
 
     slope: Any
     many: Any
-    belief: Any
+    distribution: Any
 
 
 @lru_cache(maxsize=32)
@@ -361,4 +361,4 @@ def compiled(layout: Layout) -> CompiledLikelihood:
     jax.config.update("jax_enable_x64", True)
     likelihood = Likelihood(layout)
     many = jax.vmap(likelihood.negative, in_axes=(0, None, None, None))
-    return CompiledLikelihood(*map(jax.jit, (jax.value_and_grad(likelihood.negative), many, likelihood.belief)))
+    return CompiledLikelihood(*map(jax.jit, (jax.value_and_grad(likelihood.negative), many, likelihood.distribution)))

@@ -34,9 +34,9 @@ from bench import (
     OnlineIdentifier,
     Sample,
     SampleStatus,
-    Standing,
-    levelled,
+    TrackerOutput,
     regression_columns,
+    remove_jumps,
 )
 from methods.online.least_squares import LeastSquaresTracker
 
@@ -97,24 +97,26 @@ class _RLSTracker(LeastSquaresTracker):
         half, h = 0.5 * (settings.span - 1) * layout.interval, layout.interval
         self._weights = h * np.stack([bump.deriv(i)(s) / half**i if i else bump(s) for i in range(3)])
 
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         """Take the sample in; an equation every quarter of a span."""
         span = self.settings.span
         if steps > 1 or not np.all(np.isfinite(sample.values)):  # no bump may reach across what is not there
             self.values, self.pushes = self.values[:0], self.pushes[:0]
             if steps <= 1:
-                return Standing(sample.time, SampleStatus.OK, self._belief())
+                return TrackerOutput(sample.time, SampleStatus.OK, self._distribution())
         self.values = np.concatenate([self.values, [np.subtract(sample.values, self.zero)]])[-span - SIDE :]
         self.pushes = np.concatenate([self.pushes, [sample.forces]])[-span - SIDE :]
         self.waits += 1
         if len(self.values) == span + SIDE and self.waits >= span // 4:
             self.waits = 0
             if self._levelled():
-                return Standing(sample.time, SampleStatus.SENSOR_JUMP, self._belief(), message=JUMPED)
+                return TrackerOutput(sample.time, SampleStatus.SENSOR_JUMP, self._distribution(), message=JUMPED)
             self._learn(*self._equation(self.values[:span], self.pushes[:span]))
-        belief = self._belief()
-        status = SampleStatus.OK if belief is not None else SampleStatus.WARMING_UP
-        return Standing(sample.time, status, belief, message="" if belief else "the equations do not tell enough yet")
+        distribution = self._distribution()
+        status = SampleStatus.OK if distribution is not None else SampleStatus.WARMING_UP
+        return TrackerOutput(
+            sample.time, status, distribution, message="" if distribution else "the equations do not tell enough yet"
+        )
 
     def _equation(self, values: np.ndarray, pushes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns (n_dof, n_free + n_dof) and target (n_dof,) of the newest equations; the last are of the zeros."""
@@ -160,7 +162,7 @@ class _RLSTracker(LeastSquaresTracker):
 
     def _levelled(self) -> bool:
         """Look for a jump of a sensor's zero; leave out what was before it, and open the constants."""
-        jump = levelled(self.values, self.zero)
+        jump = remove_jumps(self.values, self.zero)
         if jump is None:
             return False
         self.values, self.pushes = self.values[jump:], self.pushes[jump:]
@@ -169,7 +171,7 @@ class _RLSTracker(LeastSquaresTracker):
             self.inverse[zeros, zeros] += DIFFUSE * np.mean(self.values**2) / weight**2
         return True
 
-    def _belief(self) -> Normal | None:
+    def _distribution(self) -> Normal | None:
         """Normal in the logarithms, by the delta method; None where an estimate is not positive."""
         q, variance = len(self.layout.free), self.variance
         theta = self.theta[:q]

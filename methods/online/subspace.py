@@ -18,7 +18,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from bench import Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Standing, Tracker
+from bench import Layout, Normal, OnlineCard, OnlineIdentifier, Sample, SampleStatus, Tracker, TrackerOutput
 from methods.modal.matrix_pencil import groups_from_poles
 from methods.online.likelihood import without_spikes
 
@@ -64,7 +64,7 @@ class _SSITracker(Tracker):
         self.values, self.unseen = np.zeros((0, len(layout.sensors))), 0
         self.mean, self.covariance = np.zeros(0), np.zeros((0, 0))
 
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         """Fit the window where it is time. Missing samples are left out of the correlations."""
         missing = np.full((min(max(steps - 1, 0), self.settings.length), len(self.layout.sensors)), np.nan)
         self.values = np.concatenate([self.values, missing, [sample.values]])[-self.settings.length :]
@@ -72,16 +72,18 @@ class _SSITracker(Tracker):
         if len(self.values) < self.settings.length or self.unseen < self.settings.every:
             waits = not self.mean.size
             status = SampleStatus.WARMING_UP if waits else SampleStatus.OK
-            return Standing(sample.time, status, self._belief(), message="the window is not full" if waits else "")
+            return TrackerOutput(
+                sample.time, status, self._distribution(), message="the window is not full" if waits else ""
+            )
         self.unseen = 0
         answer = self._fitted()
         if answer is None:
             message = "the strongest two directions of the window are no oscillator's"
-            return Standing(sample.time, SampleStatus.FAILED, self._belief(), message=message)
+            return TrackerOutput(sample.time, SampleStatus.FAILED, self._distribution(), message=message)
         self.mean, self.covariance = answer
-        return Standing(sample.time, SampleStatus.OK, self._belief())
+        return TrackerOutput(sample.time, SampleStatus.OK, self._distribution())
 
-    def _belief(self) -> Normal | None:
+    def _distribution(self) -> Normal | None:
         return Normal(self.layout.free, self.mean, self.covariance, log=True) if self.mean.size else None
 
     def _fitted(self) -> tuple[np.ndarray, np.ndarray] | None:

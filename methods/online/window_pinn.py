@@ -105,10 +105,10 @@ def share_left(problem: Problem, estimate: Estimate) -> float:
 
 def _values(estimate: Estimate) -> np.ndarray | None:
     """The parameters in the system's order; with the gauge one unit where the data tell groups only."""
-    belief: Any = estimate.belief
-    if estimate.status is not Status.OK or belief is None:
+    distribution: Any = estimate.distribution
+    if estimate.status is not Status.OK or distribution is None:
         return None
-    told, system = belief.values(), estimate.system
+    told, system = distribution.values(), estimate.system
     if set(system.names) <= set(told):
         return np.array([told[name] for name in system.names])
     ratios = {system.gauge: 1.0}

@@ -38,7 +38,7 @@ from bench import (
     InitialState,
     Normal,
     Problem,
-    Serves,
+    Scope,
     Status,
     report_progress,
 )
@@ -53,7 +53,7 @@ from methods.starts.waves import Guess
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
     """Estimate by fitting data and physics together; see the module."""
 
-    serves: ClassVar[Serves] = EVERY_PROBLEM
+    scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"
     works_in = "natural units"
@@ -162,7 +162,7 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         offsets[has_offset] = best.offsets
         return Estimate(
             problem.system,
-            **self._belief(task, best),
+            **self._distribution(task, best),
             reconstructions=best.responses,
             bands=self._bands(task, best),
             initial_states=tuple(starts),
@@ -172,7 +172,7 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
             traces=best.history,
         )
 
-    def _belief(self, task: Task, best: Fit) -> dict[str, Any]:
+    def _distribution(self, task: Task, best: Fit) -> dict[str, Any]:
         """Return the distribution of all parameters, or of the groups where the data do not determine the scale."""
         system, free, dof = task.scaled.system, free_parameters(task.scaled), degrees_of_freedom(task.scaled)
         mean, covariance = best.logs, best.covariance

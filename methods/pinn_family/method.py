@@ -93,11 +93,11 @@ class PINNFamily(FamilySettings):
         task.fits = [answer if fit is best else replace(fit, loss=np.inf) for fit in task.fits]
         return None
 
-    def _belief(self, task: Task, best: Fit) -> dict[str, Any]:
+    def _distribution(self, task: Task, best: Fit) -> dict[str, Any]:
         draws = getattr(best, "draws", None)
         names = task.scaled.system.names
         if draws is None or len(best.covariance) < len(names):
-            return super()._belief(task, best)
+            return super()._distribution(task, best)
         return {"parameters": Draws(names, np.exp(draws))}
 
     def _estimate(self, task: Task) -> Estimate:

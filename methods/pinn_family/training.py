@@ -167,7 +167,7 @@ def _ansatz_shapes(ansatz: Ansatz) -> list[tuple[int, ...]]:
 
 @dataclass(eq=False)
 class TrainedFit(Fit):
-    """A fit that remembers its training. ``draws`` (n, n_parameters): log-parameters, where draws are the belief."""
+    """A fit with its training history; ``draws`` (n, n_parameters) are log-parameters if the method samples them."""
 
     attempt: FamilyAttempt | None = None
     draws: np.ndarray | None = None

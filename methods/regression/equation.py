@@ -208,8 +208,8 @@ def _response(
 ) -> np.ndarray:
     """Simulate displacements (n_dof, sets, n) at parameters (sets,), from ``start`` (2 n_dof, sets) or the best one.
 
-    The vectorised twin of :func:`bench.fitted_start`: Gauss-Newton over the start by finite differences, one step for a
-    linear system (exact), two for others, from the parabola through the first samples.
+    The vectorised twin of :func:`bench.fit_initial_state`: Gauss-Newton over the start by finite differences, one step
+    for a linear system (exact), two for others, from the parabola through the first samples.
     """
     sets, n, rig, times = y.shape[1], system.n_dof, record.rig(system), record.channels[0].times
     guess = np.zeros(2 * n) if system.linear or start is not None else _first_state(times, np.mean(y, axis=1))

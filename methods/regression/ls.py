@@ -31,7 +31,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from bench import Card, Estimate, Serves
+from bench import Card, Estimate, Scope
 from methods.regression.equation import Regression, solve
 from methods.regression.hausman import doubts
 from methods.regression.identifier import RegressionIdentifier, answer, bootstrap_covariances
@@ -77,7 +77,7 @@ class LS(RegressionIdentifier):
             },
         },
     )
-    serves: ClassVar[Serves] = Serves(
+    scope: ClassVar[Scope] = Scope(
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
     )
 

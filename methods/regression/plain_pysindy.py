@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import SDOF, Card, Estimate, Identifier, NoEstimate, Normal, Problem, Serves, Status
+from bench import SDOF, Card, Estimate, Identifier, NoEstimate, Normal, Problem, Scope, Status
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class PlainPySINDy(Identifier):
         order=152,
         states_terms=True,
     )
-    serves: ClassVar[Serves] = Serves(nonlinear=False)
+    scope: ClassVar[Scope] = Scope(nonlinear=False)
     requires: ClassVar[tuple[str, ...]] = ("pysindy",)
     extra: ClassVar[str] = "sindy"
     works_in = "natural units"

@@ -24,7 +24,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, InputError, Serves
+from bench import Card, Dimension, Estimate, InputError, Scope
 from methods.regression.equation import Regression
 from methods.regression.hausman import doubts
 from methods.regression.identifier import RegressionIdentifier, answer, bootstrap_covariances
@@ -88,7 +88,7 @@ class RLS(RegressionIdentifier):
         order=140,
         paper="rls",
     )
-    serves: ClassVar[Serves] = Serves(
+    scope: ClassVar[Scope] = Scope(
         several_records=True, several_channels=True, offsets=True, max_dof=None, added_mass=True
     )
 

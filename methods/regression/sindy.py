@@ -33,7 +33,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from bench import Card, Dimension, Estimate, InputError, NoEstimate, Serves, Status, rk4
+from bench import Card, Dimension, Estimate, InputError, NoEstimate, Scope, Status, rk4
 from methods.regression.derivatives import Motion
 from methods.regression.equation import Regression, solve
 from methods.regression.hausman import doubts
@@ -88,7 +88,7 @@ class SINDy(RegressionIdentifier):
             }
         },
     )
-    serves: ClassVar[Serves] = Serves(several_records=True, several_channels=True, offsets=True, max_dof=None)
+    scope: ClassVar[Scope] = Scope(several_records=True, several_channels=True, offsets=True, max_dof=None)
     requires: ClassVar[tuple[str, ...]] = ("pysindy",)
     extra: ClassVar[str] = "sindy"
 

@@ -43,7 +43,7 @@ from bench import (
     NoEstimate,
     Normal,
     Problem,
-    Serves,
+    Scope,
     SimulatedResponse,
     simulate,
 )
@@ -85,7 +85,7 @@ class SRIVC(SearchingIdentifier):
         title="SRIVC",
         order=155,
     )
-    serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
+    scope: ClassVar[Scope] = Scope(offsets=True, nonlinear=False, max_dof=1)
     works_in = "natural units"
 
     def __post_init__(self) -> None:

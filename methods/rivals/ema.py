@@ -49,7 +49,7 @@ class EMA(ModalIdentifier):
 
     order: int = 60
 
-    serves: ClassVar[tuple[type, ...]] = (Blows, FrequencyResponses)
+    scope: ClassVar[tuple[type, ...]] = (Blows, FrequencyResponses)
     requires: ClassVar[tuple[str, ...]] = ("sdypy", "pyFRF")
     extra: ClassVar[str] = "rivals"
     card: ClassVar[ModalCard] = ModalCard(

@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import Card, Cost, Estimate, Identifier, InputError, NoEstimate, Normal, Problem, Serves, report_progress
+from bench import Card, Cost, Estimate, Identifier, InputError, NoEstimate, Normal, Problem, Scope, report_progress
 from methods.network.response import NetworkResponse
 from methods.pinn.task import starts
 from methods.starts.rounding import rounded
@@ -146,7 +146,7 @@ class Rival(Identifier):
     adam_steps: int = 3000
     second_steps: int = 3000
 
-    serves: ClassVar[Serves] = Serves(forced=False, nonlinear=False)
+    scope: ClassVar[Scope] = Scope(forced=False, nonlinear=False)
     extra: ClassVar[str] = "rivals"
     works_in = "natural units"
 

@@ -33,7 +33,7 @@ from bench import (
     NoEstimate,
     OutputError,
     Problem,
-    Serves,
+    Scope,
     Status,
     layout,
     report_progress,
@@ -117,7 +117,7 @@ class MCMC(SearchingIdentifier):
             },
         },
     )
-    serves: ClassVar[Serves] = EVERY_PROBLEM
+    scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("emcee",)
     extra: ClassVar[str] = "mcmc"
     works_in = "natural units"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches, whitened
+from bench import SIGMA_FLOOR, NoEstimate, OutputError, batches, whiten_model
 from methods.starts.candidates import candidates, screened
 from methods.starts.distinct_minima import distinct_minima
 from methods.trajectory.student import NormalErrors, StudentErrors, searched, student_fits
@@ -54,9 +54,9 @@ def student_modes(model: OutputError, modes: Modes) -> Modes:
 
 
 def coloured(model: OutputError, modes: Modes) -> tuple[OutputError, Modes]:
-    """The model whitened, and its modes near those with white errors; NoEstimate where none is left."""
+    """The model whiten_model, and its modes near those with white errors; NoEstimate where none is left."""
     for _ in range(RECOLOURED):
-        white = whitened(model, modes[0][1])
+        white = whiten_model(model, modes[0][1])
         thetas = white.settle(np.stack([theta for _, theta in modes]), ROUNDS, ITERATIONS)
         modes = require(_apart(white, np.array([white.profile(theta) for theta in thetas]), thetas))
     return white, modes

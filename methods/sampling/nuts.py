@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bench import EVERY_PROBLEM, Card, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Serves
+from bench import EVERY_PROBLEM, Card, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Scope
 from methods.sampling.answer import estimate_from_draws, thinned
 from methods.sampling.differentiable import DensityLayout, log_density, prepare
 from methods.sampling.mixture import Mixture, laplace
@@ -64,7 +64,7 @@ class NUTS(SearchingIdentifier):
         title="Bayesian NUTS",
         order=30,
     )
-    serves: ClassVar[Serves] = EVERY_PROBLEM
+    scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("blackjax",)
     extra: ClassVar[str] = "nuts"
     works_in = "natural units"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import LOG_LIMIT, OutputError, Record, Start, compiled_path
+from bench import LOG_LIMIT, InitialValues, OutputError, Record, compiled_path
 from methods.starts.candidates import Stepped
 from methods.starts.integration import integrated_readings
 from methods.starts.wide_prior import PRIORLESS_SD
@@ -102,7 +102,7 @@ class Compiled(OutputError):
 
     radians: float = RADIANS
 
-    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+    def readings(self, p: dict[str, np.ndarray], start: InitialValues, record: Record) -> np.ndarray:
         """Return the readings; not finite where the response diverges."""
         if np.prod(np.broadcast_shapes(*(np.shape(value) for value in p.values()))) < COMPILED_SETS:
             return super().readings(p, start, record)

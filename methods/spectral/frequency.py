@@ -36,11 +36,11 @@ from bench import (
     Normal,
     OutputError,
     Problem,
-    Serves,
+    Scope,
     SimulatedResponse,
     covariances,
     estimate_at,
-    fitted_start,
+    fit_initial_state,
 )
 from methods.modal.free_decay import GROWS, has_offset
 from methods.regression.identifier import without_start
@@ -84,7 +84,7 @@ class Frequency(SearchingIdentifier):
         title="Frequency domain",
         order=80,
     )
-    serves: ClassVar[Serves] = Serves(offsets=True, nonlinear=False, max_dof=1)
+    scope: ClassVar[Scope] = Scope(offsets=True, nonlinear=False, max_dof=1)
     works_in = "natural units"
 
     def __post_init__(self) -> None:
@@ -142,7 +142,7 @@ class Frequency(SearchingIdentifier):
         names = tuple(group.name for group in system.groups)
         dof = max(float(objective.y.size - used), 1.0)
         p = {mass: 1.0, damping: g, stiffness: r}
-        start = fitted_start(system, p, problem.records[0])
+        start = fit_initial_state(system, p, problem.records[0])
         return Estimate(
             system,
             groups=Normal(names, end.unknowns[0, order], covariance, log=False, dof=dof),

@@ -145,13 +145,13 @@ def _answer(model: OutputError, maxima: Basins, i: int) -> Estimate:
 def _basin_of(answers: Sequence[Estimate], places: np.ndarray, place: np.ndarray) -> int | None:
     """Return the index of the basin that contains a point; None where no basin does."""
     nearest = int(np.argmin(np.max(np.abs(places - place), axis=1)))
-    system, belief = answers[nearest].system, answers[nearest].parameters
-    assert isinstance(belief, Normal)
-    if belief.covariance is None:
+    system, distribution = answers[nearest].system, answers[nearest].parameters
+    assert isinstance(distribution, Normal)
+    if distribution.covariance is None:
         sds = np.zeros(place.size)
     else:
-        directions = np.array([ratio.vector(belief.names) for ratio in _ratios(system)])
-        sds = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", directions, belief.covariance, directions), 0.0))
+        directions = np.array([ratio.vector(distribution.names) for ratio in _ratios(system)])
+        sds = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", directions, distribution.covariance, directions), 0.0))
     return nearest if np.all(np.abs(places[nearest] - place) <= np.maximum(SAME_RATE, SAME_SDS * sds)) else None
 
 

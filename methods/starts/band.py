@@ -30,7 +30,7 @@ def with_band(problem: Problem, estimate: Estimate) -> Estimate:
 
     Systems with hidden states have no natural frequency; their estimates are returned unchanged.
     """
-    if estimate.status is not Status.OK or estimate.belief is None or problem.system.n_hidden:
+    if estimate.status is not Status.OK or estimate.distribution is None or problem.system.n_hidden:
         return estimate
     frequencies = natural_frequencies(problem, estimate)
     rate = 2.0 * max(resolved_cycles(record) for record in problem.records)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import Channel, OutputError, Problem, Record, Start
+from bench import Channel, InitialValues, OutputError, Problem, Record
 from methods.starts.distinct_minima import distinct_minima
 from methods.starts.equation_error import regression_starts
 from methods.starts.integration import RADIANS_A_STEP, integrated_readings
@@ -41,7 +41,7 @@ class Stepped(OutputError):
 
     radians: float = RADIANS_A_STEP
 
-    def readings(self, p: dict[str, np.ndarray], start: Start, record: Record) -> np.ndarray:
+    def readings(self, p: dict[str, np.ndarray], start: InitialValues, record: Record) -> np.ndarray:
         """Simulate the measurements; not finite where the response diverges."""
         return integrated_readings(self.system, p, start, record, self.radians)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import InitialState, Record, SimulatedMotion, Start, Steps, System, fastest_rates, rk4_path
+from bench import InitialState, InitialValues, Record, SimulatedMotion, Steps, System, fastest_rates, rk4_path
 
 RADIANS_A_STEP = 0.15
 Carry = Callable[[System, Mapping[str, Any], Sequence[np.ndarray], Steps, np.ndarray], np.ndarray]
@@ -29,7 +29,7 @@ def radians_a_step(allowed: float, turned: float) -> float:
     return float((120.0 * allowed / max(turned, 1.0)) ** 0.25)
 
 
-def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> float:
+def fastest_rate(system: System, p: dict[str, np.ndarray], start: InitialValues) -> float:
     """Return the highest angular frequency at rest and at the initial state, over all sets; 0 where none is finite."""
     x, v = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     return float(np.fmax.reduce(fastest_rates(system, p, np.concatenate([x, v])), axis=None, initial=0.0))
@@ -38,7 +38,7 @@ def fastest_rate(system: System, p: dict[str, np.ndarray], start: Start) -> floa
 def integrated_readings(
     system: System,
     p: dict[str, np.ndarray],
-    start: Start,
+    start: InitialValues,
     record: Record,
     radians: float = RADIANS_A_STEP,
     carry: Carry = rk4_path,

@@ -30,7 +30,7 @@ from bench import (
     InputError,
     OutputError,
     Problem,
-    Serves,
+    Scope,
     Status,
     batches,
 )
@@ -85,7 +85,7 @@ class SingleShooting(SearchingIdentifier):
             },
         },
     )
-    serves: ClassVar[Serves] = EVERY_PROBLEM
+    scope: ClassVar[Scope] = EVERY_PROBLEM
     works_in = "natural units"
 
     def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench import EVERY_PROBLEM, SIGMA_FLOOR, Card, Estimate, NoEstimate, OutputError, Problem, Serves, batches
+from bench import EVERY_PROBLEM, SIGMA_FLOOR, Card, Estimate, NoEstimate, OutputError, Problem, Scope, batches
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import LONGEST
 from methods.starts.wide_prior import very_wide
@@ -92,7 +92,7 @@ class Shooting(SearchingIdentifier):
             },
         },
     )
-    serves: ClassVar[Serves] = EVERY_PROBLEM
+    scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("casadi",)
     extra: ClassVar[str] = "casadi"
     works_in = "natural units"

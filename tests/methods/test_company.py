@@ -63,11 +63,11 @@ def mixed() -> list[Problem]:
 
 def numbers(estimate: Estimate) -> list[np.ndarray]:
     """Mean, covariance, reconstructions and traces."""
-    belief = estimate.belief
-    if belief is None:
+    distribution = estimate.distribution
+    if distribution is None:
         return []
-    assert isinstance(belief, Normal)
-    own = [belief.mean] if belief.covariance is None else [belief.mean, belief.covariance]
+    assert isinstance(distribution, Normal)
+    own = [distribution.mean] if distribution.covariance is None else [distribution.mean, distribution.covariance]
     responses = [response(np.linspace(0.0, 5.0, 7)) for response in estimate.reconstructions]
     return [*own, *responses, *estimate.traces.values()]
 

@@ -68,10 +68,13 @@ def followed(record: Record) -> tuple[np.ndarray, np.ndarray]:
     tracker = make_online("ekf", {"warm_up": WARM_UP}).start(layout)
     found, sds = np.full(record.times.size, np.nan), np.full(record.times.size, np.nan)
     for i, (t, value) in enumerate(zip(record.times.tolist(), record.acceleration.tolist(), strict=True)):
-        belief = tracker.update(Sample(t, (value,))).belief
-        if belief is not None and belief.covariance is not None:
-            k = belief.names.index("k")
-            found[i], sds[i] = np.exp(0.5 * belief.mean[k]) / (2 * np.pi), 0.5 * np.sqrt(belief.covariance[k, k])
+        distribution = tracker.update(Sample(t, (value,))).distribution
+        if distribution is not None and distribution.covariance is not None:
+            k = distribution.names.index("k")
+            found[i], sds[i] = (
+                np.exp(0.5 * distribution.mean[k]) / (2 * np.pi),
+                0.5 * np.sqrt(distribution.covariance[k, k]),
+            )
     return found, sds
 
 

@@ -81,9 +81,9 @@ def by_hand(problem: Problem, rng: np.random.Generator) -> Estimate:
         return np.asarray(solution.y[dofs] - measured).ravel()
 
     fit = least_squares(residuals, np.ones(nominal.size), bounds=(0.0, np.inf))
-    belief = Normal(problem.system.names, np.log(np.maximum(fit.x, 1e-12) * nominal), None, log=True)
+    distribution = Normal(problem.system.names, np.log(np.maximum(fit.x, 1e-12) * nominal), None, log=True)
     status = Status.OK if fit.success else Status.DIVERGED
-    return Estimate(problem.system, parameters=belief, status=status, message=str(fit.message))
+    return Estimate(problem.system, parameters=distribution, status=status, message=str(fit.message))
 
 
 # ------------------------------------------------------------------------------------------------ measuring

@@ -52,12 +52,12 @@ def test_a_child_fits_as_this_process_does() -> None:
     make = scenario.maker(SEED)
     for i, own in enumerate(found.answers):
         estimate = method.identify(make(i)[0], np.random.default_rng([METHOD_STREAM, SEED, i]))
-        belief = estimate.groups
-        assert belief is not None
-        assert belief.covariance is not None
-        for j, name in enumerate(belief.names):
-            assert own["values"][name] == pytest.approx(math.log(belief.mean[j]), abs=1e-9)
-            relative = math.sqrt(belief.covariance[j, j]) / belief.mean[j]
+        distribution = estimate.groups
+        assert distribution is not None
+        assert distribution.covariance is not None
+        for j, name in enumerate(distribution.names):
+            assert own["values"][name] == pytest.approx(math.log(distribution.mean[j]), abs=1e-9)
+            relative = math.sqrt(distribution.covariance[j, j]) / distribution.mean[j]
             assert own["errors"][name] == pytest.approx(relative, rel=1e-6)
 
 

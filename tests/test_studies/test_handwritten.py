@@ -59,7 +59,7 @@ def test_success_needs_convergence_and_a_small_error() -> None:
     problem, truth = scenario("duffing", 20).replicates(0, 1)[0]
 
     def nominal(problem: Problem, rng: np.random.Generator) -> Estimate:
-        from bench.contract.belief import Normal
+        from bench.contract.distribution import Normal
 
         assert problem.prior is not None
         return Estimate(problem.system, parameters=Normal(problem.prior.names, problem.prior.log_mean, None, True))

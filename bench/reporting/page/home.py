@@ -62,6 +62,6 @@ def needs(label: str) -> str:
         method = load_method(method_name(label))
     except InputError:
         return ""
-    free = method.card.scale == "groups" or method.serves.free_without_prior
+    free = method.card.scale == "groups" or method.scope.free_without_prior
     packages = f"; package {', '.join(method.requires)}" if method.requires else ""
     return ("no prior" if free else "a prior") + packages

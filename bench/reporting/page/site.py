@@ -163,7 +163,7 @@ def described(label: str) -> dict[str, Any]:
     sets = {} if name == plain else {key: text for key, text in read_yaml("method", plain).items() if key != "defaults"}
     found = {"label": label, "name": name, "card": card_of(label), "sets": sets, "serves": {}, "settings": {}}
     try:
-        serves, settings = asdict(load_method(name).serves), {**default_settings(name), **sets}
+        serves, settings = asdict(load_method(name).scope), {**default_settings(name), **sets}
     except InputError as error:
         return {**found, "missing": str(error)}
     return {**found, "serves": serves, "settings": settings, "missing": missing_package(name) or ""}

@@ -21,7 +21,7 @@ METHODS = 10
 
 
 def intervals(cell: Result, arrays: Arrays) -> pd.DataFrame:
-    """Return estimate and 95 % interval (% off the truth) of k/m and c/m from a belief that is normal in logarithms."""
+    """Return estimate and 95 % interval (% from the true value) of k/m and c/m, from a log-normal distribution."""
     names = cell.model.names
     lines = []
     for name in (K, C):

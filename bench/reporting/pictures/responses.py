@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from bench.contract.problem import Channel, Record
-from bench.dynamics.simulate import fitted_start, simulate
+from bench.dynamics.simulate import fit_initial_state, simulate
 from bench.online.follow import Followed
 from bench.online.scenario import Stream
 from bench.reporting.frame import Result
@@ -115,7 +115,7 @@ def simulated(cell: Result, arrays: Arrays) -> np.ndarray | None:
         return None
     parameters = {name: ratio * float(cell.parameters[name]) for name, ratio in ratios.items()}
     channels = tuple(Channel(*samples_of(arrays, dof), dof=dof) for dof in sorted(set(arrays["sample_dof"].tolist())))
-    start = cell.start_told or fitted_start(cell.model, parameters, Record(channels, (), None))
+    start = cell.start_told or fit_initial_state(cell.model, parameters, Record(channels, (), None))
     return np.asarray(simulate(cell.model, parameters, start, arrays["dense_times"]).displacement)
 
 

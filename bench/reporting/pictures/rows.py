@@ -199,7 +199,7 @@ def draw_coverage(gallery: Gallery) -> Picture:
 def held(cell: Result, quantity: str, level: int) -> tuple[float, float, float]:
     """Return the share of equal-tailed intervals of a level (%) that held the truth, and its 95 % interval.
 
-    An interval holds the truth where the belief's level there is within half the interval's of a half.
+    An interval holds the truth where the distribution's level there is within half the interval's of a half.
     """
     if quantity == MOTION:
         inside = cell.successful(f"band_inside_{level}")

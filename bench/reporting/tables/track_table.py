@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from bench.config.records import primary_method
-from bench.contract.belief import standard_quantile
+from bench.contract.distribution import standard_quantile
 from bench.records.intervals import ENDS
 from bench.records.sets import MeasuredSet
 from bench.records.siblings import KINDS, IntervalScore, compare_siblings, total

@@ -135,7 +135,7 @@ def test_an_estimate_that_is_not_finite_becomes_a_failure(estimate: Estimate) ->
 def test_a_failure_stays_what_it_is() -> None:
     failed = Estimate.failed(SDOF(), Status.DIVERGED, "take smaller steps")
     assert failed.checked() is failed
-    assert failed.belief is None
+    assert failed.distribution is None
     assert failed.marginal(SDOF().quantity("m")) is None
     fine = Estimate(SDOF(), groups=GROUPS)
     assert fine.checked() is fine

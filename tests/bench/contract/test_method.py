@@ -22,7 +22,7 @@ from bench import (
     Normal,
     Problem,
     Record,
-    Serves,
+    Scope,
     Status,
     report_progress,
 )
@@ -51,7 +51,7 @@ class Reader(Identifier):
     """Reads an answer off the problem that it is given, which is of the problem's units by construction."""
 
     card = CARD
-    serves = Serves(measures=("displacement", "acceleration"), several_channels=True, offsets=True)
+    scope = Scope(measures=("displacement", "acceleration"), several_channels=True, offsets=True)
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         own = problem.records[0]
@@ -138,7 +138,7 @@ def test_a_method_gets_the_very_problem_unless_it_asks_for_natural_units() -> No
 class NeverAsked(Reader):
     """Must not be given a problem."""
 
-    serves = Serves(measures=("displacement", "acceleration"), several_channels=True, offsets=True, forced=False)
+    scope = Scope(measures=("displacement", "acceleration"), several_channels=True, offsets=True, forced=False)
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         raise AssertionError("it is never asked")

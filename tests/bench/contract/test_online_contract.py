@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench import InputError, Layout, Normal, Sample, SampleStatus, Sensor, Standing, Tracker
+from bench import InputError, Layout, Normal, Sample, SampleStatus, Sensor, Tracker, TrackerOutput
 from bench.systems import make_system
 
 
@@ -16,11 +16,11 @@ class Counting(Tracker):
         super().__init__(layout)
         self.given: list[float] = []
 
-    def step(self, sample: Sample, steps: int) -> Standing:
+    def step(self, sample: Sample, steps: int) -> TrackerOutput:
         if sample.values[0] > 100:
             raise ValueError("too large")
         self.given.append(sample.values[0])
-        return Standing(sample.time, SampleStatus.OK, Normal(("c", "k"), np.zeros(2), np.eye(2), log=True))
+        return TrackerOutput(sample.time, SampleStatus.OK, Normal(("c", "k"), np.zeros(2), np.eye(2), log=True))
 
 
 def tracker(**sensor) -> Counting:
@@ -69,7 +69,7 @@ def test_a_step_that_goes_wrong_is_a_status_and_the_next_one_goes_on() -> None:
     one.update(Sample(0.0, (1.0,)))
     failed = one.update(Sample(0.1, (101.0,)))
     assert failed.status is SampleStatus.FAILED
-    assert failed.belief is not None
+    assert failed.distribution is not None
     assert one.update(Sample(0.2, (2.0,))).status is SampleStatus.OK
 
 
@@ -92,7 +92,7 @@ def test_without_a_known_force_the_groups_are_told_and_a_marginal_is_theirs() ->
     assert layout.free == ("c", "k")
     names = [quantity.name for quantity in layout.quantities]
     assert names == ["k_over_m", "c_over_m", "natural_frequency", "damping_ratio"]
-    standing = Standing(0.0, SampleStatus.OK, Normal(("c", "k"), np.log([0.5, 9.0]), 0.01 * np.eye(2), log=True))
+    standing = TrackerOutput(0.0, SampleStatus.OK, Normal(("c", "k"), np.log([0.5, 9.0]), 0.01 * np.eye(2), log=True))
     found = {q.name: standing.marginal(q).value for q in layout.quantities}
     assert found["k_over_m"] == pytest.approx(9.0)
     assert found["natural_frequency"] == pytest.approx(3.0 / (2 * np.pi))

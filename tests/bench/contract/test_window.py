@@ -27,6 +27,6 @@ def test_a_belief_that_no_longer_holds_hardly_counts() -> None:
 def test_correlations_count() -> None:
     """What the past knows of one parameter helps the other where the window knows their sum alone."""
     covariance = np.array([[1.0, -0.999], [-0.999, 1.0]])
-    belief = Normal(("a", "b"), np.zeros(2), covariance, log=True)
-    found = product(belief, np.zeros(2), np.diag([1e-4, 1e2]))
+    distribution = Normal(("a", "b"), np.zeros(2), covariance, log=True)
+    found = product(distribution, np.zeros(2), np.diag([1e-4, 1e2]))
     assert found.covariance[1, 1] < 0.01

@@ -11,7 +11,17 @@ from scipy import signal
 from scipy.integrate import simpson, solve_ivp
 from scipy.linalg import expm
 
-from bench import Channel, Force, InitialState, Record, acceleration, fitted_start, measurements, numpy_ops, simulate
+from bench import (
+    Channel,
+    Force,
+    InitialState,
+    Record,
+    acceleration,
+    fit_initial_state,
+    measurements,
+    numpy_ops,
+    simulate,
+)
 from bench.dynamics.simulate import displacements
 from bench.scenario.truth import closed_form, reference_response
 from bench.systems import SDOF, Chain, Duffing
@@ -295,23 +305,23 @@ def test_the_start_that_fits_a_record_is_the_true_one_on_clean_data() -> None:
     t = np.linspace(0.0, 8.0, 20)
     clean = free_response(P, 0.8, -0.5, t)
     record = Record((Channel(t, clean + 0.3, offset=True),))
-    start = fitted_start(SDOF(), P, record)
+    start = fit_initial_state(SDOF(), P, record)
     assert start.displacement[0] == pytest.approx(0.8, abs=1e-9)
     assert start.velocity[0] == pytest.approx(-0.5, abs=1e-8)
-    told = fitted_start(SDOF(), P, Record((Channel(t, clean),), initial_state=RESTING))
+    told = fit_initial_state(SDOF(), P, Record((Channel(t, clean),), initial_state=RESTING))
     assert told is RESTING
 
 
 def test_the_start_that_fits_a_nonlinear_record() -> None:
     t = np.linspace(0.0, 8.0, 40)
     clean = reference_response(Duffing(), {**P, "k3": 3.0}, START, t)[0]
-    start = fitted_start(Duffing(), {**P, "k3": 3.0}, Record((Channel(t, clean),)))
+    start = fit_initial_state(Duffing(), {**P, "k3": 3.0}, Record((Channel(t, clean),)))
     assert start.displacement[0] == pytest.approx(0.8, abs=1e-4)
     assert start.velocity[0] == pytest.approx(-0.5, abs=1e-3)
 
 
 def test_a_start_cannot_be_fitted_to_what_is_not_a_motion_of_the_system_and_stays_finite() -> None:
     record = Record((Channel(np.linspace(0, 8, 12), np.zeros(12)),))
-    start = fitted_start(SDOF(), P, record)
+    start = fit_initial_state(SDOF(), P, record)
     np.testing.assert_array_equal(start.displacement, 0.0)
     np.testing.assert_array_equal(start.velocity, 0.0)

@@ -51,7 +51,7 @@ def test_a_method_never_meets_the_truth(reference: Scenario, store: Store) -> No
 
 
 def test_values_without_uncertainty_are_not_judged_by_intervals(reference: Scenario, store: Store) -> None:
-    """The prior's step, which gives them a scale, makes no belief of them."""
+    """The prior's step, which gives them a scale, makes no distribution of them."""
     stated, alone = computed(store, a_cell(reference, "exact", 2), a_cell(reference, "sole", 2))
     assert "k_over_m_coverage_95" in stated.rows[0].scores
     assert not [name for name in alone.rows[0].scores if "coverage" in name or "pit" in name or "crps" in name]

@@ -11,7 +11,7 @@ import pytest
 from bench.contract.problem import Force, InitialState
 from bench.dynamics.linear_motion import linear_motion
 from bench.information.sensitivities import linear_sensitivities, stepped_sensitivities
-from bench.systems import Chain, Loaded, Matrices, RayleighChain, System
+from bench.systems import Chain, LoadedSystem, Matrices, RayleighChain, System
 from bench.systems.linear import SDOF
 
 mp = pytest.importorskip("mpmath").mp.clone()
@@ -176,7 +176,7 @@ CHAIN = {"m1": 1.0, "m2": 0.8, "c1": 0.2, "c2": 0.15, "k1": 12.0, "k2": 9.0}
     ("system", "p", "hold"),
     [
         (SDOF(), {"m": 1.0, "c": 0.4, "k": 8.0}, "zero_order"),
-        (Loaded(Chain(2), (0.0, 0.3)), CHAIN, "linear"),
+        (LoadedSystem(Chain(2), (0.0, 0.3)), CHAIN, "linear"),
         (RayleighChain(2), {"m1": 1.0, "m2": 0.8, "k1": 12.0, "k2": 9.0, "alpha": 0.1, "beta": 0.02}, "cubic"),
     ],
     ids=["held", "added mass, linear", "not affine, cubic"],

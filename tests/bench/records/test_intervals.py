@@ -87,7 +87,7 @@ def test_the_autocovariance_of_a_first_order_is_its_closed_form(rho: float) -> N
 def test_whitening_undoes_the_filter() -> None:
     errors = np.random.default_rng(3).standard_normal(200)
     values = lfilter([2.0], [1.0, -1.2, 0.5], errors)
-    found = Autoregression(np.array([1.2, -0.5]), 4.0).whitened(values)
+    found = Autoregression(np.array([1.2, -0.5]), 4.0).whiten(values)
     np.testing.assert_allclose(found[2:], errors[2:], atol=1e-9)
 
 
@@ -98,7 +98,7 @@ def test_whitened_values_have_the_likelihood_of_the_dense_covariance(n: int) -> 
     values = np.random.default_rng(4).standard_normal((2, n))
     dense = toeplitz(noise.autocovariance(n))
     meant = np.einsum("bi,ij,bj->b", values, np.linalg.inv(dense), values)
-    np.testing.assert_allclose(np.sum(noise.whitened(values) ** 2, axis=-1), meant, rtol=1e-9)
+    np.testing.assert_allclose(np.sum(noise.whiten(values) ** 2, axis=-1), meant, rtol=1e-9)
 
 
 # covariances

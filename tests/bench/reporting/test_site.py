@@ -184,7 +184,7 @@ def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
     columns = board.board(panels, {"mcmc": "mcmc", "ls": "ls"})
     lines = [{own["title"]: own["values"][own["codes"][i]] for own in columns if not own["by"]} for i in range(6)]
     line, other = (line for line in lines if line["Error of"] == "k/m (%)")
-    assert (other["Standing"], line["Standing"]) == ("first tier", "behind")
+    assert (other["TrackerOutput"], line["TrackerOutput"]) == ("first tier", "behind")
     errors = [row.scores["k_over_m_error_pct"] for row in cell.rows[4:]]
     rms = math.sqrt(sum(e**2 for e in errors) / 36)
     assert (line["Bound"], line["Fits ok"]) == ("0.5", "36/40")

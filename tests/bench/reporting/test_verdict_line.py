@@ -73,8 +73,8 @@ def test_a_method_that_has_the_truth_is_flagged_and_one_at_the_bound_is_not(refe
         means = np.array(groups) * (1.0 + sds * rng.standard_normal((20, 2)))
         rows = []
         for i, mean in enumerate(means):
-            belief = Normal(("k_over_m", "c_over_m"), mean, np.diag((sds * groups) ** 2), log=False)
-            rows.append(Row(i, Status.OK, scores=score(Estimate(problem.system, groups=belief), problem, truth)))
+            distribution = Normal(("k_over_m", "c_over_m"), mean, np.diag((sds * groups) ** 2), log=False)
+            rows.append(Row(i, Status.OK, scores=score(Estimate(problem.system, groups=distribution), problem, truth)))
         summary = summarise(rows, bound)
         assert verdict(StoredCell("0" * 20, {}, rows, summary, {}, bound.identifiable, 0.0)).startswith(said)
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from bench import Channel, Estimate, InitialState, InputError, Normal, Problem, Record, Units, measurements, simulate
-from bench.contract.method import Card, Identifier, Serves
+from bench.contract.method import Card, Identifier, Scope
 from bench.entrants.reference import oracle_estimate
 from bench.information.fisher import compute_bound
 from bench.information.structural import structure_of
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
-from bench.systems import SDOF, BoucWen, Chain, Loaded
+from bench.systems import SDOF, BoucWen, Chain, LoadedSystem
 
 P = {"m": 1.2, "c": 0.4, "k": 8.0}
 PLAIN = Scenario("sdof", P, ((1.0,), (0.2,)), 20.0, dense=25, forecast=0.5)
@@ -99,7 +99,7 @@ def test_a_loaded_system_is_the_system_with_a_larger_mass_hidden_states_and_unit
     assert own is not None
     scaled = measurements(there.system, {k: v / scales[k] for k, v in p.items()}, own, there.records[0])
     np.testing.assert_allclose(0.1 * scaled, heavy[0], atol=1e-7)
-    loaded, state = Loaded(Chain(2), (0.0, 0.4)), InitialState(np.array([0.5, -0.2]), np.zeros(2))
+    loaded, state = LoadedSystem(Chain(2), (0.0, 0.4)), InitialState(np.array([0.5, -0.2]), np.zeros(2))
     expected = simulate(Chain(2), {**CHAIN, "m2": 1.1}, state, times).displacement
     np.testing.assert_allclose(simulate(loaded, CHAIN, state, times).displacement, expected, atol=1e-12)
 
@@ -108,7 +108,7 @@ class Naive(Identifier):
     """A method that takes several records, and knows nothing of added masses."""
 
     card = Card("", "not used", "native", "simulated", "", "")
-    serves = Serves(several_records=True)
+    scope = Scope(several_records=True)
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         raise AssertionError("it is never asked")

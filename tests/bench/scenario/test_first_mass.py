@@ -43,7 +43,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from bench import Channel, InitialState, Record, fitted_start, measurements
+from bench import Channel, InitialState, Record, fit_initial_state, measurements
 from bench.config.experiment import expand
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
@@ -124,7 +124,7 @@ def test_two_chains_of_the_same_masses_move_the_first_mass_alike() -> None:
     start = InitialState(np.array([1.0, 0.0]), np.zeros(2))
     clean = measurements(problem.system, true, start, Record((Channel(times, times),)))
     record = Record((Channel(times, clean),))
-    again = measurements(problem.system, other, fitted_start(problem.system, other, record), record)
+    again = measurements(problem.system, other, fit_initial_state(problem.system, other, record), record)
     assert again == pytest.approx(clean, abs=1e-8)
 
 

@@ -215,8 +215,8 @@ def test_errors_and_bound_are_over_the_masses_with_a_sensor() -> None:
             return super().__call__(times) + np.array([[7.0], [0.25]])
 
     own = Off(Chain(2), CHAIN, one.start)
-    belief = Normal(tuple(CHAIN), np.log(list(CHAIN.values())), np.eye(6) * 1e-6, log=True)
-    scores = score(Estimate(Chain(2), parameters=belief, reconstructions=(own,)), problem, truth)
+    distribution = Normal(tuple(CHAIN), np.log(list(CHAIN.values())), np.eye(6) * 1e-6, log=True)
+    scores = score(Estimate(Chain(2), parameters=distribution, reconstructions=(own,)), problem, truth)
     assert scores["rmse"] == pytest.approx(0.25, rel=1e-6)
     assert scores["rmse_simulated"] == pytest.approx(0.0, abs=1e-6)
     for told, unknowns in (("known", 5), ("unknown", 8)):

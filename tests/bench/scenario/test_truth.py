@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
-from bench import Channel, Force, InitialState, Record, fitted_start, measurements, simulate
+from bench import Channel, Force, InitialState, Record, fit_initial_state, measurements, simulate
 from bench.scenario.truth import closed_form, reference_response
 from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum, QuadraticDamping, System, VanDerPol
 
@@ -172,7 +172,7 @@ def test_a_sensor_of_acceleration_feels_the_hidden_state_and_a_start_is_fitted_w
     x, a = measurements(BoucWen(1.5), p, start, record).reshape(2, -1)
     np.testing.assert_allclose(x, solution.y[0], atol=1e-7)
     np.testing.assert_allclose(a, [rate(0.0, s)[1] for s in solution.y.T], atol=1e-6)
-    found = fitted_start(BoucWen(1.5), p, Record((Channel(TIMES, solution.y[0]),)))
+    found = fit_initial_state(BoucWen(1.5), p, Record((Channel(TIMES, solution.y[0]),)))
     assert found.displacement[0] == pytest.approx(0.9, abs=1e-3)
     assert found.velocity[0] == pytest.approx(-0.4, abs=1e-2)
 

@@ -1,4 +1,4 @@
-"""Verdicts on beliefs whose calibration is known."""
+"""Verdicts on distributions whose calibration is known."""
 
 from __future__ import annotations
 

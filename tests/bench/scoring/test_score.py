@@ -100,7 +100,7 @@ def test_errors_and_scores_by_hand_when_m_and_k_are_half_too_large() -> None:
 
 
 @pytest.mark.parametrize("side", [0.1, -0.1], ids=["above", "below"])
-def test_coverage_at_each_level_is_where_the_truth_stands_in_the_belief(side: float) -> None:
+def test_coverage_at_each_level_is_where_the_truth_stands_in_the_distribution(side: float) -> None:
     """log m is off by one standard deviation, which is the 68 % interval: in at 80 and 95, out at 50."""
     scores = score(an_estimate(math.exp(side), 0.1), *a_pair())
     assert [scores[f"m_coverage_{level}"] for level in (50, 80, 95)] == [0.0, 1.0, 1.0]
@@ -190,8 +190,8 @@ def test_the_rmse_of_two_degrees_of_freedom_is_over_both(reference: Scenario) ->
             return true.dense_displacement + np.array([[0.3], [0.0]])
 
     names = tuple(truth)
-    belief = Normal(names, np.log(list(truth.values())), None, log=True)
-    scores = score(Estimate(problem.system, parameters=belief, reconstructions=(Off(),)), problem, true)
+    distribution = Normal(names, np.log(list(truth.values())), None, log=True)
+    scores = score(Estimate(problem.system, parameters=distribution, reconstructions=(Off(),)), problem, true)
     assert scores["rmse"] == pytest.approx(math.sqrt(0.5 * 0.09))
     assert scores["rmse_simulated"] == pytest.approx(0.0, abs=1e-9)
 
@@ -213,15 +213,15 @@ def test_replicates_scored_together_have_the_scores_of_students_t_each() -> None
     assert rows.pop(9)["m_pit"] == pytest.approx(0.5 / 8)
     assert np.all(np.isnan(list(rows.pop(5).values())))
     for row, mean, sd, dof in zip(rows, means, sds, dofs, strict=True):
-        belief = stats.t(dof, mean, sd)
-        assert row["m_pit"] == pytest.approx(belief.cdf(np.log(P["m"])), rel=1e-9)
+        distribution = stats.t(dof, mean, sd)
+        assert row["m_pit"] == pytest.approx(distribution.cdf(np.log(P["m"])), rel=1e-9)
         assert row["m_error_pct"] == pytest.approx(100 * abs(np.exp(mean) / P["m"] - 1), rel=1e-9)
         for level in (0.5, 0.8, 0.95):
-            low, high = np.exp(belief.interval(level))
+            low, high = np.exp(distribution.interval(level))
             assert row[f"m_coverage_{round(100 * level)}"] == float(low <= P["m"] <= high)
         miss = max(low - P["m"], 0) + max(P["m"] - high, 0)
         assert row["m_interval_score_pct"] == pytest.approx(100 * (high - low + 40 * miss) / P["m"], rel=1e-9)
-        quantiles = np.exp(belief.ppf(QUANTILES))  # the energy form: E|X - y| - E|X - X'|/2 over these quantiles
+        quantiles = np.exp(distribution.ppf(QUANTILES))  # the energy form: E|X - y| - E|X - X'|/2 over these quantiles
         spread = np.mean(np.abs(quantiles[:, None] - quantiles)) / 2
         energy = np.mean(np.abs(quantiles - P["m"])) - spread
         assert row["m_crps_pct"] == pytest.approx(100 * energy / P["m"], rel=1e-9)

@@ -31,7 +31,7 @@ from bench.systems import SDOF, Chain, Dimension, Duffing, Parameter
 from methods.kalman import joint as joint_model
 from methods.kalman.core import Affine, predict_root, regression, tangent, update, update_root
 from methods.kalman.ekf import EKF
-from methods.kalman.iteration import FilterBatch, _combined, first_belief
+from methods.kalman.iteration import FilterBatch, _combined, first_distribution
 from methods.kalman.joint import Joint, Nodes
 from methods.kalman.smoother import smooth
 from methods.kalman.ukf import UKF
@@ -80,8 +80,8 @@ def value(estimate: Estimate, name: str) -> float:
     return marginal.value
 
 
-def belief(problem: Problem, p: dict[str, float]) -> Joint:
-    return first_belief(OutputError(problem), p, np.log(list(p.values())), 0.0, 1.0)
+def distribution(problem: Problem, p: dict[str, float]) -> Joint:
+    return first_distribution(OutputError(problem), p, np.log(list(p.values())), 0.0, 1.0)
 
 
 @pytest.mark.parametrize("rule", [tangent, regression], ids=["ekf", "ukf"])
@@ -93,7 +93,7 @@ def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> N
     p = {"m": 1.0, "c": 4.0, "k": 900.0}
     y = closed_form(p, 1.0, 3.0, times) + 0.2 * np.random.default_rng(2).standard_normal(times.size)
     sure = Prior(p, dict.fromkeys(p, 1e-9))
-    joint = belief(Problem(SDOF(), (Record((Channel(times, y),)),), sure), p)
+    joint = distribution(Problem(SDOF(), (Record((Channel(times, y),)),), sure), p)
     nodes = Nodes.of(joint.model, 0.002)
     about = joint.trajectories(np.array([[*np.log(list(p.values())), 0.3, -2.0]]), nodes)  # any other start
     found = smooth(joint, nodes, rule, np.array([[0.2]]), about, np.zeros((*about.shape, joint.size)))
@@ -112,7 +112,7 @@ def test_the_trajectory_of_a_start_is_the_closed_form() -> None:
     p = {"m": 1.0, "c": 4.0, "k": 900.0}
     problem = Problem(SDOF(), (Record((Channel(times, np.ones(times.size)),)),), Prior(p, dict.fromkeys(p, 0.5)))
     theta = np.array([[*np.log(list(p.values())), 0.3, -2.0], [*np.log(list(p.values())), 1.0, 0.0]])
-    joint = belief(problem, p)
+    joint = distribution(problem, p)
     path = joint.trajectories(theta, Nodes.of(joint.model, 0.002))
     np.testing.assert_allclose(path[0, :, 0], closed_form(p, 0.3, -2.0, times), atol=1e-5)
     np.testing.assert_allclose(path[1, :, 0], closed_form(p, 1.0, 0.0, times), atol=1e-5)
@@ -312,7 +312,7 @@ def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
     squared; an end at odds of one to a hundred, or one next to the first, changes nothing.
     """
     problem, _ = scenario(20.0).replicates(0, 1)[0]
-    joint = belief(problem, PLANT)
+    joint = distribution(problem, PLANT)
     means, covariances = np.zeros((2, 1, 5)), np.tile(np.eye(5), (2, 1, 1, 1))
     covariances[1] *= 3.0
 
@@ -398,7 +398,7 @@ def test_values_one_by_one_are_the_update_by_all_of_them() -> None:
 
 
 def test_a_value_without_noise_leaves_no_negative_variance() -> None:
-    """Joseph's form, where ``P - K H P`` is all rounding: a value with a part in 1e10 of the belief's spread."""
+    """Joseph's form, where ``P - K H P`` is all rounding: a value with a part in 1e10 of the distribution's spread."""
     slopes, nothing = np.array([[0.0, 2.0, 0.0]]), np.zeros(1)
     found = update(MEAN, COVARIANCE, slopes, nothing, np.array([1e-20]), nothing, np.array([True])).spread
     assert (slopes @ found @ slopes.T)[0, 0] == pytest.approx(1e-20, rel=1e-6)
@@ -421,13 +421,13 @@ def test_nodes_with_several_samples_give_the_same_answer(
     monkeypatch.setattr(joint_model, "LONG", 20)
     monkeypatch.setattr(joint_model, "NODES", 10)
     long = fit(method, problem)
-    assert isinstance(short.belief, Normal)
-    assert isinstance(long.belief, Normal)
-    assert short.belief.covariance is not None
-    assert long.belief.covariance is not None
-    sd = np.sqrt(np.diag(short.belief.covariance))
-    np.testing.assert_allclose(long.belief.mean / sd, short.belief.mean / sd, atol=0.02)
-    np.testing.assert_allclose(np.sqrt(np.diag(long.belief.covariance)), sd, rtol=0.01)
+    assert isinstance(short.distribution, Normal)
+    assert isinstance(long.distribution, Normal)
+    assert short.distribution.covariance is not None
+    assert long.distribution.covariance is not None
+    sd = np.sqrt(np.diag(short.distribution.covariance))
+    np.testing.assert_allclose(long.distribution.mean / sd, short.distribution.mean / sd, atol=0.02)
+    np.testing.assert_allclose(np.sqrt(np.diag(long.distribution.covariance)), sd, rtol=0.01)
 
 
 @BOTH

@@ -58,7 +58,7 @@ def test_draws_have_the_posterior_of_the_linear_model() -> None:
 def test_survives_little_and_nothing() -> None:
     t = np.array([0.0, 0.3, 0.7, 1.9, 2.0])
     few = FAST.identify(Problem(SDOF(), (Record((Channel(t, np.cos(t)),)),)), np.random.default_rng(0))
-    assert few.status is not Status.OK or (few.belief is not None and few.belief.finite())
+    assert few.status is not Status.OK or (few.distribution is not None and few.distribution.finite())
     pickle.loads(pickle.dumps(few))
     dead = FAST.identify(Problem(SDOF(), (Record((Channel(t, 0 * t),)),)), np.random.default_rng(0))
     assert dead.status is Status.DIVERGED

@@ -132,8 +132,10 @@ def test_a_step_that_raises_costs_its_sample_alone(constant) -> None:
         broken.step = raising if i == 250 else own
         found = broken.update(sample)
         assert (found.status.value == "failed") == (i == 250)
-    sd = np.sqrt(np.diag(last.belief.covariance))
-    assert np.max(np.abs(last.belief.mean - found.belief.mean) / sd) < 0.5  # the force of that sample is known
+    sd = np.sqrt(np.diag(last.distribution.covariance))
+    assert (
+        np.max(np.abs(last.distribution.mean - found.distribution.mean) / sd) < 0.5
+    )  # the force of that sample is known
 
 
 @pytest.mark.parametrize("name", ["change_points", "glr"])
@@ -158,7 +160,7 @@ def test_a_jump_of_the_sensors_zero_hardly_moves_what_is_found_behind_it(name, c
         wanted, found = plain.update(clean), jumping.update(faulty_one)
         seen.add(found.status.value)
     place = list(stream.layout.free).index("k")
-    assert abs(wanted.belief.mean[place] - found.belief.mean[place]) < 0.1
+    assert abs(wanted.distribution.mean[place] - found.distribution.mean[place]) < 0.1
     assert name == "rls" or "sensor_jump" in seen
 
 
@@ -169,8 +171,8 @@ def test_no_equation_of_recursive_least_squares_reaches_across_a_jump(constant) 
         for at, tracker in enumerate(trackers, 250):  # the first: without a jump
             value = sample.values[0] + (20 * stream.truth.sigma[0] if i >= at > 250 else 0.0)
             tracker.update(dataclasses.replace(sample, values=(value,)))
-    plain, *jumping = (tracker._belief() for tracker in trackers)
-    off = [(belief.mean - plain.mean) / np.sqrt(np.diag(plain.covariance)) for belief in jumping]
+    plain, *jumping = (tracker._distribution() for tracker in trackers)
+    off = [(distribution.mean - plain.mean) / np.sqrt(np.diag(plain.covariance)) for distribution in jumping]
     assert np.sqrt(np.mean(np.square(off))) < 1.0
 
 
@@ -199,7 +201,7 @@ def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubl
     tracker = make_online(name).start(Layout(make_system("sdof", {}), (Sensor("acceleration"),), 1.0 / 250.0))
     quantity = next(q for q in tracker.layout.quantities if q.name == "k_over_m")
     standings = [tracker.update(Sample(i / 250.0, (y,))) for i, y in enumerate(values)]
-    first = next(i for i, standing in enumerate(standings) if standing.belief is not None)
+    first = next(i for i, standing in enumerate(standings) if standing.distribution is not None)
     assert first < 250
     assert all("no answer yet" in standing.message for standing in standings[:first])
     held = []
@@ -216,12 +218,12 @@ def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubl
 def test_noise_alone_is_no_mode_and_a_lost_mode_is_counted_and_its_interval_widened() -> None:
     layout = Layout(make_system("sdof", {}), (Sensor("acceleration"),), 1.0 / 250.0)
     tracker, noise = make_online("ekf").start(layout), np.random.default_rng(8).standard_normal(450)
-    assert {tracker.update(Sample(i / 250.0, (y,))).belief for i, y in enumerate(noise)} == {None}
+    assert {tracker.update(Sample(i / 250.0, (y,))).distribution for i, y in enumerate(noise)} == {None}
     tracker = make_online("ekf").start(layout)
     standings = [tracker.update(Sample(i / 250.0, (y,))) for i, y in enumerate(blown(4, 2.0)[0])]
     lost = next(i for i, standing in enumerate(standings) if standing.status.value == "lost")
     assert "lost (1" in standings[lost].message
-    assert standings[lost].belief.covariance[1, 1] > 10 * standings[990].belief.covariance[1, 1]
+    assert standings[lost].distribution.covariance[1, 1] > 10 * standings[990].distribution.covariance[1, 1]
 
 
 @pytest.mark.parametrize("name", ["ekf", "change_points", "cusum", "glr", "rls", "ar", "window_ls"])
@@ -236,7 +238,7 @@ def test_a_restored_tracker_goes_on_to_the_digit(name, constant) -> None:
     part = make_online(name).start(stream.layout).restored(part.saved())
     for sample in samples[300:]:
         again = part.update(sample)
-    assert np.array_equal(last.belief.mean, again.belief.mean)
+    assert np.array_equal(last.distribution.mean, again.distribution.mean)
 
 
 @pytest.mark.parametrize("name", sorted(registered_online()))
@@ -278,7 +280,7 @@ def test_a_window_leaves_spikes_out() -> None:
     ends = []
     for samples in (clean, spiked):
         tracker = make_online("window_shooting", {"length": 120, "every": 40}).start(stream.layout)
-        ends.append([tracker.update(sample) for sample in samples][-1].belief.mean)
+        ends.append([tracker.update(sample) for sample in samples][-1].distribution.mean)
     assert np.max(np.abs(ends[0] - ends[1])) < 0.05
 
 
@@ -352,5 +354,5 @@ def test_a_window_of_the_pinn_goes_on_from_the_one_before_and_ends_where_a_cold_
     for sample in stream.samples():
         ends = [tracker.update(sample) for tracker in (warm, cold)]
     assert warm.end.shape == (3,)
-    sd = np.sqrt(np.diag(ends[1].belief.covariance))
-    assert np.max(np.abs(ends[0].belief.mean - ends[1].belief.mean) / sd) < 0.2
+    sd = np.sqrt(np.diag(ends[1].distribution.covariance))
+    assert np.max(np.abs(ends[0].distribution.mean - ends[1].distribution.mean) / sd) < 0.2

@@ -482,14 +482,14 @@ def test_agrees_with_maximum_a_posteriori_by_simulation() -> None:
 
     found = least_squares(rows, np.r_[np.log(list(TRUE.values())), 0.6, -0.8])
     assert estimate.parameters is not None
-    belief = estimate.parameters
+    distribution = estimate.parameters
     residual = rows(found.x)[:25]
     noise = np.sqrt(residual @ residual / 21)  # sigma is not told: scipy's covariance at the estimated one
     jacobian = found.jac.copy()
     jacobian[:25] /= noise
     sd = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))[:3]
-    assert np.all(np.abs(belief.mean - found.x[:3]) < 0.1 * sd)  # type: ignore[union-attr]
-    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), sd, rtol=0.1)  # type: ignore[union-attr,arg-type]
+    assert np.all(np.abs(distribution.mean - found.x[:3]) < 0.1 * sd)  # type: ignore[union-attr]
+    np.testing.assert_allclose(np.sqrt(np.diag(distribution.covariance)), sd, rtol=0.1)  # type: ignore[union-attr,arg-type]
 
 
 def test_units_and_networks_change_nothing() -> None:
@@ -546,7 +546,7 @@ def test_few_samples_give_a_finite_answer_or_a_sentence(n: int) -> None:
         Problem(SDOF(), (Record((Channel(t, np.cos(2 * t)),)),), PRIOR), np.random.default_rng(0)
     )
     assert estimate.message
-    assert estimate.belief is None or estimate.belief.finite()
+    assert estimate.distribution is None or estimate.distribution.finite()
 
 
 def test_dead_channel_and_absent_device_are_statuses() -> None:

@@ -79,9 +79,9 @@ def little(way: str, **settings: Any) -> PINNFamily:
 
 def checked(estimate: Estimate) -> None:
     assert estimate.status is Status.OK, estimate.message
-    belief = estimate.belief
-    assert belief is not None
-    assert belief.finite()
+    distribution = estimate.distribution
+    assert distribution is not None
+    assert distribution.finite()
     for quantity in estimate.system.groups:
         marginal = estimate.marginal(quantity)
         assert marginal is not None
@@ -148,8 +148,8 @@ def test_other_systems_and_an_exact_start_are_served(way: str, make: Any, brief:
     for settings in ({}, {"start": "exact"}):
         estimate = little(way, **settings).identify(make(), np.random.default_rng(0))
         assert estimate.status is Status.OK, estimate.message
-        assert estimate.belief is not None
-        assert estimate.belief.finite()
+        assert estimate.distribution is not None
+        assert estimate.distribution.finite()
         assert np.all(np.isfinite(estimate.bands[0](np.linspace(0.5, 5.5, 40))))
 
 

@@ -156,7 +156,7 @@ def test_the_path_ends_at_the_answer_in_the_units_of_the_problem() -> None:
     given = problem()
     estimate = PINNFamily().identify(given, np.random.default_rng(0))
     path, seconds = estimate.traces["path_parameters"], estimate.traces["path_cpu_s"]
-    values = estimate.belief.values()
+    values = estimate.distribution.values()
     assert path[-1] == pytest.approx([values[name] for name in given.system.names], rel=1e-9)
     assert np.all(np.diff(seconds) >= 0)
     assert estimate.traces["path_loss"][-1] < 0.1 * estimate.traces["path_loss"][0]

@@ -150,11 +150,11 @@ def test_a_singular_regression_is_said() -> None:
 def test_with_a_force_all_parameters_come_out(derivative: str) -> None:
     forced = scenario(50, samples=120, prior=None, force=ForceSpec(3.0, 0.1, 1.0))
     problem, _ = forced.replicates(5, 1)[0]
-    belief = LS(derivative).identify(problem, np.random.default_rng(0)).parameters  # type: ignore[arg-type]
-    assert isinstance(belief, Normal)
-    assert belief.log
+    distribution = LS(derivative).identify(problem, np.random.default_rng(0)).parameters  # type: ignore[arg-type]
+    assert isinstance(distribution, Normal)
+    assert distribution.log
     tolerance = {"finite": 0.3, "spline": 0.03}[derivative]
-    for name, value in belief.values().items():
+    for name, value in distribution.values().items():
         assert value == pytest.approx(PLANT[name], rel=tolerance)
 
 

@@ -42,9 +42,9 @@ def fit(problem: Problem, **settings: int) -> Estimate:
 def values(problem: Problem) -> dict[str, float]:
     estimate = fit(problem)
     assert estimate.status is Status.OK, estimate.message
-    belief = estimate.parameters or estimate.groups
-    assert belief is not None
-    return belief.values()
+    distribution = estimate.parameters or estimate.groups
+    assert distribution is not None
+    return distribution.values()
 
 
 @pytest.mark.parametrize("hold", ["zero_order", "linear", "cubic"])

@@ -57,17 +57,17 @@ def scenario_of(task: dict[str, Any], scale: float = 1.0) -> Any:
 def answer_of(estimate: Any) -> dict[str, Any]:
     """Status, the logarithms of what is estimated and their standard errors, and how many responses that took."""
     said = {"status": str(estimate.status), "message": estimate.message, "evaluations": estimate.cost.evaluations}
-    belief = estimate.belief
-    if belief is None:
+    distribution = estimate.distribution
+    if distribution is None:
         return {**said, "values": {}, "errors": {}}
-    values = np.array(list(belief.values().values()))
-    if hasattr(belief, "samples"):
-        errors = np.std(np.log(belief.samples), axis=0)
-    elif belief.covariance is None:
+    values = np.array(list(distribution.values().values()))
+    if hasattr(distribution, "samples"):
+        errors = np.std(np.log(distribution.samples), axis=0)
+    elif distribution.covariance is None:
         errors = np.full(values.size, np.nan)
     else:
-        errors = np.sqrt(np.diag(belief.covariance)) / (1.0 if belief.log else np.abs(values))
-    names = list(belief.names)
+        errors = np.sqrt(np.diag(distribution.covariance)) / (1.0 if distribution.log else np.abs(values))
+    names = list(distribution.names)
     return {
         **said,
         "values": dict(zip(names, map(float, np.log(np.abs(values))), strict=True)),

@@ -8,7 +8,7 @@ import json
 import numpy as np
 
 from bench.config.online import online_scenario
-from bench.contract.online import Sample, Standing, Tracker
+from bench.contract.online import Sample, Tracker, TrackerOutput
 from bench.entrants.online import make_online, online_card
 from bench.online.follow import moments
 from bench.online.scenario import Stream
@@ -91,7 +91,7 @@ def _again(tracker: Tracker, fresh: Tracker) -> Tracker:
     return fresh.restored({name: restored(value) for name, value in state.items()})
 
 
-def _crashing(tracker: Tracker, sample: Sample) -> Standing:
+def _crashing(tracker: Tracker, sample: Sample) -> TrackerOutput:
     own = tracker.step
 
     def raising(sample: Sample, steps: int) -> None:

@@ -20,7 +20,7 @@ from bench import (
     Steps,
     System,
     compiled_path,
-    fitted_start,
+    fit_initial_state,
     simulate,
 )
 from bench.commands.declaration import OneOf, Within
@@ -78,7 +78,7 @@ def free_run(system: System, p: Mapping[str, float], data: Silverbox, part: slic
     record = data.record(part, hold)
     if np.sqrt(p["k"] / p["m"]) > np.pi * RATE:
         return np.full(record.n - UNSCORED, np.nan)
-    start = fitted_start(system, p, data.record(part, hold, UNSCORED))
+    start = fit_initial_state(system, p, data.record(part, hold, UNSCORED))
     return np.asarray(record.channels[0].values - stepped(system, p, start, record))[UNSCORED:]
 
 
@@ -154,7 +154,7 @@ def _misfit(system: System, p: Mapping[str, float], record: Record) -> np.ndarra
     channel = record.channels[0]
     if np.sqrt(p["k"] / p["m"]) > np.pi * RATE:
         return np.full(channel.n, np.nan)
-    start = fitted_start(system, p, record)
+    start = fit_initial_state(system, p, record)
     return np.asarray(channel.values - simulate(system, p, start, channel.times, record.forces).displacement[0])
 
 

@@ -21,7 +21,7 @@ class Dishonest(bench.Identifier):
     way: str = "frames"
 
     card: ClassVar[bench.Card] = Good.card
-    serves: ClassVar[bench.Serves] = Good.serves
+    scope: ClassVar[bench.Scope] = Good.scope
 
     def estimate(self, problem: bench.Problem, rng: np.random.Generator) -> bench.Estimate:
         try:

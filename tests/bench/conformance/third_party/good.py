@@ -20,7 +20,7 @@ class Good(bench.Identifier):
         uncertainty="none",
         settings_source="it has none",
     )
-    serves: ClassVar[bench.Serves] = bench.Serves(forced=False, nonlinear=False)
+    scope: ClassVar[bench.Scope] = bench.Scope(forced=False, nonlinear=False)
 
     def estimate(self, problem: bench.Problem, rng: np.random.Generator) -> bench.Estimate:
         channel = problem.records[0].channels[0]

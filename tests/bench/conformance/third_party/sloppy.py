@@ -25,7 +25,7 @@ class Sloppy(bench.Identifier):
     fault: str = ""
 
     card: ClassVar[bench.Card] = Good.card
-    serves: ClassVar[bench.Serves] = Good.serves
+    scope: ClassVar[bench.Scope] = Good.scope
     last: ClassVar[list[np.ndarray]] = []
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:

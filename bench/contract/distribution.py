@@ -1,6 +1,7 @@
 """What is believed of the parameters after a fit: a normal in their logarithms, or draws.
 
-Beliefs of many replicates that differ in their numbers alone are one belief whose arrays have leading axes (*sets).
+Distributions of many replicates that differ in their numbers alone are one distribution whose arrays have leading axes
+(*sets).
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ less than this factor, to 1e-12 of their size: each takes 0.3 µs, and a replica
 
 @dataclass(frozen=True)
 class Marginal:
-    """The belief about one quantity: its point value and its quantile function.
+    """The distribution about one quantity: its point value and its quantile function.
 
     ``value`` is a number, or an array (*sets). ``ppf`` maps levels (n,) in (0, 1) to quantiles (*sets, n), ``cdf`` a
     value, or values (*sets), to levels (*sets); both are None where the method gives no uncertainty. ``parts``: the
-    beliefs that this one is a mixture of, the leading one first; none where it is not a mixture.
+    distributions that this one is a mixture of, the leading one first; none where it is not a mixture.
     """
 
     value: Any
@@ -64,10 +65,11 @@ MIXTURE_STEPS = 60
 
 
 def mixed(parts: Sequence[Marginal], weights: Sequence[float]) -> Marginal:
-    """Mix beliefs about one quantity; its value is that of the first part, its quantiles are those of the mixture.
+    """Mix distributions about one quantity; its value is that of the first part, its quantiles are those of the
+    mixture.
 
     Args:
-        parts: Beliefs, each of one number; the first one alone where any gives no uncertainty.
+        parts: Distributions, each of one number; the first one alone where any gives no uncertainty.
         weights: Their probabilities, which add up to 1.
     """
     if len(parts) == 1 or any(part.ppf is None or part.cdf is None for part in parts):
@@ -141,8 +143,8 @@ def normal_marginal(value: Any, mean: Any, sd: Any, dof: Any, log: bool) -> Marg
     return Marginal(_number(value), ppf, cdf)
 
 
-class Belief(Protocol):
-    """What both kinds of belief can say. Who needs no more names no kind, and does not change with one."""
+class Distribution(Protocol):
+    """What both kinds of distribution can say. Who needs no more names no kind, and does not change with one."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -158,17 +160,17 @@ class Belief(Protocol):
         ...
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The belief about a product of powers; None where its names do not determine it."""
+        """The distribution about a product of powers; None where its names do not determine it."""
         ...
 
     def expressed_in(self, scale: Mapping[str, float]) -> Self:
-        """The same belief with every named quantity divided by its scale."""
+        """The same distribution with every named quantity divided by its scale."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """A normal belief over named positive parameters, in their logarithms; or over groups, in themselves.
+    """A normal distribution over named positive parameters, in their logarithms; or over groups, in themselves.
 
     ``names`` of shape (d,), ``mean`` (*sets, d) and ``covariance`` (*sets, d, d). With ``log`` the mean is that of the
     logarithms. ``covariance`` None: a point without uncertainty. With ``dof``, a number or (*sets), the intervals use
@@ -192,7 +194,7 @@ class Normal:
         return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The belief about a product of powers; None where these names do not determine it."""
+        """The distribution about a product of powers; None where these names do not determine it."""
         if self.log:
             return self._log_marginal(quantity)
         if quantity.name in self.names:
@@ -218,7 +220,7 @@ class Normal:
         return normal_marginal(value, centre, sd, self.dof, True)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Normal:
-        """The same belief with every named quantity divided by its scale."""
+        """The same distribution with every named quantity divided by its scale."""
         s = np.array([scale[name] for name in self.names])
         if self.log:
             return replace(self, mean=self.mean - np.log(s))
@@ -228,7 +230,7 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """A belief as draws of the parameters: ``samples`` of shape (*sets, n_draws, n_parameters), all positive.
+    """A distribution as draws of the parameters: ``samples`` of shape (*sets, n_draws, n_parameters), all positive.
 
     The point value of a quantity is the median of its draws: the one functional of a skewed posterior that a monotone
     change of the quantity leaves in its place, so that ``1/q`` and ``log q`` have theirs at the same draw.
@@ -246,7 +248,7 @@ class Draws:
         return bool(np.all(np.isfinite(self.samples)))
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The belief about a product of powers; None where these names do not determine it."""
+        """The distribution about a product of powers; None where these names do not determine it."""
         if not set(quantity.exponents) <= set(self.names):
             return None
         columns = {name: self.samples[..., i] for i, name in enumerate(self.names)}

@@ -23,7 +23,7 @@ SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
-class HeldModel:
+class DiscreteModel:
     """The discrete model of a layout; its functions are of jax, and take and give jax arrays.
 
     ``ambient``, ``offsets`` and ``logs`` are the places of forces, offsets and log-parameters in the joint state.

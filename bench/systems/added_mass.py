@@ -10,7 +10,7 @@ from bench.systems.contract import MASS, Dimension, Parameter, Quantity, System
 
 
 @dataclass(frozen=True)
-class Loaded(System):
+class LoadedSystem(System):
     """``system`` with ``added`` (kg, one a DOF): ``added_i a_i`` joins the residual of DOF i, whatever the system is.
 
     A known mass gives free vibration its scale: two records, with and without it, tell every parameter.
