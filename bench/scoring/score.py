@@ -68,9 +68,7 @@ def _form(estimate: Estimate, replicate: int) -> object:
         distribution.covariance is None,
         distribution.dof is None,
     )
-    positive = distribution.log or bool(
-        np.all(distribution.mean > 0)
-    )  # modal quantities exist for positive groups only
+    positive = distribution.log or bool(np.all(distribution.mean > 0))
     curves = len(estimate.reconstructions), len(estimate.bands)
     return form, positive, estimate.parameters is None, estimate.initial_states is None, curves
 
@@ -82,7 +80,7 @@ def _joint(estimates: Sequence[Estimate]) -> Estimate:
         return first
     distributions: list[Any] = [estimate.distribution for estimate in estimates]
     names = ("mean", "covariance", "dof") if isinstance(distributions[0], Normal) else ("samples",)
-    arrays = {name: [getattr(distribution, name) for distribution in distributions] for name in names}
+    arrays = {name: [getattr(item, name) for item in distributions] for name in names}
     distribution = replace(
         distributions[0], **{name: None if a[0] is None else np.stack(a) for name, a in arrays.items()}
     )

@@ -33,7 +33,7 @@ POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline
 
 
 class PageServer:
-    """Scope the page in threads; ``url`` is its address."""
+    """Serve the page in threads; ``url`` is its address."""
 
     def __init__(self, layout: Layout, port: int) -> None:
         self.head = {
