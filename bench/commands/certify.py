@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,17 +48,13 @@ def certify(
     several_modes = isinstance(request, ModalRequest)
     if all(path.is_file() for path in request.files):
         start_server(PRELOADED)  # it imports while this process does
-    try:
-        import jinja2  # noqa: F401 - before the work: the page needs it after it
+    from bench.face.results import nulls
+    from bench.records.modal_data import read_modal
+    from bench.records.problem import read_measured
+    from bench.reporting.certificate.page import page
+    from bench.reporting.terminal import wrapped
+    from bench.reporting.whole_file import check_folder, write
 
-        from bench.face.results import nulls
-        from bench.records.modal_data import read_modal
-        from bench.records.problem import read_measured
-        from bench.reporting.certificate.page import page
-        from bench.reporting.terminal import wrapped
-        from bench.reporting.whole_file import check_folder, write
-    except ImportError as error:
-        raise InputError("package", error.name, "missing: pip install 'vibration-bench[report]'") from None
     measured: Any = read_modal(request) if several_modes else read_measured(request)
     check_folder(out)
     shown = _modes(request, measured, again) if several_modes else _one_mode(request, measured, twins, again)
@@ -67,6 +63,16 @@ def certify(
     write(paths[1], json.dumps(nulls(shown), allow_nan=False, ensure_ascii=False, indent=1) + "\n", out)
     print(wrapped(f"{shown['verdict']}: {shown['answer']}"), *paths, sep="\n")
     return int(shown["verdict"] == "do not trust")
+
+
+def _installed(names: Iterable[str]) -> list[str]:
+    """Return the methods whose packages are installed, and print which are left out."""
+    from bench.entrants.registry import missing_package, registered
+
+    lacking = {name: missing_package(name) if name in registered() else None for name in names}
+    if left_out := [why for why in lacking.values() if why]:
+        print(f"left out: {'; '.join(left_out)}", file=sys.stderr)
+    return [name for name, why in lacking.items() if why is None]
 
 
 def _one_mode(request: Request, measured: Measured, twins: int, again: str) -> dict[str, Any]:
@@ -100,7 +106,7 @@ def _request(data: str, system: str, method: Sequence[str], record: Sequence[str
         chosen = {"method": list(method) if method != FAST else [], "system": [system] if system != AUTO else []}
         return modal_request_of({**given, **{name: values for name, values in chosen.items() if values}})
     if method == FAST:
-        method = [name for name in certificate_methods() if name in choices("method")]
+        method = _installed(name for name in certificate_methods() if name in choices("method"))
     for name in method if method != (ALL,) else []:
         check_choice("method", name)
     return request_of({**given, "system": [system], "method": list(method)})

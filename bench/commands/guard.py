@@ -12,6 +12,8 @@ from contextlib import suppress
 from bench.errors import InputError, line_of
 from bench.isolation.signals import Ended, ended_by_signals, interrupts_again
 
+OPTIONAL = {"jax": "jax"}
+"""Packages that are imported where they are needed, each with the extra that installs it."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -41,6 +43,11 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
         with suppress(OSError):  # the terminal may be gone
             print(f"{name}: {interrupted}", file=sys.stderr)
         return ended.status
+    except ModuleNotFoundError as error:
+        if error.name not in OPTIONAL:
+            raise
+        remedy = f"missing: pip install 'vibration-bench[{OPTIONAL[error.name]}]'"
+        return _refused(name, InputError("package", error.name, remedy))
     except BrokenPipeError:
         _drop_output()
         return 141

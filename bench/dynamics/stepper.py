@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
@@ -117,7 +118,8 @@ def compiled_path(
     """
     sets = state[0].shape
     n_sets, n_steps = int(np.prod(sets)), steps.lengths.size
-    if not n_sets or not n_steps or len(state) * n_sets * n_steps > MOST_STATES:
+    without_jax = importlib.util.find_spec("jax") is None
+    if without_jax or not n_sets or not n_steps or len(state) * n_sets * n_steps > MOST_STATES:
         return rk4_path(system, p, state, steps, wanted)
     repeated = np.minimum(np.arange(_power(4 if coarse else 2, n_sets)), n_sets - 1)
     values = np.stack([np.broadcast_to(np.asarray(p[name], float), sets).ravel()[repeated] for name in system.names])

@@ -78,6 +78,8 @@ class FilterIdentifier(OnlineIdentifier):
     """``warm_up``: samples before the filters begin; half of them where no force is known."""
 
     warm_up: Annotated[int, Interval(ge=20)] = 150
+    requires: ClassVar[tuple[str, ...]] = ("jax",)
+    extra: ClassVar[str] = "jax"
     version: ClassVar[int] = 4
     """4: under a known force the sensors' noise is learned from all samples, not from the first alone."""
 
