@@ -11,7 +11,7 @@ import pandas as pd
 from bench.audit.evidence import Audit, AuditFinding
 from bench.audit.sentences import VERDICTS, lines_of, off, percentage, reported, summary
 from bench.reporting.frame import Line
-from bench.reporting.labels import beside_paper
+from bench.reporting.labels import counterparts
 from bench.reporting.paper import printed
 from bench.reporting.rounding import number
 from bench.reporting.tables.render import MISSING, Columns, Rows, files, listing
@@ -106,4 +106,4 @@ def paper_verdicts(results: Path) -> list[str]:
     data = data[data.initial_state.eq("known") & data.verdict.notna()]
     keys = zip(data.table, data.row.astype(str), data.method, data.metric, strict=True)
     verdicts = dict(zip(keys, data.verdict, strict=True))
-    return [verdicts[p.table, p.row, beside_paper(p.method)[0], p.metric] for p in printed()]
+    return [verdicts[p.table, p.row, counterparts(p.method)[0], p.metric] for p in printed()]

@@ -1,8 +1,8 @@
-"""What methods, their variants and the reference rows are called, from their cards alone.
+"""Titles and order of methods, their variants and the reference rows, from their cards.
 
-A label is what a cell calls its method: a registered name, a file of ``conf/method``, a reference row, or any of these
-with settings behind it. What no card speaks of is called by its label, and stands behind the others. The label of a
-cell that was submitted carries a mark, which its name for people keeps.
+A label is the name of a method in a cell: a registered name, a file of ``conf/method``, or a reference row, each
+possibly followed by settings. A label without a card is its own title and comes last. The label of a submitted cell
+ends in a mark, which its title keeps.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ def _reference(title: str, order: int) -> Card:
 
 
 REFERENCE_CARDS = {"prior": _reference("prior (no data)", 0), "oracle": _reference("oracle", 1)}
-TOLD = {"oracle": "truth as start", "prior": "prior only"}
-"""What the reference rows are told beyond the data."""
+REFERENCE_INFORMATION = {"oracle": "true values as initial guess", "prior": "prior only"}
+"""Information beyond the data that the reference rows use."""
 
 
 @cache
 def cards() -> dict[str, Card]:
-    """By label, the cards of the reference rows, of the methods that load, and of their variants."""
-    found = dict(REFERENCE_CARDS)
+    """Return the cards of the reference rows, of the methods that load, and of their variants, by label."""
+    by_label = dict(REFERENCE_CARDS)
     for name in registered():
         try:
             card = load_method(name).card
         except InputError:
-            continue  # said when, and only if, that method is chosen
-        found[name] = card
-        found |= {variant: card.variant(variant) for variant in card.variants}
-    return found
+            continue  # reported when that method is chosen
+        by_label[name] = card
+        by_label |= {variant: card.variant(variant) for variant in card.variants}
+    return by_label
 
 
 def card_of(label: str) -> Card | None:
-    """The card of a label, if there is one; a submitted cell has that of its method."""
+    """Return the card of a label, or None; a submitted cell has the card of its method."""
     return cards().get(unmarked(label))
 
 
 def title(label: str) -> str:
-    """The name of a method for people."""
+    """Return the title of a method."""
     card = card_of(label)
     return f"{card.title}{label[len(unmarked(label)) :]}" if card and card.title else label
 
@@ -58,34 +58,34 @@ def states_terms(label: str) -> bool:
 
 
 def warns(label: str) -> bool:
-    """Return whether the message of an answer is a warning: not where it names terms or says how the fit ended."""
+    """Return whether the message of a successful fit is a warning, and not a list of terms or a remark on the end."""
     card = card_of(label)
     return bool(card and not (card.states_terms or card.remarks))
 
 
 def in_order(labels: Iterable[str]) -> list[str]:
-    """Each label once, in the order that their cards give, all others behind by name."""
+    """Return each label once, in the order of the cards; labels without a card last, by name."""
     return sorted(set(labels), key=place_of)
 
 
 def place_of(label: str) -> tuple[float, str]:
-    """What sorts a label."""
+    """Return the sort key of a label."""
     card = card_of(label)
     return card.order if card else 1000, label
 
 
-def told(method: str) -> str:
-    """What a method is told beyond the data: the start where it is known, and the prior.
+def information_used(method: str) -> str:
+    """List the information that a method uses beyond the data: a known initial state, and the prior.
 
-    ``prior after``: it returns the identifiable groups only, and the shared step combines them with the prior.
+    ``prior after``: it returns the identifiable groups only, and a shared step combines them with the prior.
     """
     if method in REFERENCES:
-        return TOLD[method]
+        return REFERENCE_INFORMATION[method]
     card = load_method(method).card
-    start = "start, " if card.start == "used when known" else ""
-    return start + ("prior" if card.scale == "native" else "prior after")
+    initial_state = "initial state, " if card.start == "used when known" else ""
+    return initial_state + ("prior" if card.scale == "native" else "prior after")
 
 
-def beside_paper(name: str) -> list[str]:
-    """The labels that stand beside a method of the paper, in order: first the method itself, then its variants."""
+def counterparts(name: str) -> list[str]:
+    """Return the labels compared with a method of the paper, in order: the method itself, then its variants."""
     return in_order(label for label, card in cards().items() if card.paper == name)

@@ -1,7 +1,6 @@
-"""Residuals of stored answers: the data of each replicate made anew, less the response of its k/m and c/m.
+"""Residuals of stored estimates: the data of each replicate, regenerated, minus the response of the estimated k/m, c/m.
 
-One mass in free vibration, with the start that fits best whether or not it was told: what a user who was given k/m and
-c/m would look at.
+One mass in free vibration. The initial state is fitted to the data, known or not, as a user with k/m and c/m would do.
 """
 
 from __future__ import annotations
@@ -16,54 +15,63 @@ from bench.scoring.statistics import whiteness
 from bench.systems import SDOF
 
 LEVEL = 0.05
-"""Of the test: so many of the residuals of a right model look coloured."""
+"""Level of the whiteness test: the share of the residuals of a right model that it rejects."""
 STEP = 1e-4
-"""Of k/m and c/m, relatively, for the direction in which the response moves with them."""
+"""Relative step of k/m and c/m for the derivatives of the response."""
 
 
 def coloured(results: Sequence[Result]) -> dict[str, np.ndarray]:
-    """Return by identity, of each replicate that was answered, whether its residuals are told from white noise.
+    """Test the residuals of each successful replicate for whiteness.
 
     All replicates of a result have the same sample times.
+
+    Returns:
+        Whether white noise is rejected for each successful replicate (n_ok,), by the identity of the result.
     """
-    found: dict[str, np.ndarray] = {}
-    for same in group([result for result in results if result.n], lambda result: result.question).values():
-        p, most = same[0].parameters, max(result.n for result in same)
-        channels = [problem.records[0].channels[0] for problem, _ in same[0].scenario.replicates(same[0].seed, most)]
+    rejected: dict[str, np.ndarray] = {}
+    for members in group([result for result in results if result.n], lambda result: result.question).values():
+        p, most, first = members[0].parameters, max(result.n for result in members), members[0]
+        channels = [problem.records[0].channels[0] for problem, _ in first.scenario.replicates(first.seed, most)]
         values, true = np.stack([channel.values for channel in channels]), np.array([p["k"], p["c"]]) / p["m"]
-        for result in same:
+        for result in members:
             ratios = np.stack([result.scores("k_over_m_ratio"), result.scores("c_over_m_ratio")], axis=-1)
-            told = result.ok & np.all(np.isfinite(ratios), axis=-1)
-            found[result.identity] = _coloured(channels[0].times, values[: result.n][told], ratios[told] * true)
-    return found
+            usable = result.ok & np.all(np.isfinite(ratios), axis=-1)
+            rejected[result.identity] = _coloured(channels[0].times, values[: result.n][usable], ratios[usable] * true)
+    return rejected
 
 
 def _coloured(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    left, start = residuals(times, values, groups)
-    good = np.flatnonzero(np.all(np.isfinite(left), axis=1))
+    remainders, initial_states = residuals(times, values, groups)
+    good = np.flatnonzero(np.all(np.isfinite(remainders), axis=1))
     if not good.size:
-        return np.ones(len(left), bool)
-    middle = good[np.argsort(groups[good, 0])[good.size // 2]]  # a usual answer, whose tangents serve for all
+        return np.ones(len(remainders), bool)
+    middle = good[np.argsort(groups[good, 0])[good.size // 2]]  # the median estimate; its tangents serve for all
     here, *moved = _motions(times, groups[middle] * (1.0 + STEP * np.eye(3, 2, -1)))
-    tangents = np.column_stack([here, *((motion - here) @ start[middle] / STEP for motion in moved)])
-    return ~(whiteness(left, tangents) >= LEVEL)  # a response that is not finite explains nothing
+    tangents = np.column_stack([here, *((motion - here) @ initial_states[middle] / STEP for motion in moved)])
+    return ~(whiteness(remainders, tangents) >= LEVEL)  # also rejected where the response is not finite
 
 
 def residuals(times: np.ndarray, values: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what k/m and c/m (sets, 2) leave of values (sets, n), and the best initial state (sets, 2).
+    """Fit the initial state for given k/m and c/m, and return the residuals.
 
-    NaN where the response is not finite.
+    Args:
+        times: Sample times (s), shape (n,).
+        values: Displacements, shape (sets, n).
+        groups: k/m and c/m, shape (sets, 2).
+
+    Returns:
+        Residuals (sets, n) and initial states (sets, 2); NaN where the response is not finite.
     """
     motions = _motions(times, groups)
     good = np.all(np.isfinite(motions), axis=(1, 2))
     motions[~good] = 0.0
-    start = (np.linalg.pinv(motions) @ values[..., None])[..., 0]
-    start[~good] = np.nan
-    return values - (motions @ start[..., None])[..., 0], start
+    initial_states = (np.linalg.pinv(motions) @ values[..., None])[..., 0]
+    initial_states[~good] = np.nan
+    return values - (motions @ initial_states[..., None])[..., 0], initial_states
 
 
 def _motions(times: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Responses (sets, n, 2) to unit displacement and to unit velocity of mass 1 with k/m and c/m (sets, 2)."""
+    """Return the responses to unit displacement and to unit velocity of a mass 1 (sets, n, 2)."""
     p = {"m": np.ones(len(groups)), "c": groups[:, 1], "k": groups[:, 0]}
-    starts = np.repeat(np.eye(2)[:, None], len(groups), axis=1)
-    return np.stack([linear_motion(SDOF(), p, s0, times, slopes=False)[0][..., 0] for s0 in starts], axis=-1)
+    unit_states = np.repeat(np.eye(2)[:, None], len(groups), axis=1)
+    return np.stack([linear_motion(SDOF(), p, s0, times, slopes=False)[0][..., 0] for s0 in unit_states], axis=-1)

@@ -1,4 +1,4 @@
-"""Whether a sparse regression found the terms of the equation of motion, no more and no fewer."""
+"""Compare the terms that sparse regressions select with those of the equation of motion."""
 
 from __future__ import annotations
 
@@ -16,10 +16,16 @@ from bench.systems import System
 
 @cache
 def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], ...] | None:
-    """By DOF, the monomials of displacement (x), velocity (v) and force (f) in the acceleration, e.g. ``{x, v, x^3}``.
+    """Return the monomials of displacement (x), velocity (v) and force (f) in each acceleration, e.g. ``{x, v, x^3}``.
 
-    With several DOFs they are numbered from 1. ``forced``: the DOFs a force acts on. None where the acceleration is no
-    polynomial: then no library of monomials holds it.
+    With several DOFs the symbols are numbered from 1.
+
+    Args:
+        system: The system.
+        forced: DOFs with a force.
+
+    Returns:
+        The monomials by DOF, or None if the acceleration is not a polynomial.
     """
     import sympy
 
@@ -27,7 +33,7 @@ def true_terms(system: System, forced: frozenset[int]) -> tuple[frozenset[str], 
         return None
     numbers = [""] if system.n_dof == 1 else [str(i + 1) for i in range(system.n_dof)]
     x, v, f = ([sympy.Symbol(f"{name}{i}", real=True) for i in numbers] for name in "xvf")
-    # parameters as different primes: exact, fast, and no term of theirs is nil by accident
+    # Different primes for the parameters keep the arithmetic exact, and no coefficient vanishes by accident.
     p = {name: sympy.Integer(sympy.prime(10 + i)) for i, name in enumerate(system.names)}
     pushed = [symbol if i in forced else sympy.Integer(0) for i, symbol in enumerate(f)]
     try:
@@ -45,7 +51,7 @@ def _name(powers: tuple[int, ...], states: list[str]) -> str:
 
 
 def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
-    """By DOF, the terms that a method's sentence names after ``terms kept of N:``; None where it says nothing."""
+    """Return the terms by DOF that a method's message lists after ``terms kept of N:``; None without such a list."""
     match = re.search(r"terms kept of \d+: (.*)", message)
     if not match:
         return None
@@ -54,24 +60,24 @@ def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
 
 
 def terms_found(stored: StoredCell, scenario: Scenario) -> str:
-    """In words: in how many replicates the right terms were found, and what is found most often instead."""
+    """Describe in how many replicates the selected terms were right, and the most frequent selection."""
     replicates = zip(stored.columns.statuses, stored.columns.plain("message"), strict=True)
     kept = [kept_terms(message) for status, message in replicates if status is Status.OK]
     models = [model for model in kept if model is not None]
     if not models:
         return "no terms stated"
     forced = frozenset({scenario.force.dof}) if scenario.force else frozenset()
-    wanted = true_terms(scenario.make_system(), forced)
+    true = true_terms(scenario.make_system(), forced)
     usual, times = Counter(models).most_common(1)[0]
-    often = f"most often {_told(usual)} ({times} of {len(models)})"
-    if wanted is None:
-        return f"its library does not hold the equation of motion; {often}"
-    right = sum(model == wanted for model in models)
-    held = sum(all(w <= m for w, m in zip(wanted, model, strict=True)) for model in models)
-    return f"exactly the right terms in {right} of {len(models)}, these and more in {held - right}" + (
-        "" if usual == wanted else f"; {often}"
+    most_frequent = f"most often {_listed(usual)} ({times} of {len(models)})"
+    if true is None:
+        return f"its library does not contain the equation of motion; {most_frequent}"
+    right = sum(model == true for model in models)
+    complete = sum(all(w <= m for w, m in zip(true, model, strict=True)) for model in models)
+    return f"exactly the right terms in {right} of {len(models)}, these and more in {complete - right}" + (
+        "" if usual == true else f"; {most_frequent}"
     )
 
 
-def _told(model: tuple[frozenset[str], ...]) -> str:
+def _listed(model: tuple[frozenset[str], ...]) -> str:
     return "; ".join(", ".join(sorted(terms, key=lambda t: (t.count(" "), t))) or "none" for terms in model)

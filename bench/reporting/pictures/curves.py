@@ -11,7 +11,7 @@ import pandas as pd
 
 from bench.contract.prior import Prior
 from bench.information.profile import THRESHOLD, Profile
-from bench.reporting.labels import beside_paper, cards, title
+from bench.reporting.labels import cards, counterparts, title
 from bench.reporting.paper import own_method, printed
 from bench.reporting.pictures.gallery import METRICS, MOTION, C, Gallery, K, replicates, where
 from bench.reporting.pictures.style import Nothing, Picture, layered, logarithmic, table
@@ -111,7 +111,7 @@ def draw_training(gallery: Gallery) -> Picture:
     soonest, latest = (choose(last, key=lambda name: last[name][0]) for choose in (min, max))
     lead = f"{soonest} ends its training after {last[soonest][0]:.0f} evaluations"
     lead += f", {latest} after {last[latest][0]:.0f}" if latest != soonest else ""
-    same = " and ".join(title(cell.label) for cell, _ in found if cell.label in beside_paper(own_method()))
+    same = " and ".join(title(cell.label) for cell, _ in found if cell.label in counterparts(own_method()))
     return Picture(
         "training_loss",
         chart.properties(width=120, height=110).facet(column=facet, spacing=8),

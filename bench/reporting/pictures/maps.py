@@ -116,7 +116,7 @@ def misfit(cell: Result, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.nda
         state = (np.full((1, c.size, k.size), x0), np.full((1, c.size, k.size), v0))
         return np.asarray(simulate(cell.model, p, state, times).displacement[0])
 
-    if (start := cell.start_told) is not None:
+    if (start := cell.known_initial_state) is not None:
         residual = response(float(start.displacement[0]), float(start.velocity[0])) - values
     else:
         basis = np.stack([response(1.0, 0.0), response(0.0, 1.0)], axis=-1)

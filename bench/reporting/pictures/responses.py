@@ -16,7 +16,7 @@ from bench.dynamics.simulate import fit_initial_state, simulate
 from bench.online.follow import Followed
 from bench.online.scenario import Stream
 from bench.reporting.frame import Result
-from bench.reporting.labels import beside_paper, title
+from bench.reporting.labels import counterparts, title
 from bench.reporting.paper import own_method
 from bench.reporting.pictures.gallery import Arrays, Gallery, in_lines, replicates, where
 from bench.reporting.pictures.style import ONE, Nothing, Picture, layered, table
@@ -115,7 +115,7 @@ def simulated(cell: Result, arrays: Arrays) -> np.ndarray | None:
         return None
     parameters = {name: ratio * float(cell.parameters[name]) for name, ratio in ratios.items()}
     channels = tuple(Channel(*samples_of(arrays, dof), dof=dof) for dof in sorted(set(arrays["sample_dof"].tolist())))
-    start = cell.start_told or fit_initial_state(cell.model, parameters, Record(channels, (), None))
+    start = cell.known_initial_state or fit_initial_state(cell.model, parameters, Record(channels, (), None))
     return np.asarray(simulate(cell.model, parameters, start, arrays["dense_times"]).displacement)
 
 
@@ -182,7 +182,7 @@ def draw_two_masses(gallery: Gallery) -> Picture:
     """Response of every DOF, identified and true, and beside it the error with its band."""
     cells = gallery.scene(gallery.largest(cell for cell in gallery.cells if cell.n_dof > 1))
     found = gallery.recorded((cell for cell in cells if not cell.is_reference), "displacement")
-    papers = beside_paper(own_method())  # the paper's own, else the first of all
+    papers = counterparts(own_method())  # the paper's own, else the first of all
     cell, arrays = next((pair for label in papers for pair in found if pair[0].label == label), found[0])
     off, parts = arrays["displacement"] - arrays["true_displacement"], []
     for dof, (true, estimate) in enumerate(zip(arrays["true_displacement"], arrays["displacement"], strict=True)):

@@ -254,7 +254,7 @@ def draw_family(gallery: Gallery) -> Picture:
     """A part for each factor and base: when each variant's training is as good as the oracle, and how good at last."""
     name = next(name for name in table_experiments() if Experiment(name).table.get("form") == "family")
     family = family_of(experiment_frame(name, gallery.store))
-    oracle = next((member.at(PLACE) for member in family.variants if member.method == "oracle"), None)
+    oracle = next((member.stored_cell(PLACE) for member in family.variants if member.method == "oracle"), None)
     compared = [own for own in (family.section(*which) for which in COMPARED) if own]
     frames = {f"{own.heading}, {own.base}": trainings(own, oracle) for own in compared}
     frames = {heading: frame for heading, frame in frames.items() if len(frame)}
@@ -284,7 +284,7 @@ def trainings(section: Section, oracle: Result | None) -> pd.DataFrame:
     """
     n, lines = section.common(PLACE), []
     for row in section.rows:
-        cell = row.at(PLACE)
+        cell = row.stored_cell(PLACE)
         if cell and cell.successful("training_s").size:
             seconds, error = oracle_seconds(cell, oracle), root_mean_square(cell.successful(METRICS[K], n))
             end, excess = float(cell.successful("training_s").max()), error / cell.bound(METRICS[K])

@@ -1,1 +1,1 @@
-"""The tables of results, from stored cells alone."""
+"""Tables of results, from stored cells alone."""

@@ -1,7 +1,4 @@
-"""The table of a family: variants of one method, one thing changed at a time around each base, in sections.
-
-It stands for an experiment whose ``table`` has the form ``family`` (:mod:`bench.reporting.family`).
-"""
+"""The table of a family of variants (:mod:`bench.reporting.family`): one setting changed at a time around each base."""
 
 from __future__ import annotations
 
@@ -27,39 +24,45 @@ from bench.scoring.traces import MOMENTS
 
 STIFFNESS, DAMPING = "k_over_m", "c_over_m"
 NEAR = 1.1
-"""So many times the oracle's error is as good as the oracle."""
+"""Ratio to the oracle's error up to which a method counts as equally accurate."""
 CSV = (
     "section", "base", "row", "method", "settings", "snr_db", "initial_state", "quantity", "value", "n_ok", "n",
 )  # fmt: skip
-LEGEND = """A row is one way of training the network on the same data. It differs from a base in one thing.
-{bases} The base is the first row of each section. A row may stand in two sections.
-Slow rows have fewer data sets, the first of the same: below the base stands what it does on those alone.
+LEGEND = """Each row is one way to train the network on the same data. It differs from a base in one setting.
+{bases} The base is the first row of each section. A row may occur in two sections.
+Slow rows have fewer data sets; the row below the base gives the base on these data sets alone.
 
-**Accuracy.** n: fits that gave an answer, of all; where the noise levels differ, one after the other. k/m, c/m, x
-(displacement): root mean square error over the Cramér-Rao bound: 1 is the best an unbiased method can do. It is over
-the fits that gave an answer. 95 %: the share of the 95 % intervals of k/m that cover the true value, in percent.
+**Accuracy.** n: successful fits, of all, at each noise level if they differ. k/m, c/m, x (displacement): root mean
+square error of the successful fits over the Cramér-Rao bound; 1 is the smallest that an unbiased method can reach.
+95 %: coverage, the share of the 95 % intervals of k/m that contain the true value, in percent.
 
 **Training** ({place}). Medians over the fits; a failed fit counts as infinite. Times are processor seconds.
 
-- *loss at end / minimum*: the loss where the training stopped, over the lowest that is known of the same loss.
-- *certificate*: length of the gradient at the end, over those of Jacobian and residual. It is zero at a minimum.
-- *s to within 1 % of the minimum*: when the loss came so near for good. The median is over the fits that did; behind
-  it stands how many did, where not all.
-- *s to {near:g} × oracle*: from when on the error of k/m stays within {near:g} times the oracle's on the same data,
-  both root mean square. It is read off at {moments} fixed moments from {first:g} s to {last:g} s.
-- *k/m at minimum*, *c/m at minimum*: the error over the bound, had each training ended at the minimum of its own loss;
-  on the data sets that all rows of the section have.
-- *whole fit s*: with the start scan, the intervals and all else. *memory*: by how much the process grew.
+- *loss at end / minimum*: the final loss over the lowest known value of the same loss.
+- *certificate*: norm of the final gradient over the product of the norms of Jacobian and residual; zero at a minimum.
+- *s to within 1 % of the minimum*: time after which the loss stays within 1 % of the minimum; the median over the fits
+  that reach it, with their number if some do not.
+- *s to {near:g} × oracle*: time after which the root mean square error of k/m stays within {near:g} times that of the
+  oracle on the same data, evaluated at {moments} fixed times from {first:g} s to {last:g} s.
+- *k/m at minimum*, *c/m at minimum*: the error over the bound if each training had ended at the minimum of its own
+  loss, on the data sets that all rows of the section have.
+- *whole fit s*: including the search for an initial guess and the intervals. *memory*: growth of the process.
 
-A dash: not computed, or the method has no such thing."""
+A dash: not computed, or not applicable."""
 
 
-# ---- what is said of one cell
+# ---- columns
 
 
 @dataclass(frozen=True)
 class FamilyColumn:
-    """A column: its heading (none: in the CSV alone), its value by cell, data sets (None: all) and oracle, its text."""
+    """A column of the table.
+
+    Attributes:
+        heading: Heading; empty for columns of the CSV alone.
+        value: Value of a cell, from its number of data sets (None for all) and the oracle's cell.
+        text: Format of the value.
+    """
 
     heading: str
     value: Callable[[Result, int | None, Result | None], float]
@@ -67,7 +70,7 @@ class FamilyColumn:
 
 
 def _excess(metric: str, score: str, heading: str) -> FamilyColumn:
-    """The root mean square of a score over the bound of a metric, over the successful of the first n fits."""
+    """Return a column with the root mean square of a score over the bound of a metric."""
     return FamilyColumn(
         heading, lambda cell, n, _: root_mean_square(cell.successful(score, n)) / cell.bound(metric), excess_text
     )
@@ -78,9 +81,9 @@ def _median(score: str, heading: str, text: Callable[[float], str] = number) -> 
 
 
 def finite_median(values: np.ndarray) -> float:
-    """The median of what is finite; NaN of nothing."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
+    """Return the median of the finite values; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else math.nan
 
 
 def _coverage(cell: Result, n: int | None, _: Result | None) -> float:
@@ -93,20 +96,20 @@ def _memory(cell: Result, n: int | None, _: Result | None) -> float:
 
 
 def arrived(cell: Result, n: int | None = None, _: Result | None = None) -> float:
-    """The share of all fits that came within 1 % of their minimum for good; NaN where no minimum is known."""
+    """Return the share of the fits whose loss stays within 1 % of its minimum; NaN if no minimum is known."""
     return cell.successful("arrival_s").size / cell.n if cell.successful("loss_over_minimum").size else math.nan
 
 
 def arrival(cell: Result, n: int | None = None, _: Result | None = None) -> float:
-    """The median time (s) to there of those that did; infinite where none did."""
+    """Return the median time (s) to within 1 % of the minimum, of the fits that reach it; infinite if none does."""
     share = arrived(cell)
     return finite_median(cell.successful("arrival_s")) if share else math.inf if share == 0 else math.nan
 
 
 def oracle_seconds(cell: Result, oracle: Result | None) -> float:
-    """The first moment (s) from which on the error of k/m stays within 1.1 times the oracle's; infinite if never.
+    """Return the time (s) after which the error of k/m stays within 1.1 times the oracle's; infinite if never.
 
-    Both are root mean squares over the same replicates, those in which both succeeded.
+    Both errors are root mean squares over the replicates in which both methods succeeded.
     """
     if oracle is None or not cell.successful("training_s").size:
         return math.nan
@@ -119,7 +122,7 @@ def oracle_seconds(cell: Result, oracle: Result | None) -> float:
 
 
 def moment_score(moment: float) -> str:
-    """The score that has the error at a moment (s) of a training."""
+    """Return the name of the score with the error at a time (s) of a training."""
     return f"{STIFFNESS}_off_pct_at_{moment:g}s"
 
 
@@ -133,7 +136,7 @@ ACCURACY = {
     "displacement_excess": _excess("rmse", "rmse", "x"),
     "k_over_m_coverage_95": FamilyColumn("95 %", _coverage, percent),
 }
-"""The quantities of every cell."""
+"""Columns of accuracy, for every method."""
 TRAINING = {
     "loss_over_minimum": _median(
         "loss_over_minimum", "loss at end / minimum", lambda loss: f"{loss:.3f}" if loss < 100 else number(loss)
@@ -148,14 +151,14 @@ TRAINING = {
     "fit_s": FamilyColumn("whole fit s", lambda cell, n, _: finite_median(cell.cpu_s)),
     "peak_memory_mb": FamilyColumn("memory MB", _memory, lambda size: MISSING if math.isnan(size) else f"{size:.0f}"),
 }
-"""The quantities of a training."""
+"""Columns of a training."""
 
 
 # ---- the table
 
 
 def family_table(frame: Frame) -> Mapping[str, str]:
-    """The files of the table by name; none where the store holds no cell of the family."""
+    """Return the files of the table by name; none if no cell of the family is stored."""
     if not any_stored(frame):
         return {}
     family = family_of(frame)
@@ -175,11 +178,11 @@ def family_table(frame: Frame) -> Mapping[str, str]:
 
 
 def _lines(family: Family) -> Iterator[Line]:
-    """One line a row, cell and quantity; a cell that is not computed has n = 0 and the quantities of accuracy."""
+    """Yield one line per row, cell and quantity; a missing cell has n = 0 and the quantities of accuracy alone."""
     sections = [*family.sections, family.combinations]
     rows = [(section, row, place) for section in sections for row in section.rows for place in family.places]
     for section, row, place in rows:
-        cell, oracle, n = row.at(place), _oracle(family, place), section.common(place)
+        cell, oracle, n = row.stored_cell(place), _oracle(family, place), section.common(place)
         head = {
             "section": section.heading, "base": section.base, "row": row.title, "method": row.method,
             "settings": json.dumps(dict(row.settings), sort_keys=True), "snr_db": place[0], "initial_state": place[1],
@@ -193,14 +196,18 @@ def _lines(family: Family) -> Iterator[Line]:
 
 
 def _oracle(family: Family, place: Place) -> Result | None:
-    return next((variant.at(place) for variant in family.variants if variant.method == "oracle"), None)
+    return next((variant.stored_cell(place) for variant in family.variants if variant.method == "oracle"), None)
 
 
 def _legend(family: Family) -> str:
     usual = {setting: family.names.usual[setting] for setting in family.names.card.choices}
-    bases = (f"*{name.capitalize()}*: {family.names.joined({**usual, **own})}." for name, own in family.bases.items())
+    bases = (
+        f"*{name.capitalize()}*: {family.names.joined({**usual, **settings})}."
+        for name, settings in family.bases.items()
+    )
     ends = {"moments": len(MOMENTS), "first": MOMENTS[0], "last": MOMENTS[-1]}
-    return LEGEND.format(bases=" ".join(bases), place=f"{PLACE[0]:g} dB, start {PLACE[1]}", near=NEAR, **ends)
+    scenario = f"{PLACE[0]:g} dB, initial state {PLACE[1]}"
+    return LEGEND.format(bases=" ".join(bases), place=scenario, near=NEAR, **ends)
 
 
 def _heading(section: Section) -> str:
@@ -212,12 +219,12 @@ def _title(row: Variant) -> str:
 
 
 def _section(family: Family, section: Section) -> Iterator[str | Rows]:
-    """The accuracy at either start, and the training."""
+    """Yield the accuracy with a known and with an unknown initial state, and the training."""
     yield f"## {_heading(section)}"
-    for start, places in group(family.places, lambda place: place[1]).items():
-        yield f"*Accuracy, start {start}*"
+    for initial_state, places in group(family.places, lambda place: place[1]).items():
+        yield f"*Accuracy, initial state {initial_state}*"
         yield _accuracy(section, places)
-    yield f"*Training ({PLACE[0]:g} dB, start {PLACE[1]})*"
+    yield f"*Training ({PLACE[0]:g} dB, initial state {PLACE[1]})*"
     oracle, n = _oracle(family, PLACE), section.common(PLACE)
     columns: Columns[Variant] = {
         quantity.heading: partial(_training, quantity, n, oracle) for quantity in TRAINING.values() if quantity.heading
@@ -226,7 +233,7 @@ def _section(family: Family, section: Section) -> Iterator[str | Rows]:
 
 
 def _training(quantity: FamilyColumn, n: int, oracle: Result | None, row: Variant) -> str:
-    cell = row.at(PLACE)
+    cell = row.stored_cell(PLACE)
     if cell is None:
         return MISSING
     some = quantity is TRAINING["arrival_s"] and 0 < arrived(cell) < 1
@@ -236,16 +243,16 @@ def _training(quantity: FamilyColumn, n: int, oracle: Result | None, row: Varian
 
 
 def _counts(places: Sequence[Place], row: Variant) -> str:
-    """Fits that gave an answer, of all: once where it is the same at every noise level that is computed."""
-    counts = [answered(cell.n_ok, cell.n) if (cell := row.at(place)) else MISSING for place in places]
+    """Return the successful fits, of all, once if they are the same at every computed noise level."""
+    counts = [answered(cell.n_ok, cell.n) if (cell := row.stored_cell(place)) else MISSING for place in places]
     computed = set(counts) - {MISSING}
     return ", ".join(counts) if len(computed) > 1 else next(iter(computed), MISSING)
 
 
 def _accuracy(section: Section, places: Sequence[Place]) -> Rows:
-    """A line a row, side by side the noise levels; below the base what it does on the data sets of slower rows."""
+    """Return the rows of a section with all noise levels side by side; below the base, the base on fewer data sets."""
     base = section.rows[0]
-    pairs = [(row.at(place), base.at(place)) for row in section.rows[1:] for place in places]
+    pairs = [(row.stored_cell(place), base.stored_cell(place)) for row in section.rows[1:] for place in places]
     fewer = {cell.n for cell, other in pairs if cell and other and cell.n < other.n} if base.base else set()
     rows: list[tuple[Variant, int | None]] = [(row, None) for row in section.rows]
     rows[1:1] = [(base, n) for n in sorted(fewer, reverse=True)]
@@ -262,13 +269,13 @@ def _accuracy(section: Section, places: Sequence[Place]) -> Rows:
 
 
 def _entry(place: Place, quantity: FamilyColumn, row: tuple[Variant, int | None]) -> str:
-    cell, n = row[0].at(place), row[1]
+    cell, n = row[0].stored_cell(place), row[1]
     shown = cell is not None and (n is None or cell.n > n)
     return quantity.text(quantity.value(cell, n, None)) if cell and shown else MISSING
 
 
 def _combinations(family: Family) -> list[str | Rows]:
-    """The errors of combinations of settings on the same data sets, the values of the second setting side by side."""
+    """Return the errors of combinations of settings on the same data, one column per value of the second setting."""
     settings, names = family.combinations.settings, family.names
     if len(settings) < 2:
         return []
@@ -277,14 +284,14 @@ def _combinations(family: Family) -> list[str | Rows]:
         return {name: variant.settings.get(name, names.usual[name]) for name in settings}
 
     def order(variant: Variant) -> list[float]:
-        own = values(variant)
-        return [names.order(name, own[name]) for name in (*settings[:1], *settings[2:], *settings[1:2])]
+        value = values(variant)
+        return [names.order(name, value[name]) for name in (*settings[:1], *settings[2:], *settings[1:2])]
 
     def row(variant: Variant) -> Texts:
         return {_words(name): names.of(name, value) for name, value in values(variant).items() if name != settings[1]}
 
     def entry(variant: Variant) -> Texts:
-        cell, text = variant.at(PLACE), MISSING
+        cell, text = variant.stored_cell(PLACE), MISSING
         if cell:
             errors = (ACCURACY[f"{name}_excess"] for name in (STIFFNESS, DAMPING))
             both = ", ".join(error.text(error.value(cell, n, None)) for error in errors)
@@ -292,12 +299,12 @@ def _combinations(family: Family) -> list[str | Rows]:
         return {names.of(settings[1], values(variant)[settings[1]]): text}
 
     combined = [item for variant in family.combinations.rows for item in values(variant).items()]
-    ours = [v for v in family.variants if v.method == family.method and set(v.settings) <= set(settings)]
-    shown = [variant for variant in ours if all(item in combined for item in values(variant).items())]
-    n = min((cell.n for variant in shown if (cell := variant.at(PLACE))), default=0)
+    members = [v for v in family.variants if v.method == family.method and set(v.settings) <= set(settings)]
+    shown = [variant for variant in members if all(item in combined for item in values(variant).items())]
+    n = min((cell.n for variant in shown if (cell := variant.stored_cell(PLACE))), default=0)
     explanation = (
-        f"Errors of k/m and c/m over the bound on the first {n} data sets ({PLACE[0]:g} dB, start {PLACE[1]}), and "
-        "processor seconds of a whole fit."
+        f"Errors of k/m and c/m over the bound on the first {n} data sets ({PLACE[0]:g} dB, initial state {PLACE[1]}), "
+        "and processor seconds of a whole fit."
     )
     heading = f"## All combinations of {', '.join(map(_words, settings))}"
     return [heading, explanation, Panel(entry, row, order=order).rows(shown)] if shown else []
@@ -307,16 +314,16 @@ def _words(setting: str) -> str:
     return setting.replace("_", " ")
 
 
-# ---- where the rows are from
+# ---- sources
 
 
 def _sources(family: Family) -> str:
-    """A list: every choice that a row has, then every other package, with the versions that computed the cells."""
-    ours = [variant for variant in family.variants if variant.method == family.method]
+    """List the source of every choice in the table, then other packages, with the versions that were used."""
+    members = [variant for variant in family.variants if variant.method == family.method]
     lines = []
     for setting, values in cards()[family.method].choices.items():
-        for value in values:  # one of another package is loaded only where a row has it
-            users = [v for v in ours if v.settings.get(setting, family.names.usual[setting]) == value]
+        for value in values:  # loads a choice of another package only if a row uses it
+            users = [v for v in members if v.settings.get(setting, family.names.usual[setting]) == value]
             if users:
                 choice = values[value]
                 package = f" ({_versions(choice.package, users)})" if choice.package else ""
@@ -330,16 +337,16 @@ def _sources(family: Family) -> str:
 
 
 def _versions(package: str, users: Iterable[Variant]) -> str:
-    """A package with the version that the stored cells were computed with, else with the one that is installed."""
+    """Return a package with the version that computed the stored cells, else with the installed version."""
     stored = [cell.stored.provenance.get("packages", {}) for v in users for cell in v.cells.values() if cell.stored]
     names = (package, package.replace("-", "_"))
-    known = {str(packages[name]).partition("+")[0] for packages in stored for name in names if name in packages}
-    return f"{package} {', '.join(sorted(known)) or _installed(package)}"
+    versions = {str(packages[name]).partition("+")[0] for packages in stored for name in names if name in packages}
+    return f"{package} {', '.join(sorted(versions)) or _installed(package)}"
 
 
 @cache
 def _installed(package: str) -> str:
-    """Return the installed version of a package, named as its distribution is or as it is imported."""
+    """Return the installed version of a package, given the name of its distribution or of its module."""
     for name in (package, *packages_distributions().get(package, ())):
         with suppress(PackageNotFoundError):
             return version(name).partition("+")[0]

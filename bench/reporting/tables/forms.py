@@ -1,4 +1,4 @@
-"""The tables of experiments: each in the form that its ``table`` in ``conf/experiment`` names."""
+"""Tables of experiments, by the form that ``table`` in ``conf/experiment`` names."""
 
 from __future__ import annotations
 
@@ -18,5 +18,5 @@ FORMS = {
 
 
 def table_files(frame: Frame) -> Mapping[str, str]:
-    """The files of an experiment's table by name; none where the store holds no cell of it."""
+    """Return the files of an experiment's table by name; none if nothing is stored."""
     return FORMS[frame.form](frame)

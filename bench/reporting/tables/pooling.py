@@ -1,4 +1,4 @@
-"""Statistics over several quantities, results or replicates: errors over bounds, coverage, modes, medians."""
+"""Statistics over several quantities and replicates: errors over bounds, coverage, modes, medians."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ MODAL = {
     "damping_ratios_error_pct": ("damping_pct", math.inf),
     "least_mac": ("least_mac", 0.0),
 }
-"""Metrics computed here from the identified parameters: where they stand in an Agreement, and what a failure has."""
+"""Metrics of modes: the field of an Agreement, and the value of a failed fit."""
 
 
 def pooled_quantities(system: System, identifiable: Mapping[str, bool]) -> tuple[str, ...]:
-    """The quantities that the data tell: all parameters, else the groups; where neither is told, all parameters."""
+    """Return the identifiable quantities: all parameters, else the groups; without either, all parameters."""
     groups = tuple(group.name for group in system.groups)
     for names in (system.names, groups):
         if all(identifiable.get(name, False) for name in names):
@@ -30,7 +30,7 @@ def pooled_quantities(system: System, identifiable: Mapping[str, bool]) -> tuple
 
 
 def pooled_excess(result: Result, names: Sequence[str]) -> float:
-    """Root mean square, over quantities and successful replicates, of error over bound; NaN without any."""
+    """Return the root mean square of error over bound, over quantities and successful replicates; NaN without any."""
     bounds = np.array([result.bound(name + ERROR) for name in names])
     errors = np.stack([result.errors(name + ERROR) for name in names], axis=1)[result.ok]
     usable = np.isfinite(bounds) & (bounds > 0)
@@ -42,14 +42,17 @@ def pooled_excess(result: Result, names: Sequence[str]) -> float:
 
 
 def pooled_coverage(result: Result, names: Sequence[str]) -> float:
-    """The share of the 95 % intervals of these quantities that held the truth, replicate by replicate; NaN of none."""
+    """Return the mean over replicates of the coverage of the 95 % intervals of some quantities; NaN without any."""
     hits = np.stack([result.scores(f"{name}_coverage_95") for name in names])[:, result.ok]
     hits = hits[:, np.isfinite(hits).any(axis=0)]
     return float(np.mean(np.nanmean(hits, axis=0))) if hits.size else math.nan
 
 
 def identified(result: Result) -> dict[str, np.ndarray]:
-    """The parameters by replicate (n,), over the gauge mass where a method gives groups only; NaN where it failed."""
+    """Return the identified parameters by replicate (n,); NaN where the fit failed.
+
+    They are relative to the gauge mass where a method returns groups only.
+    """
     scenario = result.scenario
     system = scenario.make_system()
     direct = {name: scenario.parameters[name] * result.scores(f"{name}_ratio") for name in system.names}
@@ -59,25 +62,25 @@ def identified(result: Result) -> dict[str, np.ndarray]:
         over_gauge[name] = result.scores(f"{group.name}_ratio") * float(group.value(scenario.parameters))
     whole = np.all(np.isfinite(list(direct.values())), axis=0)
     missing = np.full(result.n, np.nan)
-    found = {name: np.where(whole, values, over_gauge.get(name, missing)) for name, values in direct.items()}
-    return {name: np.where(result.ok, values, np.nan) for name, values in found.items()}
+    parameters = {name: np.where(whole, values, over_gauge.get(name, missing)) for name, values in direct.items()}
+    return {name: np.where(result.ok, values, np.nan) for name, values in parameters.items()}
 
 
 @cache
 def modal_scores(result: Result) -> dict[str, np.ndarray]:
-    """By metric and replicate, how the identified modes agree with the true ones; nothing for other systems."""
+    """Return the agreement of identified with true modes by metric and replicate (n,); empty without modes."""
     scenario = result.scenario
     system = scenario.make_system()
     if not system.linear or system.n_dof < 2 or not result.stored:
         return {}
     true, parameters = _true_modes(system, tuple(scenario.parameters.items())), identified(result)
-    known = np.all(np.isfinite(list(parameters.values())), axis=0)
-    agreed = agreement(modes_of_all(system, {name: p[known] for name, p in parameters.items()}), true)
-    found = {}
+    finite = np.all(np.isfinite(list(parameters.values())), axis=0)
+    agreed = agreement(modes_of_all(system, {name: p[finite] for name, p in parameters.items()}), true)
+    scores = {}
     for metric, (name, failed) in MODAL.items():
-        found[metric] = np.full(result.n, failed)
-        found[metric][known] = getattr(agreed, name)
-    return found
+        scores[metric] = np.full(result.n, failed)
+        scores[metric][finite] = getattr(agreed, name)
+    return scores
 
 
 @cache
@@ -86,10 +89,10 @@ def _true_modes(system: System, parameters: tuple[tuple[str, float], ...]) -> Mo
 
 
 def lower_median(values: np.ndarray) -> float:
-    """The median where values may be infinite: the lower of the middle two; NaN of nothing."""
+    """Return the median of values that may be infinite, the lower of the middle two; NaN without any."""
     return float(np.sort(values)[(values.size - 1) // 2]) if values.size else math.nan
 
 
 def root_mean_square(values: np.ndarray) -> float:
-    """The root of the mean square; NaN of nothing."""
+    """Return the root mean square; NaN without any value."""
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

@@ -1,4 +1,4 @@
-"""What every table is made with: rows by a specification of what is shown, and files as Markdown, CSV and LaTeX."""
+"""Render tables: rows from a specification of their columns, and files in Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ from bench.reporting.terminal import width as width_of
 
 Item = TypeVar("Item")
 Columns = Mapping[str, Callable[[Item], str]]
-"""By heading, the text of an item."""
+"""Functions that format an item, by column heading."""
 Rows = tuple[list[list[str]], list[str]]
-"""The rows of a table, and its headers."""
+"""Rows and headers of a table."""
 Texts = Mapping[str, str]
-"""By heading, what stands in a row."""
+"""Texts of a row, by column heading."""
 MISSING = "-"
-"""What stands for an item that is not there."""
+"""Text of an empty entry."""
 
 
 def listing(items: Iterable[Item], columns: Columns[Item]) -> Rows:
-    """A row an item."""
+    """Return one row per item."""
     return [[text(item) for text in columns.values()] for item in items], list(columns)
 
 
 def named(line: Line) -> Texts:
-    """The method of a line, which begins its row."""
+    """Return the first entry of a row: the method."""
     return {"method": title(line["method"])}
 
 
 def each(name: Callable[[Item], str], columns: Columns[Item]) -> Callable[[Item], Texts]:
-    """What an item shows under headings that begin with a name, which stand side by side by name."""
+    """Return a function that formats the columns of an item, with its name before each heading."""
     return lambda item: {f"{name(item)} {heading}": text(item) for heading, text in columns.items()}
 
 
 def measured(line: Line) -> str:
-    """The quantity of a line, for a heading."""
+    """Return the quantity of a line as it is printed in headings."""
     return readable(line["quantity"])
 
 
 @dataclass(frozen=True)
 class Panel:
-    """What is shown of lines, side by side in rows.
+    """Specification of a panel of a table: which lines it shows, and in which rows and columns.
 
     Attributes:
-        entry: What a line adds to its row, under headings of its own.
-        row: What begins a row; lines of the same beginning stand in one.
-        last: What ends a row, by its lines.
-        title: What is said above; what the first line holds stands in braces.
-        of: Which lines it shows.
-        order: What sorts them.
+        entry: Texts that a line adds to its row.
+        row: First texts of a row; lines with the same ones share it.
+        last: Last texts of a row, from its lines.
+        title: Sentence above the panel; values of the first line are inserted for names in braces.
+        of: Whether the panel shows a line.
+        order: Sort key of the lines.
     """
 
     entry: Callable[[Any], Texts]
@@ -67,7 +67,7 @@ class Panel:
     order: Callable[[Any], Any] = lambda line: 0
 
     def rows(self, lines: Iterable[Any]) -> Rows:
-        """The rows of lines; columns in which nothing stands are left out, and all where no entry is left."""
+        """Return the rows of lines, without empty columns; nothing if no entry is left."""
         import pandas as pd
 
         by_row = group(sorted(filter(self.of, lines), key=self.order), lambda line: tuple(self.row(line).items()))
@@ -81,19 +81,19 @@ class Panel:
 
 @dataclass(frozen=True)
 class TableForm:
-    """The table of an experiment: the lines of its CSV, and what of them is shown.
+    """Specification of the table of an experiment.
 
     Attributes:
-        legend: What is said above it; what its experiment states stands in braces.
-        columns: Of the CSV.
-        lines: Makes the lines of the results.
-        section: The heading under which a line stands.
-        panels: What is shown of the lines of a section.
-        notes: What is said below a section.
-        needs: Which results it is about; without one of them in the store, it is not written.
-        in_csv: Whether a line stands in the CSV.
-        digits: Significant digits of its numbers.
-        latex: Whether the first panels are written in LaTeX, too.
+        legend: Text above the table; fields of the experiment's ``table`` are inserted for names in braces.
+        columns: Columns of the CSV.
+        lines: Returns the lines of a frame.
+        section: Returns the heading of the section of a line.
+        panels: Panels of each section.
+        notes: Returns the notes below a section.
+        needs: Whether a result is a subject of the table; without any in the store, the table is not written.
+        in_csv: Whether a line is part of the CSV.
+        digits: Significant digits in the CSV.
+        latex: Whether the first panel of each section is written in LaTeX, too.
     """
 
     legend: str
@@ -108,7 +108,7 @@ class TableForm:
     latex: bool = False
 
     def files(self, frame: Frame) -> dict[str, str]:
-        """The files by name; none where the store holds no cell that it is about."""
+        """Return the files by name; none if no subject of the table is stored."""
         if not any(result.stored and self.needs(result) for result in frame):
             return {}
         lines, captioned = self.lines(frame), list[tuple[str, Rows]]()
@@ -133,47 +133,47 @@ def files(
     digits: int = 6,
     latex: Sequence[tuple[str, Rows]] = (),
 ) -> dict[str, str]:
-    """The files of a table by name.
+    """Return the files of a table by name.
 
     Args:
-        name: What they are called.
-        parts: Paragraphs, headings and rows in order; empty ones are left out.
-        lines: Those of the CSV, nothing for what is NaN or not there.
-        columns: Of the CSV; all that the lines have, without.
-        digits: Significant digits of its numbers.
-        latex: Captions with rows, for an article.
+        name: Name of the files, without their endings.
+        parts: Paragraphs, headings and rows of the Markdown file, in order; empty ones are left out.
+        lines: Lines of the CSV; NaN and missing values are empty.
+        columns: Columns of the CSV; None for all columns of the lines.
+        digits: Significant digits in the CSV.
+        latex: Captions with their rows for the LaTeX file, which is left out if there are none.
     """
     import pandas as pd
 
     texts = [part if isinstance(part, str) else markdown_table(*part) for part in parts if any(part)]
     data = pd.DataFrame(list(lines), columns=columns)
     csv = data.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
-    found = {f"{name}.md": "\n\n".join(texts) + "\n", f"{name}.csv": csv}
-    return {**found, f"{name}.tex": latex_tables(latex)} if latex else found
+    by_name = {f"{name}.md": "\n\n".join(texts) + "\n", f"{name}.csv": csv}
+    return {**by_name, f"{name}.tex": latex_tables(latex)} if latex else by_name
 
 
 def failure_notes(results: Iterable[Result]) -> str:
-    """What failed, how often and with what sentence, as a list; empty where nothing did."""
-    known = list(dict.fromkeys(results))
+    """List the failed fits with their counts and messages, as Markdown; empty if none failed."""
+    distinct = list(dict.fromkeys(results))
     notes = Counter(
         f"{result.title}: {status.value}, {message}"
-        for result in known
+        for result in distinct
         for status, message in zip(result.statuses, result.messages, strict=True)
         if status is not Status.OK
     )
-    missing = sum(result.stored is None for result in known)
+    missing = sum(result.stored is None for result in distinct)
     return "\n".join(
         [f"- {n} × {text}" for text, n in notes.items()] + [f"- {missing} cells were not run"] * (missing > 0)
     )
 
 
 def bold(text: str, marked: bool) -> str:
-    """A text as Markdown, in bold where it is marked."""
+    """Return a text in Markdown, in bold if it is marked."""
     return f"**{text}**" if marked else text
 
 
 def markdown_table(rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
-    """Return a table of texts as Markdown, filled up to the width of its columns."""
+    """Return a table in Markdown, with columns of equal width."""
     columns = [[text.strip() for text in column] for column in zip(headers, *rows, strict=True)]
     widths = [max(width_of(column[0]) + 2, *map(width_of, column)) for column in columns]
     lines = [
@@ -190,11 +190,11 @@ LATEX = str.maketrans(
         "<": r"\ensuremath{<}", ">": r"\ensuremath{>}", "×": r"$\times$", "é": r"\'e",
     }
 )  # fmt: skip
-"""Signs with a meaning in LaTeX, or that it has no letter for, as LaTeX prints them."""
+"""LaTeX of characters that are special in it or outside of its fonts."""
 
 
 def latex_tables(captioned: Iterable[tuple[str, Rows]]) -> str:
-    """Tables of Markdown's cells as LaTeX (booktabs), for an article, each under its caption."""
+    """Return tables in LaTeX (booktabs), each under its caption."""
     parts = ["% needs the package booktabs", "% regenerate: python -m bench tables"]
     for caption, (rows, headers) in captioned:
         head, *body = [" & ".join(map(_latex, line)) + r" \\" for line in (headers, *rows)]

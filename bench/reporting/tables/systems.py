@@ -1,7 +1,7 @@
-"""The table of experiments over several systems: a panel a system, methods down, noise levels across.
+"""The table of experiments over several systems: a panel per system, a row per method, columns per noise level.
 
-Systems have parameters of their own, so what a panel compares is pooled over them: of each replicate the root mean
-square over the parameters of error over bound, on those quantities that the data tell.
+Systems differ in their parameters, so a panel compares errors pooled over the identifiable quantities: in each
+replicate, the root mean square of error over bound.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from bench.reporting.terms import terms_found
 from bench.scenario.scenario import Scenario
 
 MANY = 8
-"""Parameters beyond which a panel of single parameters would not be read."""
+"""Largest number of parameters with a panel for each parameter."""
 SHOWN_AT = 20.0
-"""The noise level (dB) at which single parameters are shown; the middle one where an experiment has not this."""
+"""Noise level (dB) of the panels for single parameters; the middle one if an experiment does not have it."""
 POOLED, PARAMETERS, NOT_RUN = "told_pooled", "parameters_pooled", "not run"
-"""Metrics that are pooled over the quantities that the data tell, and over all parameters; and of a missing cell."""
+"""Metrics pooled over the identifiable quantities and over all parameters, and the metric of a missing cell."""
 HEADINGS = {NOT_RUN: "error", POOLED: "error", PARAMETERS: "95 %", "rmse": "RMSE (m)"}
 MODAL_HEADINGS = dict(zip(MODAL, ("frequencies %", "damping ratios %", "MAC"), strict=True))
 COLUMNS = (
@@ -47,24 +47,24 @@ COLUMNS = (
 
 
 def system_lines(frame: Frame) -> list[Line]:
-    """One line a cell and metric: every score, the pooled ones, those of the modes; and the bounds of each panel."""
+    """Return one line per cell and metric (scores, pooled errors, modes), and the bounds of each panel."""
     lines: list[Line] = []
-    panels = group(frame, lambda result: (called(result), result.initial_state, result.kind))
-    for (name, start, _), results in panels.items():
+    panels = group(frame, lambda result: (panel_name(result), result.initial_state, result.kind))
+    for (name, initial_state, _), results in panels.items():
         levels = list(dict.fromkeys(result.snr_db for result in results))
         parameters = {name + ERROR for name in results[0].model.names}
         head = {
             "table": frame.number or frame.experiment, "system": name, "parameters": parameters,
-            "section": f"{name}, initial state {start}\n\n{describe(results[0].scenario)}",
+            "section": f"{name}, initial state {initial_state}\n\n{describe(results[0].scenario)}",
             "shown_at": SHOWN_AT if SHOWN_AT in levels else levels[len(levels) // 2],
         }  # fmt: skip
         tied: dict[tuple[str, str], frozenset[Result]] = {}
         stored = [result for result in results if result.stored]
         for question, rivals in group(stored, lambda result: result.question).items():
-            told = told_metrics(rivals[0])
-            parameters |= set(told)
-            tied |= {(question, POOLED): first_tier(rivals, told), (question, "rmse"): first_tier(rivals, ["rmse"])}
-            lines += [{**line, **head, "method": "bound"} for line in _bounds(rivals[0], told)]
+            metrics = identifiable_metrics(rivals[0])
+            parameters |= set(metrics)
+            tied |= {(question, POOLED): first_tier(rivals, metrics), (question, "rmse"): first_tier(rivals, ["rmse"])}
+            lines += [{**line, **head, "method": "bound"} for line in _bounds(rivals[0], metrics)]
         for result in results:
             for metric in _metrics(result):
                 marked = result in tied.get((result.question, metric["metric"]), ())
@@ -72,23 +72,23 @@ def system_lines(frame: Frame) -> list[Line]:
     return lines
 
 
-def called(result: Result) -> str:
-    """The system, with what disturbs it."""
+def panel_name(result: Result) -> str:
+    """Return the name of the panel of a result: the system and its disturbance."""
     return result.system + (f", {result.disturbance}" if result.disturbance else "")
 
 
-def told_metrics(result: Result) -> tuple[str, ...]:
-    """The errors of the quantities that the data tell."""
+def identifiable_metrics(result: Result) -> tuple[str, ...]:
+    """Return the errors of the identifiable quantities."""
     return tuple(name + ERROR for name in pooled_quantities(result.model, result.identifiable))
 
 
-def _bounds(result: Result, told: Sequence[str]) -> Iterator[Line]:
-    yield {**line_of(result, POOLED), "bound": root_mean_square(np.array([result.bound(metric) for metric in told]))}
+def _bounds(result: Result, metrics: Sequence[str]) -> Iterator[Line]:
+    yield {**line_of(result, POOLED), "bound": root_mean_square(np.array([result.bound(metric) for metric in metrics]))}
     yield from (line_of(result, metric) for metric in (PARAMETERS, *errors_of(result)))
 
 
 def _metrics(result: Result) -> Iterator[dict[str, Any]]:
-    """The metrics of a result, with the numbers of those that are pooled or of the modes."""
+    """Yield the metrics of a result, with the values of pooled metrics and of modes."""
     if result.stored is None:
         yield {"metric": NOT_RUN}
         return
@@ -103,17 +103,17 @@ def _metrics(result: Result) -> Iterator[dict[str, Any]]:
 
 
 def level(line: Line, heading: str = "") -> str:
-    """The noise level, and what is shown of it."""
+    """Return the heading of a column: noise level and statistic."""
     return f"{line['snr_db']:g} dB {heading}".strip()
 
 
 def is_bound(line: Line) -> bool:
-    """Whether a line is of the bound."""
+    """Return whether a line belongs to the bound."""
     return line["method"] == "bound"
 
 
 def pooled(line: Line) -> Texts:
-    """The pooled excess, the displacement's error and the coverage of all parameters; of the bound its size."""
+    """Return the pooled excess, the error of the displacement, or the coverage; for the bound, its size."""
     metric, result = line["metric"], line["result"]
     if metric == PARAMETERS:
         text = percent(line["coverage_95"])
@@ -128,30 +128,30 @@ def pooled(line: Line) -> Texts:
 
 
 def median(line: Line) -> str:
-    """A median error with its excess."""
+    """Format a median error with its excess."""
     return with_excess(line["median"], line["excess"])
 
 
 def order(line: Line) -> tuple[bool, float, str]:
-    """The bound first, then methods in the order of their cards."""
+    """Return the sort key of a line: the bound first, then methods in the order of their cards."""
     return not is_bound(line), *place_of(line["method"])
 
 
 def notes(lines: Sequence[Line]) -> Iterator[str]:
-    """What sparse models are made of, and what failed."""
+    """Yield the terms that sparse regressions select, and the failed fits."""
     good = [result for result in results_of(lines) if result.n_ok and states_terms(result.label)]
     for name, results in group(good, lambda result: result.title).items():
-        found = [
+        by_level = [
             f"{result.snr_db:g} dB: {terms_found(result.stored, result.scenario)}"
             for result in results
             if result.stored
         ]
-        yield f"{name} by the terms it finds. {'; '.join(found)}."
+        yield f"{name}, selected terms. {'; '.join(by_level)}."
     yield from failures(lines)
 
 
 def describe(scenario: Scenario) -> str:
-    """What is measured, for how long and how finely, and what is told, in a sentence."""
+    """Describe the record and the known quantities of a scenario in a sentence."""
     system, sensors = scenario.make_system(), scenario.measured_dofs
     every = " of every mass" if len(sensors) == system.n_dof else f" of mass {', '.join(str(i + 1) for i in sensors)}"
     measured = f"{scenario.samples} samples over {scenario.duration:g} s{every if system.n_dof > 1 else ''}"
@@ -160,24 +160,24 @@ def describe(scenario: Scenario) -> str:
         frequencies = modes(system, scenario.parameters).frequencies
         finest = (scenario.samples - 1) / scenario.duration / frequencies[-1]
         cycles = f"{scenario.duration * frequencies[0]:.3g} periods of the slowest mode"
-        words.append(f"{cycles}, {finest:.3g} samples in one of the fastest")
+        words.append(f"{cycles}, {finest:.3g} samples per period of the fastest")
     if scenario.force:
         noisy = "" if scenario.force.noise_db is None else f" (measured with noise, {scenario.force.noise_db:g} dB)"
-        held = scenario.force.hold.replace("_", "-")
-        words.append(f"known force: {scenario.force.kind}, {held} between its samples{noisy}")
+        hold = scenario.force.hold.replace("_", "-")
+        words.append(f"known force: {scenario.force.kind}, {hold} between its samples{noisy}")
     if scenario.added_mass:
         words.append(f"a second record with {', '.join(f'{m:g}' for m in scenario.added_mass)} kg added")
     return f"{'; '.join(words)}; {scenario.prior.name if scenario.prior else 'no'} prior."
 
 
 SYSTEMS = TableForm(
-    legend=f"""Each panel is one system. Of each noise level: **error**, the pooled excess of the quantities that the
-data tell (root mean square over replicates and quantities of error over Cramér-Rao bound); **RMSE**, the median
-displacement error (m); **95 %**, the share of the 95 % intervals of all parameters that held the truth. {EXCESS} With a
-known force, or a known added mass, the data tell every parameter, there is no prior, and the errors of m, c and k are
-true errors; in free vibration the data tell ratios, and the prior (a weighed mass) tells the scale. The row *bound*
-gives the bound: pooled in percent, and of the RMSE. {ORACLE} {FIRST_TIER} {DASH} Time: processor time of the median
-fit. What a method cannot take is said below its panel. Every quantity and all 95 % intervals are in the CSV.""",
+    legend=f"""One panel per system. For each noise level: **error**, the pooled excess of the identifiable quantities
+(root mean square, over replicates and quantities, of error over Cramér-Rao bound); **RMSE**, the median displacement
+error (m); **95 %**, coverage, the share of the 95 % intervals of all parameters that contain the true value. {EXCESS}
+With a known force or a known added mass every parameter is identifiable, and there is no prior. In free vibration only
+ratios are identifiable, and the prior (a weighed mass) determines the scale. The row *bound* gives the bound, pooled in
+percent, and that of the RMSE. {ORACLE} {FIRST_TIER} {DASH} Time: median processor time of a fit. Fits that failed or
+were refused are listed below each panel. All quantities and 95 % intervals are in the CSV.""",
     columns=COLUMNS, lines=system_lines, section=lambda line: line["section"],
     panels=(
         Panel(pooled, of=lambda line: line["metric"] in HEADINGS, last=fits, order=order),
@@ -190,7 +190,7 @@ fit. What a method cannot take is said below its panel. Every quantity and all 9
         Panel(
             lambda line: {level(line): bounded(line)}, row=lambda line: {"": measured(line)},
             of=lambda line: is_bound(line) and line["metric"] in line["parameters"],
-            title="The bound, in percent, and the share of its variance that is the prior's:",
+            title="The bound, in percent, and the share of its variance that is due to the prior:",
         ),
         Panel(
             lambda line: {level(line, MODAL_HEADINGS[line["metric"]]): number(line["median"])}, order=order,

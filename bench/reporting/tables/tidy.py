@@ -1,7 +1,6 @@
-"""What the columns of a tidy table mean, the same in all tables, and the frame of everything.
+"""Columns of tidy tables, which have the same meaning in all tables, and the tidy table of all experiments.
 
-A line holds what is known of a result by one metric; some columns depend on the other methods of the same question, or
-on the paper.
+A line holds one metric of a result. Some columns also depend on the other methods on the same data, or on the paper.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PRIMARY = ("k_over_m_error_pct", "c_over_m_error_pct", "rmse")
-"""The metrics that methods are compared on: what free vibration tells."""
+"""Metrics for the comparison of methods: errors of quantities that are identifiable from free vibration."""
 PAPERS = (2, 3, 4, 5)
-"""The tables that the paper has, too."""
+"""Tables with a counterpart in the paper."""
 
 
 def _bias_pct(ratios: np.ndarray) -> float:
@@ -59,28 +58,28 @@ VALUES: Mapping[str, Callable[[Result, str], Any]] = {
     "n": lambda result, metric: result.n,
     "state": lambda result, metric: result.state,
 }
-"""By column, what stands there for a result and a metric."""
+"""Values of a result and a metric, by column."""
 COLUMNS = ("experiment", "table", "row", *VALUES, "tied", "paper", "verdict")
 
 
 def line_of(result: Result, metric: str, columns: Iterable[str] = VALUES) -> dict[str, Any]:
-    """Return a line: those of the columns that have a value for every result, and the ``result`` itself."""
+    """Return a line with the values of columns in :data:`VALUES`, and the ``result`` itself."""
     return {"result": result, **{name: VALUES[name](result, metric) for name in columns if name in VALUES}}
 
 
 def errors_of(result: Result) -> list[str]:
-    """Return the metrics that are errors of quantities or of the displacement."""
+    """Return the error metrics of a result: those of quantities and of the displacement."""
     return [metric for metric in result.summary if metric.endswith(ERROR) or metric.startswith("rmse")]
 
 
 def tidy_lines(
     frame: Frame, metrics: Callable[[Result], Iterable[str]] = errors_of, columns: Iterable[str] = VALUES
 ) -> list[Line]:
-    """Return a line a cell and metric; a cell without any metric is one line."""
+    """Return one line per cell and metric; a cell without any metric has one line."""
     tied, oracles = {}, {}
     for question, results in group(frame, lambda result: result.question).items():
         oracles[question] = next((result for result in results if result.method == "oracle" and result.stored), None)
-        for metric in PRIMARY if frame.form != "open" else ():  # which has one data set of each question
+        for metric in PRIMARY if frame.form != "open" else ():  # the open split has one data set per scenario
             tied[question, metric] = first_tier(results, [metric])
     return [
         {
@@ -94,12 +93,12 @@ def tidy_lines(
 
 
 def row_of(table: int | None, result: Result) -> str:
-    """Return the name of the row of the paper's table that a result stands in; empty for other tables."""
+    """Return the name of the corresponding row of the paper's table; empty for other tables."""
     return row_name(table, result.system, result.snr_db) if table in PAPERS else ""
 
 
 def _printed(table: int | None, result: Result, oracle: Result | None, metric: str) -> Line:
-    """Return the paper's number that a cell stands beside, NaN where there is none, and the verdict on it."""
+    """Return the paper's number for a cell, or NaN, and the verdict on it."""
     place = paper_number(table, row_of(table, result), result.label, metric) if table in PAPERS else None
     if not result.stored or place is None:
         return {"paper": math.nan, "verdict": "" if result.stored else "not run"}
@@ -107,7 +106,7 @@ def _printed(table: int | None, result: Result, oracle: Result | None, metric: s
 
 
 def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
-    """Return the frame of everything, with the columns :data:`COLUMNS`."""
+    """Return the tidy table of several experiments, with the columns :data:`COLUMNS`."""
     import pandas as pd
 
     lines = [line for frame in frames for line in tidy_lines(frame)]
@@ -120,23 +119,25 @@ SHOWN: Columns[Line] = {
     "95 % high": lambda line: number(line["ci_high"]),
     "": lambda line: "+" if line["tied"] else "",
     "excess": lambda line: excess_text(line["excess"]),
-    "cover %": lambda line: percent(line["coverage_95"]),
+    "coverage %": lambda line: percent(line["coverage_95"]),
     "state": lambda line: line["state"],
 }
-"""What the terminal shows of a cell, behind what tells it from others."""
+"""Columns in the terminal, after those that identify a cell."""
+TEXTS = ("system", "initial state", "disturbance", "method", "state")
+"""Columns in the terminal that are aligned as text."""
 
 
 def frame_page(data: pd.DataFrame, metric: str) -> str:
-    """Return the lines of a metric as a table for the terminal; raises InputError where no cell has it."""
-    lines = data[data.metric == metric].rename(columns={"snr_db": "dB", "initial_state": "start"})
+    """Return the lines of a metric as a table for the terminal; raises InputError if no cell has the metric."""
+    lines = data[data.metric == metric].rename(columns={"snr_db": "dB", "initial_state": "initial state"})
     if lines.empty:
         raise InputError("metric", metric, f"one of: {', '.join(sorted(set(data.metric) - {''})) or 'none is stored'}")
-    places = [name for name in ("system", "dB", "start", "disturbance", "size") if lines[name].nunique() > 1]
-    first: Columns[Line] = {name: partial(_text, name) for name in [*places, "method"]}
+    varied = [name for name in ("system", "dB", "initial state", "disturbance", "size") if lines[name].nunique() > 1]
+    first: Columns[Line] = {name: partial(_text, name) for name in [*varied, "method"]}
     rows, headers = listing(lines.to_dict("records"), {**first, **SHOWN})
-    words = [i for i, heading in enumerate(headers) if heading in ("system", "start", "disturbance", "method", "state")]
-    legend = "+ the first tier of its scenario; excess: root mean square error over the bound"
-    return f"{table(rows, headers, words)}\n\n{wrapped(legend)}"
+    texts = [i for i, heading in enumerate(headers) if heading in TEXTS]
+    legend = "+ first tier of its scenario; excess: root mean square error over the bound"
+    return f"{table(rows, headers, texts)}\n\n{wrapped(legend)}"
 
 
 def _text(name: str, line: Line) -> str:

@@ -1,4 +1,4 @@
-"""Table 11: the measured track, what real records say of the methods and of what is stated of their answers."""
+"""Table 11, the measured track: methods and their intervals on real records."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.reporting.tables.render import MISSING, Columns, Panel, Rows, Texts, 
 
 MAIN = ("k_over_m", "c_over_m")
 NOT_MADE = "not made yet"
-"""Status of a fit that the store lacks."""
+"""Status of a fit that is not stored."""
 SCORES = tuple(f"{name}_{kind}" for kind in KINDS for name in IntervalScore._fields)
 COLUMNS = (
     "set", "system", "method", "quantity", "sibling", "status", "trust", *ENDS, "limit", "known", "error_pct", *SCORES,
@@ -30,28 +30,32 @@ COLUMNS = (
 )  # fmt: skip
 HEAD = """# Table 11. The measured track
 
-Real records, cut into siblings or repeated, fitted by each method without a prior, the initial state and a sensor's
-offset unknown. There is no truth, so each method is asked whether its answers to siblings agree within what is stated.
-**score**: interval score (T. Gneiting, A. E. Raftery) of the logarithm's interval of a repeat against the mean of
-the other siblings, over that of the ideal interval, which is as wide as the siblings scatter: one is ideal, and neither
-too narrow nor too wide intervals pay. **R**: standard deviation between siblings over the median stated standard error;
-one is right, above it the statement is too narrow. **cov.**: how many siblings' intervals cover the mean of the other
-siblings. **x/÷**: the median factor by which the interval reaches to either side. In brackets the same for the interval
-assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median distance to
-what others state, where they do. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %, predicted
-from a fit of the first 60 % (median). **verdicts**: answers by trust / use with caution / do not trust, which is
-withdrawn: it has no interval and counts in no score. **white/certified**: the interval assuming white noise over that
-of a certified value, where there is one. Parts of a decay have other amplitudes and differ by what the named system
-leaves out, more than repeats of the whole record would."""
+Measured records, repeated or cut into parts (siblings), fitted by each method without a prior; initial state and sensor
+offset are unknown. The true values are unknown as well, so the estimates from siblings are compared with each other.
+**score**: interval score (T. Gneiting, A. E. Raftery) of the logarithm's interval for a repeat against the mean of the
+other siblings, over that of the ideal interval, which is as wide as the siblings scatter; one is ideal, and intervals
+that are too narrow or too wide score more. **R**: standard deviation between siblings over the median stated standard
+error; one is right, more means too narrow intervals. **cov.**: number of siblings whose interval covers the mean of the
+others. **x/÷**: median factor by which the interval extends to either side. In brackets the same for the interval
+assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median difference
+from published values, if there are any. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %,
+predicted from a fit to the first 60 % (median). **verdicts**: estimates by trust / use with caution / do not trust; the
+last are rejected: they have no interval and no score. **white/certified**: the interval assuming white noise over that
+of a certified value. Parts of a decay have different amplitudes, so they differ by the error of the model more than
+repeats of the whole record would."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackPanel:
-    """A set described by a system.
+    """A measured set fitted with one system.
 
-    ``rows``: of its fits (:mod:`bench.records.track`); one with the status :data:`NOT_MADE` is of a fit that was asked
-    for, and one without a method has a status that says why the set is absent. ``free_runs``: models with their errors
-    over the test parts.
+    Attributes:
+        name: Name of the set.
+        of: The set.
+        system: Name of the system.
+        rows: Rows of its fits (:mod:`bench.records.track`). A fit that is not stored has the status :data:`NOT_MADE`;
+            a row without a method has the reason why the set is absent as its status.
+        free_runs: Models with their errors on the test parts.
     """
 
     name: str
@@ -62,25 +66,25 @@ class TrackPanel:
 
     @staticmethod
     def of_rows(name: str, of: MeasuredSet, system: str, rows: Sequence[Mapping[str, Any]]) -> TrackPanel:
-        """Return the panel of the rows of its fits."""
+        """Make a panel from the rows of its fits."""
         frame = pd.DataFrame(rows, columns=[*COLUMNS, "offset"]).assign(set=name, system=system)
         return TrackPanel(name, of, system, frame)
 
     @property
     def absent(self) -> str:
-        """The reason why there are no fits; empty where there are."""
+        """Reason why there are no fits; empty if there are any."""
         return str(self.rows["status"].iloc[0]) if self.rows["method"].isna().all() else ""
 
     @cached_property
     def fits(self) -> pd.DataFrame:
-        """A row for each fit that was made."""
+        """One row per fit that was made."""
         return self.rows[self.rows["trust"].notna()].drop_duplicates(["method", "sibling"])
 
     @cached_property
     def agreements(self) -> pd.DataFrame:
-        """A row for each method and quantity: how siblings agree whose answers are not withdrawn.
+        """One row per method and quantity: the agreement of siblings whose estimates are not rejected.
 
-        The quantities are the main ratios, and what is known, as far as there are answers.
+        The quantities are the main ratios and those with a published value.
         """
         quantities = [name for name in dict.fromkeys([*MAIN, *self.of.known]) if name in set(self.rows["quantity"])]
         head, rows = dict[str, Any](set=self.name, system=self.system, sibling="all", panel=self), []
@@ -107,7 +111,7 @@ def track_table(panels: Sequence[TrackPanel], command: str) -> Mapping[str, str]
 
 
 def _section(of_panel: TrackPanel) -> Iterator[str | Rows]:
-    """What a set is, its methods, and what others state."""
+    """Yield the description of a set, its methods, and published values."""
     of = of_panel.of
     note = f" {of.note[0].upper()}{of.note[1:]}." if of.note else ""
     yield f"## {of_panel.name}, {of_panel.system}"
@@ -115,16 +119,16 @@ def _section(of_panel: TrackPanel) -> Iterator[str | Rows]:
     yield f"{of_panel.absent}." if of_panel.absent else method_rows(of_panel)
     if of.known and not of_panel.absent:
         stated = [f"{readable(name)} {known.value:.6g} ({known.source})" for name, known in of.known.items()]
-        yield f"Known: {'; '.join(stated)}."
+        yield f"Published values: {'; '.join(stated)}."
     if of_panel.free_runs:
         yield "Free simulation of the test parts, root mean square error (thousandths of the unit: mV, mm):"
         runs = [[model, *map(number, errors), "simulated here"] for model, errors in of_panel.free_runs]
         runs += [[run.model, *map(number, run.errors), f"quoted: {run.source}"] for run in of.quoted]
-        yield runs, ["model", *of.tests, "where from"]
+        yield runs, ["model", *of.tests, "source"]
 
 
 def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator[str | Rows]:
-    """The totals over all sets."""
+    """Yield the totals over all sets."""
     primary = primary_method()
     totals: list[Line] = [
         {"methods": who, "quantity": readable(name), "kind": kind, **total(some[some["quantity"] == name], kind)}
@@ -144,23 +148,23 @@ def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator
     fits = pd.concat([panel.fits for panel in panels])
     silent, missing = (fits["status"] != "ok").sum(), sum((panel.rows["status"] == NOT_MADE).sum() for panel in panels)
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in _verdicts(fits).items())
-    lines = [f"{len(fits)} fits, {silent} of them without an answer; of the answers {verdicts} (withdrawn)."]
+    lines = [f"{len(fits)} fits, {silent} of them failed; of the estimates {verdicts} (rejected)."]
     lines += [f"{missing} fits are not made yet: the same command makes them."] if missing else []
     lines += [f"{panel.name}: {panel.absent}" for panel in panels if panel.absent]
     yield "\n".join(f"- {line}" for line in lines)
 
 
 def _verdicts(fits: pd.DataFrame) -> dict[str, int]:
-    """Count the answers of each verdict."""
-    answered = fits["status"] == "ok"
-    return {verdict.value: int((answered & (fits["trust"] == verdict.value)).sum()) for verdict in Trust}
+    """Count the estimates by verdict."""
+    ok = fits["status"] == "ok"
+    return {verdict.value: int((ok & (fits["trust"] == verdict.value)).sum()) for verdict in Trust}
 
 
 # ------------------------------------------------------------------------------------------------ tables
 
 
 def _overview(panels: Sequence[TrackPanel]) -> Rows:
-    """A row for each set: the primary method's scores, and all methods' together."""
+    """Return one row per set: the scores of the primary method, and of all methods together."""
     lines: list[Line] = []
     for panel in panels:
         agreed = panel.agreements[panel.agreements["method"] == primary_method()]
@@ -178,13 +182,13 @@ def _overview(panels: Sequence[TrackPanel]) -> Rows:
 
 
 def method_rows(of_panel: TrackPanel) -> Rows:
-    """A row for each method: how the siblings agree on each quantity, then time and verdicts."""
+    """Return one row per method: the agreement of siblings on each quantity, time and verdicts."""
     methods = Panel(_answer, lambda line: {"method": line["method"]}, _made)
     return methods.rows(of_panel.agreements.to_dict("records"))
 
 
 def _answer(line: Line) -> Texts:
-    """The median, its distance to what is known, and how siblings agree."""
+    """Return the median estimate, its difference from the published value, and the agreement of siblings."""
     name, known = readable(line["quantity"]), line["panel"].of.known.get(line["quantity"])
     if not line["n"]:
         return {name: MISSING}
@@ -204,7 +208,7 @@ def _covered(line: Line) -> str:
     return ", ".join([*covered, f"{limits} limits"] if limits else covered) or MISSING
 
 
-def _beside_white(line: Line, name: str, text: Callable[[float], str] = number) -> str:
+def _with_white(line: Line, name: str, text: Callable[[float], str] = number) -> str:
     repeat, white = line[f"{name}_repeat"], line[f"{name}_white"]
     return f"{text(repeat)} ({text(white)})" if math.isfinite(repeat) else MISSING
 
@@ -212,22 +216,22 @@ def _beside_white(line: Line, name: str, text: Callable[[float], str] = number) 
 def _pooled(line: Line) -> str:
     every = line["panel"].agreements
     same = every[every["quantity"] == line["quantity"]]
-    return _beside_white({f"score_{kind}": total(same, kind)["score"] for kind in KINDS}, "score")
+    return _with_white({f"score_{kind}": total(same, kind)["score"] for kind in KINDS}, "score")
 
 
 AGREED: Columns[Line] = {
-    "score": lambda line: _beside_white(line, "score"), "R": lambda line: _beside_white(line, "ratio"),
-    "cov.": _covered, "x/÷": lambda line: _beside_white(line, "width", "{:.3f}".format),
+    "score": lambda line: _with_white(line, "score"), "R": lambda line: _with_white(line, "ratio"),
+    "cov.": _covered, "x/÷": lambda line: _with_white(line, "width", "{:.3f}".format),
 }  # fmt: skip
-"""How siblings agree: for the interval of a repeat, and in brackets assuming white noise."""
+"""Agreement of siblings: for the interval of a repeat, and in brackets for the interval assuming white noise."""
 
 
 def _made(lines: Sequence[Line]) -> Texts:
-    """What a method's fits predict and cost, and what became of them."""
+    """Return the prediction, the time and the verdicts of the fits of a method."""
     made = lines[0]["made"]
-    silent = made["status"][made["status"] != "ok"].value_counts(sort=False)
+    failed = made["status"][made["status"] != "ok"].value_counts(sort=False)
     return {
         "held-out %": number(made["held_out"].median()), "s": number(made["wall_s"].median()),
         "verdicts": " / ".join(map(str, _verdicts(made).values())),
-        "without an answer": ", ".join(f"{n} {name}" for name, n in silent.items()),
+        "failed": ", ".join(f"{n} {name}" for name, n in failed.items()),
     }  # fmt: skip

@@ -226,7 +226,7 @@ def test_the_picture_shows_when_a_training_is_good_and_how_good_it_ends(full: St
     assert section is not None
     oracle = next(result for result in stored if result.method == "oracle" and result.stored)
     shown = trainings(section, oracle).set_index("method")
-    base = next(row.at(PLACE) for row in section.rows if row.base)
+    base = next(row.stored_cell(PLACE) for row in section.rows if row.base)
     assert base is not None
     assert shown.loc["Levenberg-Marquardt", "slowest"] == base.scores("training_s").max()
     assert shown.loc["Levenberg-Marquardt", "excess"] == pytest.approx(base.scores("k_over_m_error_pct")[0] / 0.5)

@@ -13,7 +13,7 @@ from bench import Card, Identifier
 from bench.config.choices import choices
 from bench.entrants.registry import load_method, registered
 from bench.reporting import labels
-from bench.reporting.labels import beside_paper, cards, in_order, title, told
+from bench.reporting.labels import cards, counterparts, in_order, information_used, title
 from bench.reporting.paper import paper_number, printed
 
 BENCH = sorted(path for path in (REPOSITORY / "bench").rglob("*.py") if path.name != "sentences.py")
@@ -55,13 +55,13 @@ def test_a_card_without_a_title_is_called_by_its_name(monkeypatch: pytest.Monkey
     try:
         assert title("zebra") == "zebra"
         assert in_order(["zebra", "unheard", "antelope", "oracle"]) == ["oracle", "antelope", "unheard", "zebra"]
-        assert told("zebra") == "start, prior after"
-        assert beside_paper("ls") == []
+        assert information_used("zebra") == "initial state, prior after"
+        assert counterparts("ls") == []
     finally:
         cards.cache_clear()
 
 
 def test_each_method_of_the_paper_has_one_of_ours_beside_it() -> None:
     for number in printed():
-        for label in beside_paper(number.method):
+        for label in counterparts(number.method):
             assert paper_number(number.table, number.row, label, number.metric) == number

@@ -66,7 +66,7 @@ def test_a_method_that_is_not_installed_here_stands_in_the_leaderboard(store: St
     keep(store, Experiment("open").cells({"method": ["era"], "method.bootstrap": [7]}), "elsewhere")
     shown = with_submitted(experiment_frame("open", store), submitted_results(store))
     assert re.search(r"\| 1 +\| elsewhere \(submitted\) +\|", leaderboard(shown)["leaderboard.md"])
-    assert "elsewhere (submitted): submitted; what was verified" in leaderboard(shown)["leaderboard.md"]
+    assert "elsewhere (submitted): submitted; its verification" in leaderboard(shown)["leaderboard.md"]
 
 
 def test_the_page_reads_it_with_its_mark(store: Store) -> None:
@@ -90,11 +90,11 @@ def test_a_store_may_state_anything_of_a_verification(store: Store) -> None:
     (found,) = stored_results(store)
     assert found.stored
     facts = {"rows_compared": 5, "of_rows": 24, "missed_5_percent": 0.791}
-    said = "submitted; 5 of its 24 rows were computed again when it was merged, and came out the same"
+    said = "submitted; 5 of its 24 rows were recomputed when it was merged, with the same result"
     missed = f"{said} (a change of 5 % of the rows is missed with probability 0.79)"
     for stated, line in (
         (facts, missed),
         ({**facts, "missed_5_percent": "<script>"}, said),
-        ({**facts, "rows_compared": "<script>"}, "submitted; what was verified of it is not stated"),
+        ({**facts, "rows_compared": "<script>"}, "submitted; its verification is not recorded"),
     ):
         assert replace(found, stored=found.stored.marked(stated)).verification == line
