@@ -32,8 +32,7 @@ from bench.reporting.frame import ERROR, Key, Result, group
 from bench.reporting.labels import in_order
 from bench.reporting.tables.pooling import pooled_quantities
 from bench.scoring.statistics import counts, middle_95
-from bench.scoring.summary import OUTLIER_FACTOR as GROSS
-from bench.scoring.summary import below_chance
+from bench.scoring.summary import OUTLIER_FACTOR, below_chance
 from bench.store.cell import stored_as_cell
 
 CAP = 10.0
@@ -47,8 +46,8 @@ UNINFORMATIVE = 100.0
 """Bound (%) from which on a quantity counts as not identifiable from data and prior."""
 FIRST_TIER = f"""**Bold**: the first tier of this scenario, the methods tied with the best. Methods are ranked by the
 mean logarithm of error over bound, limited to the range from 1 to {CAP:g}; failed fits and outlier fits (error beyond
-{GROSS:g} times the bound) count as {CAP:g}. The worst method is removed as long as it differs from the best by more
-than 2 %, and by more than equal methods would in 95 % of resamples of the same replicates."""
+{OUTLIER_FACTOR:g} times the bound) count as {CAP:g}. The worst method is removed as long as it differs from the best by
+more than 2 %, and by more than equal methods would in 95 % of resamples of the same replicates."""
 """Meaning of bold in a table of scenarios with several replicates."""
 Fits = Mapping[str, Sequence[np.ndarray]]
 """Log error over bound of the fits in each scenario (n,), from -log CAP, by method; empty if the method was not run
@@ -246,7 +245,7 @@ def log_sizes(errors: np.ndarray) -> np.ndarray:
     """Return the log error over bound of each fit (n,), from errors over bounds by quantity (quantities, n)."""
     with np.errstate(over="ignore"):
         size = np.sqrt(np.mean(errors**2, axis=0))
-    return np.where(np.max(errors, axis=0) <= GROSS, capped(size), LOST)
+    return np.where(np.max(errors, axis=0) <= OUTLIER_FACTOR, capped(size), LOST)
 
 
 def capped(size: np.ndarray) -> np.ndarray:
