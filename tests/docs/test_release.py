@@ -56,3 +56,9 @@ def test_every_python_of_the_workflow_is_one_that_the_project_allows() -> None:
     assert {name.partition("-")[0] for name in matrix["os"]} == {"ubuntu", "macos"}
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["requires-python"] == f">={matrix['python'][0]}"
+
+
+def test_one_version_of_ruff_checks_commits_and_releases() -> None:
+    hooks = yaml.safe_load((REPOSITORY / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
+    (revision,) = [hook["rev"] for hook in hooks if hook["repo"].endswith("ruff-pre-commit")]
+    assert f"ruff=={revision[1:]}" in (REPOSITORY / "constraints.txt").read_text(encoding="utf-8").splitlines()
