@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -114,6 +115,11 @@ def test_imports_go_one_way_through_the_rooms() -> None:
         return {name for name in imported_modules(path) if name == "bench" or ROOMS.index(room(name)) > place}
 
     assert offenders([path for path in BENCH if path.parent.name != "bench"], from_below) == {}
+
+
+def test_contributing_lists_the_subpackages_in_their_order() -> None:
+    text = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert tuple(re.findall(r"^\| `(\w+)` \|", text, re.M)) == ROOMS
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
