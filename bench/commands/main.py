@@ -9,25 +9,28 @@ from bench.isolation.secrecy import hide_arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    """Run the command line; return the exit status: 0, 1 as the verb says, 2 for bad input, 130 when interrupted."""
     from bench.commands.guard import guarded
+    from bench.commands.log import messages
     from bench.commands.verbs import RUN, execute, named_verb
 
-    words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         hide_arguments()
-    verb = named_verb(words)
-    if verb is not None:
-        words.remove(verb)
-    if verb is not None and verb not in RUN:
-        return guarded("bench", lambda: execute(verb, words))
-    record = any(word.startswith(("data=", "+data=")) for word in words)
-    kept = "" if record else "; finished cells are kept, the same command goes on from here"
-    return guarded("bench", lambda: _run(words, early=argv is None), f"interrupted{kept}")
+    with messages(sys.argv[1:] if argv is None else argv) as words:
+        verb = named_verb(words)
+        if verb is not None:
+            words.remove(verb)
+        if verb is not None and verb not in RUN:
+            return guarded("bench", lambda: execute(verb, words))
+        measured = any(word.startswith(("data=", "+data=")) for word in words)
+        kept = (
+            "results of a record are not saved" if measured else "finished cells are kept; the same command continues"
+        )
+        return guarded("bench", lambda: _run(words, early=argv is None), f"interrupted; {kept}")
 
 
 def _run(words: Sequence[str], early: bool) -> int:
-    """Run cells, or an experiment with fields of its own."""
+    """Run cells, identify a measured record, or run an experiment that has fields of its own."""
     from bench.commands.options import read_options
     from bench.commands.run import run
     from bench.commands.verbs import track
@@ -36,5 +39,5 @@ def _run(words: Sequence[str], early: bool) -> int:
     name = next((name for name in TRACKS if {f"experiment={name}", f"+experiment={name}"} & set(words)), "")
     if not name:
         return run(read_options(words), early)
-    left_out = ("-m", "--multirun", f"experiment={name}", f"+experiment={name}")
-    return track(name, [word for word in words if word not in left_out])
+    selecting = ("-m", "--multirun", f"experiment={name}", f"+experiment={name}")
+    return track(name, [word for word in words if word not in selecting])

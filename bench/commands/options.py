@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -14,13 +15,13 @@ FLAGS = {
 COMPLETION = ("-sc", "--shell-completion", "--shell_completion")
 CFG, INFO = ("job", "hydra", "all"), ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 SHOWN = {"--cfg": CFG, "-c": CFG, "--info": INFO, "-i": INFO}
-"""Options by which Hydra shows a configuration, each with its values; the first where none is given."""
+"""Options by which Hydra shows a configuration, with their values; the first value is the default."""
 PACKAGE, ALONE = ("-p", "--package"), ("--resolve", "--hydra-help", *COMPLETION)
 
 
 @dataclass
 class Options:
-    """The words of a command line: what is asked of bench, options for Hydra to answer, and ``field=value``."""
+    """The words of a command line: options of the run, options that Hydra answers, and ``field=value``."""
 
     flags: set[str] = field(default_factory=set)
     shown: list[str] = field(default_factory=list)
@@ -28,7 +29,7 @@ class Options:
 
     @property
     def completes(self) -> bool:
-        """Whether the shell asks what may follow: the words are Hydra's."""
+        """Return whether the shell asks for completions."""
         return bool(set(COMPLETION) & set(self.shown))
 
 
@@ -39,6 +40,9 @@ def read_options(arguments: Sequence[str]) -> Options:
         word = rest.pop(0)
         name, _, value = word.partition("=") if word.startswith("--") else (word, "", "")
         if not name.startswith("-"):
+            if "=" not in name and os.path.isfile(name):
+                remedy = f"write data={name} method=<name>, or python -m bench certify {name}"
+                raise InputError("argument", name, remedy)
             options.words.append(name)
         elif name in FLAGS:
             options.flags.add(FLAGS[name])
@@ -53,6 +57,6 @@ def read_options(arguments: Sequence[str]) -> Options:
 
             bare = name.lstrip("-").replace("-", "_")
             near = f"; a field has no dashes: {bare}=<value>" if bare in declared() else ""
-            known = "options are -m, --cfg, --info, --package, --resolve, -sc, --hydra-help, --version, --help"
+            known = "options are -m, -v, -q, --cfg, --info, --package, --resolve, -sc, --hydra-help, --version, --help"
             raise InputError("option", word, known + near)
     return options

@@ -1,13 +1,13 @@
-"""The run, which has no verb: one cell, a sweep, an experiment, or a measured record."""
+"""A run, which needs no verb: one cell, a sweep, an experiment, or a measured record."""
 
 from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Sequence
 from typing import Any
 
+from bench.commands.log import LOG, verbose
 from bench.commands.options import Options
 from bench.errors import InputError
 from bench.isolation.machine import usable_cores
@@ -28,18 +28,20 @@ fields (defaults in brackets):
   hydra.run.dir, hydra.sweep.dir, hydra.verbose
                  folder of the store, of one cell and of a sweep; log of Hydra
 
-options, which are Hydra's:
+options; the syntax of overrides is Hydra's, without its folders for runs:
   -m, --multirun   a sweep             --cfg job    print the configuration
   --info           how it is composed  -sc install=bash   completion by the shell
+  -v, --verbose    every cell of a sweep, and why it is computed
+  -q, --quiet      errors and results only, no progress
   --version                            -h, --help   this page"""
 WIDE = 13
-"""Letters of a field's name on the page of help."""
+"""Width of the column of names on the page of help."""
 
 
 def run(options: Options, early: bool = False) -> int:
     """Answer the options of a command line, or compute what its fields ask for; returns the exit status.
 
-    ``early``: another core starts the processes that fit while this one imports.
+    ``early``: start the worker processes on another core while this one imports.
     """
     if "help" in options.flags or not (options.words or options.shown or options.flags):
         print(_usage())
@@ -74,7 +76,7 @@ def run(options: Options, early: bool = False) -> int:
         from bench.isolation.processes import start_server
 
         start_server()
-    from bench.config.experiment import sweep  # half a second to import: a mistyped name is said before
+    from bench.config.experiment import sweep  # takes half a second: a mistyped name is reported before
 
     overrides = apply_hydra_fields(of_hydra, overrides)
     if any(value is not None for value in overrides.get("data", [])):
@@ -84,7 +86,9 @@ def run(options: Options, early: bool = False) -> int:
     jobs = sweep(overrides, multirun="multirun" in options.flags)
     launcher = [text for text in of_hydra if "launcher" in text.partition("=")[0]]
     if "cells_per_job" in overrides and not launcher:
-        raise InputError("cells_per_job", overrides["cells_per_job"][0], "with hydra/launcher=, whose jobs it is of")
+        raise InputError(
+            "cells_per_job", overrides["cells_per_job"][0], "give it with hydra/launcher=, whose jobs have this many"
+        )
     return _run(jobs, launcher)
 
 
@@ -103,42 +107,45 @@ def _usage() -> str:
 
 
 def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
-    config, cells = jobs[0].config, [job.cell() for job in jobs]  # what makes no sense is said before more is loaded
+    config, cells = jobs[0].config, [job.cell() for job in jobs]  # bad input is reported before more is imported
     from bench.engine.launch import Launch
     from bench.engine.plan import plan, read_retry
     from bench.face.results import compute
     from bench.reporting.plan_table import counted, listing
-    from bench.reporting.terminal_tables import Closing, cell_table
+    from bench.reporting.sweep_summary import SweepSummary
+    from bench.reporting.terminal_tables import cell_table, described
     from bench.store.store import open_store
 
     if config.dry_run:
         store = open_store(config.store, config.archive)
         planned = plan(cells, store, read_retry(config.retry))
-        print(listing(planned, store, config.workers or usable_cores()))
+        print(listing(planned, store, config.workers or usable_cores(), every_cell=verbose()))
         return 0
 
-    def say(planned: Any) -> None:
+    def report(planned: Any) -> None:
         if config.format == "table" and len(jobs) > 1:
-            print(f"bench: {counted(planned)}", file=sys.stderr)
+            LOG.info(counted(planned))
+        for item in planned:
+            where = f"{item.cell.identity[:8]} {item.cell.label} on {described(item.cell.scenario)}"
+            LOG.debug("%s: %s %s", where, item.state.value, item.why)
 
-    results = compute(cells, config, Launch(tuple(launcher), config.cells_per_job), say)
-    closing = Closing()
+    results = compute(cells, config, Launch(tuple(launcher), config.cells_per_job), report)
+    summary = SweepSummary()
     for result in results:
-        if result.cell.identity not in closing.seen:  # a cell may stand in several tables
-            closing.add(result.cell, result.stored)
+        summary.add(result.cell, result.stored)
         if config.format == "json":
             print(json.dumps(result.as_dict(), allow_nan=False))
         elif len(jobs) == 1 and result.stored is not None:
             print(cell_table(result.cell, result.stored))
     if config.format == "table":
         if len(jobs) > 1:
-            print(closing.table())
-        print(_whereabouts(results.store, results.cells))
-    return closing.report_failures()
+            print(summary.text(every_cell=verbose()))
+        print(_location(results.store, results.cells))
+    return summary.report_failures()
 
 
-def _whereabouts(store: Any, cells: Sequence[Any]) -> str:
-    """Where the full results lie. A path is never broken, however long."""
+def _location(store: Any, cells: Sequence[Any]) -> str:
+    """Return the location of the full results; a path is never broken, however long."""
     if len(cells) == 1:
         return str(store.whereabouts(cells[0].identity))
     published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from bench.commands.declaration import Others, Within
+from bench.commands.log import verbose
 from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
 from bench.commands.watch import follow
 from bench.config.overrides import settable
@@ -105,7 +106,8 @@ def status(
     elif watch:
         follow(cells[0], opened, cells[1], watch)
     else:
-        print(listing(plan(cells[0], opened, cells[1]), opened, usable_cores()))
+        planned = plan(cells[0], opened, cells[1])
+        print(listing(planned, opened, usable_cores(), every_cell=verbose()))
     return 0
 
 

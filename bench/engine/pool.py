@@ -7,11 +7,11 @@ task whose result is stored is not performed again, and one that another driver 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import multiprocessing
 import pickle
 import queue
-import sys
 import threading
 import time
 from collections import deque
@@ -363,8 +363,8 @@ def run_jobs(
 
 
 def say(line: str) -> None:
-    """Print a line on the error stream, above a progress bar if there is one."""
-    print(f"bench: {line}", file=sys.stderr)
+    """Log a warning, which the command line prints above a progress bar if there is one."""
+    logging.getLogger("bench").warning(line)
 
 
 def run_tasks(

@@ -7,6 +7,7 @@ as a lower limit.
 
 from __future__ import annotations
 
+import logging
 import math
 import sys
 import time
@@ -26,15 +27,15 @@ DRAWS_PER_S = 2
 
 @dataclass(frozen=True)
 class RunState:
-    """State of a run.
+    """The state of a run.
 
     Attributes:
-        unit: What is counted, e.g. ``bound`` or ``fit``.
-        done: How many of these are done.
-        total: Their total number.
-        what: Name of the last one.
-        seconds_left: Time that the rest of known cost takes; NaN where no cost is known.
-        at_least: Whether the cost of some of the rest is unknown.
+        unit: Name of what is counted, e.g. ``bound`` or ``fit``.
+        done: Number of finished units.
+        total: Number of all units.
+        what: Name of the unit that was finished last.
+        seconds_left: Time that the remaining units of known cost take (s); NaN where no cost is known.
+        at_least: Whether the cost of some remaining units is unknown.
         note: Further counts to be displayed, e.g. ``2/8 cells, 1 failed``.
     """
 
@@ -47,7 +48,7 @@ class RunState:
     note: str = ""
 
     def words(self, since: float, elapsed: float) -> str:
-        """Describe the state, what matters most first, ``since`` seconds after it was reported."""
+        """Describe the state, the time left first, ``since`` seconds after it was reported."""
         over = self.done == self.total
         counts = [self.note, f"{self.done}/{self.total} {self.unit}s"]
         if over:
@@ -66,14 +67,14 @@ class RunState:
 
 
 OnLook = Callable[[RunState], None]
-"""Called once before the work and whenever some of it is done."""
+"""A function that is called once before the work and after each part of it."""
 
 
 class Progress:
-    """Progress of tasks with several parts each, performed by ``workers`` processes.
+    """The progress of tasks of several parts each, performed by ``workers`` processes.
 
-    ``sizes`` and ``kinds`` give the number of parts of each task, and its kind; ``task`` is what a task is called,
-    where tasks are counted.
+    ``sizes`` and ``kinds`` give the number of parts and the kind of each task. Tasks are counted by the name ``task``
+    unless it is empty.
     """
 
     def __init__(
@@ -90,9 +91,9 @@ class Progress:
         self._failed = 0
 
     def add(self, key: str, n: int, seconds: float = math.nan, failed: int = 0, what: str = "") -> RunState:
-        """Count ``n`` parts of a task that are done, of which some ``failed``.
+        """Count ``n`` finished parts of a task, of which ``failed`` failed.
 
-        ``seconds`` is what they took a worker; NaN where they were not computed here.
+        ``seconds`` is the time that they took one worker, NaN where they were not computed in this run.
         """
         kind = self._kinds[key]
         self._open[key] -= n
@@ -123,7 +124,7 @@ class Progress:
         )
 
     def _cost(self, kind: Kind) -> float:
-        """Return the mean cost of a part (s); the first also paid for what is imported, and counts only while alone."""
+        """Return the mean cost of a part (s), without the first, which includes imports, unless it is the only one."""
         label: Hashable = kind if kind in self._first else kind[0]
         if label not in self._first:
             return math.nan
@@ -133,13 +134,9 @@ class Progress:
 
 
 def firsts_first(items: Sequence[T], kind: Callable[[T], Hashable]) -> list[T]:
-    """Return the items in their order, but the first of every kind before all others, since it measures their cost."""
-    first: dict[Hashable, int] = {}
-    for i, item in enumerate(items):
-        first.setdefault(kind(item), i)
-    early = set(first.values())
-    order = sorted(range(len(items)), key=lambda i: (i not in early, i))
-    return [items[i] for i in order]
+    """Move the first item of every kind, which measures the cost of its kind, before all others."""
+    first = {kind(item): i for i, item in reversed(list(enumerate(items)))}
+    return [items[i] for i in sorted(range(len(items)), key=lambda i: (first[kind(items[i])] != i, i))]
 
 
 def duration(seconds: float) -> str:
@@ -151,22 +148,25 @@ def duration(seconds: float) -> str:
 
 
 class _Stage:
-    """The last look of a unit, and when it and the first were reported."""
+    """The last reported state of a unit, and when it and the first were reported."""
 
     def __init__(self, look: RunState) -> None:
         self.look = look
-        self.started = self.seen = self.printed = time.monotonic()
+        self.started = self.reported = self.printed = time.monotonic()
         self.bar: Any = None
 
     def words(self) -> str:
         now = time.monotonic()
-        return self.look.words(now - self.seen, now - self.started)
+        return self.look.words(now - self.reported, now - self.started)
 
 
 @contextmanager
 def progress_bar(shown: bool = True) -> Iterator[OnLook]:
-    """Show a run's progress on the error stream: a bar a unit in a terminal, else a line now and then."""
-    if not shown:
+    """Show the progress of a run on the error stream: one bar per unit in a terminal, else a line now and then.
+
+    Nothing is shown where the level of the logger ``bench`` leaves warnings out (``-q``).
+    """
+    if not shown or not logging.getLogger("bench").isEnabledFor(logging.WARNING):
         yield lambda look: None
     elif sys.stderr.isatty():
         with _bars() as on_look:
@@ -177,7 +177,7 @@ def progress_bar(shown: bool = True) -> Iterator[OnLook]:
 
 @contextmanager
 def counter(unit: str, total: int) -> Iterator[Callable[..., None]]:
-    """Show the progress of work of one kind; yields a function that counts ``n`` (default 1) more as done."""
+    """Show the progress of work of one kind; yields a function that counts ``n`` (default 1) finished units."""
     progress, started = Progress(unit, {"": total}, {"": ("", "")}), time.monotonic()
     with progress_bar() as on_look:
 
@@ -196,11 +196,11 @@ def _lines() -> OnLook:
 
     def on_look(look: RunState) -> None:
         if look.unit in stages and look.done == look.total == stages[look.unit].look.done:
-            return  # its last line is printed
+            return  # its last line has been printed
         stage = stages.setdefault(look.unit, _Stage(look))
-        stage.look, stage.seen = look, time.monotonic()
-        if look.total and (look.done == look.total or stage.seen - stage.printed >= LINE_S):
-            stage.printed = stage.seen
+        stage.look, stage.reported = look, time.monotonic()
+        if look.total and (look.done == look.total or stage.reported - stage.printed >= LINE_S):
+            stage.printed = stage.reported
             print(f"bench: {look.unit}s {100 * look.done // look.total} %, {stage.words()}", file=sys.stderr)
 
     return on_look
@@ -228,7 +228,7 @@ def _bars() -> Iterator[OnLook]:
             stage = stages.setdefault(look.unit, _Stage(look))
             if stage.bar is None:
                 stage.bar = bars.add_task(f"{look.unit}s", total=look.total, stage=stage)
-            stage.look, stage.seen = look, time.monotonic()
+            stage.look, stage.reported = look, time.monotonic()
             bars.update(stage.bar, completed=look.done, total=look.total, refresh=look.done == look.total)
 
         yield on_look

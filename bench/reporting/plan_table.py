@@ -1,4 +1,4 @@
-"""A plan for reading: its cells, where each stands and why, and how long what is to be computed may take."""
+"""A plan in the terminal: its cells with their state and why, or a summary by method, and an estimate of the time."""
 
 from __future__ import annotations
 
@@ -10,35 +10,63 @@ import numpy as np
 
 from bench.engine.plan import CellState, Planned
 from bench.engine.progress import duration
+from bench.reporting.frame import group
+from bench.reporting.sweep_summary import MOST_ROWS
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import described
 from bench.store.store import Store
 
-MOST_OF_WHY = 160
+LONGEST_REASON = 160
 
 
 def counted(planned: Sequence[Planned]) -> str:
-    """Say how many of a plan's cells are there already, and why the others are to be computed."""
-    kept = " (kept; retry=failed)"
-    counts = Counter(one.state.value + ("" if one.run or one.state is CellState.DONE else kept) for one in planned)
+    """Count the cells of a plan by state: done, missing, stale, failed."""
+    counts = Counter(_state(item) for item in planned)
     return f"{len(planned)} cells: " + ", ".join(f"{n} {state}" for state, n in counts.items())
 
 
-def listing(planned: Sequence[Planned], store: Store, workers: int) -> str:
-    """Return a plan as a table, with an estimate of the time from what stored cells of each method took."""
+def listing(planned: Sequence[Planned], store: Store, workers: int, every_cell: bool = False) -> str:
+    """Tabulate a plan: its cells where they are few or wanted, else its methods; with an estimate of the time.
+
+    The estimate rests on the mean time that stored fits of the same method took.
+    """
     seconds = store.fit_seconds()
-    wanted = [one.cell for one in planned if one.run]
-    cost = {cell.identity: seconds.get(cell.label, math.nan) * cell.replicates for cell in wanted}
-    rows = []
-    for one in planned:
-        known = one.cell.label in seconds
-        takes = "" if not one.run else f"{cost[one.cell.identity]:.1f}" if known else "?"
-        about = [one.cell.identity[:8], one.cell.label, described(one.cell.scenario), str(one.cell.replicates)]
-        rows.append([*about, one.state.value, takes, one.why[:MOST_OF_WHY]])
-    headers = ["cell", "method", "scenario", "fits", "state", "s", "why"]
-    lines = [table(rows, headers, (0, 1, 2, 4, 6)), "", wrapped(f"{counted(planned)}; {len(wanted)} to run")]
-    if wanted:
+    to_run = [item.cell for item in planned if item.run]
+    cost = {cell.identity: seconds.get(cell.label, math.nan) * cell.replicates for cell in to_run}
+    shown = _cells if every_cell or len(planned) <= MOST_ROWS else _methods
+    lines = [shown(planned, cost), "", wrapped(f"{counted(planned)}; {len(to_run)} to run")]
+    if to_run:
         total = duration(float(np.nansum(list(cost.values()))) / workers)
-        lines.append(wrapped(f"about {total} on {workers} worker(s), as stored cells of the same methods took"))
-    unknown = sorted({cell.label for cell in wanted} - set(seconds))
-    return "\n".join([*lines, *([wrapped(f"nothing known of {', '.join(unknown)}")] if unknown else [])])
+        lines.append(wrapped(f"about {total} with {workers} worker(s), by the time of stored fits of the same methods"))
+    unknown = sorted({cell.label for cell in to_run} - set(seconds))
+    return "\n".join([*lines, *([wrapped(f"time unknown: {', '.join(unknown)}")] if unknown else [])])
+
+
+def _cells(planned: Sequence[Planned], cost: dict[str, float]) -> str:
+    rows = []
+    for item in planned:
+        cell = item.cell
+        time = _seconds(cost[cell.identity]) if item.run else ""
+        row = [cell.identity[:8], cell.label, described(cell.scenario), str(cell.replicates)]
+        rows.append([*row, item.state.value, time, item.why[:LONGEST_REASON]])
+    return table(rows, ["cell", "method", "scenario", "fits", "state", "s", "why"], (0, 1, 2, 4, 6))
+
+
+def _methods(planned: Sequence[Planned], cost: dict[str, float]) -> str:
+    states = list(dict.fromkeys(_state(item) for item in planned))
+    rows = []
+    for method, items in group(planned, lambda item: item.cell.label).items():
+        counts = Counter(_state(item) for item in items)
+        to_run = [item.cell for item in items if item.run]
+        total = _seconds(sum(cost[cell.identity] for cell in to_run)) if to_run else ""
+        fits = str(sum(item.cell.replicates for item in items))
+        rows.append([method, str(len(items)), fits, *(str(counts[state] or "") for state in states), total])
+    return table(rows, ["method", "cells", "fits", *states, "s"])
+
+
+def _state(item: Planned) -> str:
+    return item.state.value + ("" if item.run or item.state is CellState.DONE else " (kept; retry=failed)")
+
+
+def _seconds(cost: float) -> str:
+    return "?" if math.isnan(cost) else f"{cost:.1f}"

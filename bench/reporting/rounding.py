@@ -1,13 +1,15 @@
-"""Numbers and names for reading: a value and its interval are rounded to what the interval says of the value."""
+"""Numbers and names for reading; a value and its interval have the digits that the width of the interval supports."""
 
 from __future__ import annotations
 
 import math
 
 LARGEST, SMALLEST = 1e6, 1e-4
-"""What is as large as the first, or smaller than the second, is written with a power of ten."""
+"""Numbers from the first on, and below the second, are written with a power of ten."""
+MOST_DIGITS = 6
+"""Significant digits of a value at most, however narrow its interval."""
 MEANINGFUL = 1e6
-"""An excess of more says only that the estimate ran away, and how far is the optimiser's accident."""
+"""Largest excess that is written as a number; the size of a larger one depends on where the search was stopped."""
 
 
 def readable(name: str) -> str:
@@ -16,7 +18,7 @@ def readable(name: str) -> str:
 
 
 def number(value: float) -> str:
-    """Write three significant digits, or what stands for a number that is not there."""
+    """Write three significant digits; ``-`` for NaN, ``failed`` for infinity."""
     if math.isnan(value):
         return "-"
     if math.isinf(value):
@@ -25,7 +27,7 @@ def number(value: float) -> str:
 
 
 def excess_text(value: float) -> str:
-    """Write an excess: two decimals, three digits where it is large, no number where it says nothing."""
+    """Write an excess with two decimals, from 10 on with three digits, beyond :data:`MEANINGFUL` as that limit."""
     if math.isnan(value):
         return "-"
     if value > MEANINGFUL:
@@ -33,8 +35,23 @@ def excess_text(value: float) -> str:
     return f"{value:.2f}" if value < 10 else f"{value:.3g}"
 
 
+def short_excess(value: float) -> str:
+    """Write an excess in few letters: from 1,000 on without a power of ten, unless it is huge."""
+    return f"{value:.0f}" if 1000 <= value < 1e6 else excess_text(value)
+
+
+def time_text(seconds: float) -> str:
+    """Write a time of computation in the unit that suits it: ``15.8 ms``, ``2.31 s``."""
+    if not math.isfinite(seconds):
+        return "-"
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{number(seconds / size)} {unit}"
+    return f"{number(seconds / 1e-6)} µs"
+
+
 def with_excess(value: float, excess: float) -> str:
-    """Write a number, and behind it the excess where there is one."""
+    """Write a number, followed by the excess where there is one."""
     return number(value) + (f" ×{excess_text(excess)}" if math.isfinite(excess) else "")
 
 
@@ -44,12 +61,12 @@ def percent(share: float, digits: int = 0) -> str:
 
 
 def percent_between(share: float, low: float, high: float, digits: int = 0) -> str:
-    """Write the same with its interval."""
+    """Write a share in percent with its interval."""
     return "-" if math.isnan(share) else f"{percent(share, digits)} ({percent(low, digits)} to {percent(high, digits)})"
 
 
 def answered(n_ok: int, n: int) -> str:
-    """Write how many fits gave an answer, of all."""
+    """Write the number of successful fits and of all."""
     return f"{n_ok}/{n}" if n else "not run"
 
 
@@ -57,18 +74,21 @@ def decimals(low: float, high: float) -> int | None:
     """Return the decimals of two significant digits of half the interval's width; None where it has no width or no end.
 
     They are negative where half the width is 100 or more. Two digits of an uncertainty are the usual rule (Guide to the
-    Expression of Uncertainty in Measurement, JCGM 100:2008, 7.2.6).
+    Expression of Uncertainty in Measurement, JCGM 100:2008, 7.2.6). The ends have :data:`MOST_DIGITS` at most.
     """
     half = 0.5 * (high - low)
     if not math.isfinite(half) or half <= 0:
         return None
-    return 1 - int(f"{half:.1e}".partition("e")[2])  # 0.0996 is 0.10, so the exponent is that of the rounded number
+    # 0.0996 is 0.10 and 9999999.0 is 1e7, so the exponent is that of the rounded number
+    exponent = int(f"{half:.1e}".partition("e")[2])
+    largest = int(f"{max(abs(low), abs(high)):.{MOST_DIGITS - 1}e}".partition("e")[2])
+    return min(1 - exponent, MOST_DIGITS - 1 - largest)
 
 
 def rounded(value: float, low: float, high: float) -> tuple[str, str, str]:
-    """Write a value and the ends of its interval, all to the decimals that the interval's width decides.
+    """Write a value and the ends of its interval with the decimals that the width of the interval supports.
 
-    Where the interval has no width or no end each has three significant digits, or says why it has none.
+    They have three significant digits where the interval has no width or no end.
     """
     places = decimals(low, high)
     if places is None:

@@ -1,6 +1,6 @@
-"""One line that says what a cell's table shows: is the method on the bound, and do its intervals hold?
+"""One line about a cell: are the errors at the Cramér-Rao bound, and are the 95 % intervals calibrated?
 
-Errors far below the bound are never called good: no honest method has them.
+Errors far below the bound are never called good, since no method that sees only the data reaches them.
 """
 
 from __future__ import annotations
@@ -9,90 +9,86 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scipy.special import bdtr, chdtri  # scipy.stats takes a quarter of a second to import
+from scipy.special import bdtr, chdtri  # importing scipy.stats takes a quarter of a second
 
 from bench.reporting.rounding import excess_text, readable
 from bench.scoring.summary import below_chance
 from bench.store.stored import StoredCell
 
 NEAR = 1.2
-"""On the bound: a root mean square error within so many times it."""
+"""Largest ratio of a root mean square error to its bound that counts as at the bound."""
 LEVEL = 0.95
-ON_THE_BOUND, HOLD = "on the bound", "intervals hold"
 FEWEST = 5
-"""Replicates, fewer than which say nothing of either."""
+"""Smallest number of successful fits that a verdict is based on."""
+AT_BOUND, CALIBRATED = "at the Cramér-Rao bound", "calibrated"
+GOOD = f"accuracy: {AT_BOUND}; 95 % intervals: {CALIBRATED}"
+"""The verdict on a cell without a fault."""
 
 
 def verdict(stored: StoredCell) -> str:
-    """The verdict over the quantities that the data identify, the worst named; a reason where there is none.
+    """Judge accuracy and intervals over the identifiable quantities, and name the worst; or say why it is impossible.
 
-    A root mean square of so few errors is itself uncertain: a method is off the bound where the lower limit of its 95 %
-    interval (chi-square, of normal errors) is above :data:`NEAR`. Intervals fail where the count of those that hold
-    the truth is below the binomial 95 % interval of their level.
+    A root mean square of few errors is itself uncertain: a method is off the bound where the lower limit of the 95 %
+    interval (chi-square, for normal errors) exceeds :data:`NEAR`. Intervals are overconfident where the number of them
+    that contain the true value is below the binomial 95 % interval.
     """
-    n, silent = stored.n_ok, len(stored.rows) - stored.n_ok
+    n, failed = stored.n_ok, len(stored.rows) - stored.n_ok
     if n < FEWEST:
-        return f"no verdict: {n} of {len(stored.rows)} fits have an answer, and it takes {FEWEST}"
-    told = {name: own for name, own in _scored(stored).items() if stored.identifiable.get(name, True)}
-    if not told:
-        return "no verdict: nothing is identifiable from these data"
-    small = suspicious(stored)
-    accuracy = (
-        below([readable(name) for name in small])
-        if small
-        else _accuracy({name: float(own["excess"]) for name, own in told.items()}, n)
-    )
-    parts = [accuracy, _intervals(stored, told, n)]
+        return f"no verdict: at least {FEWEST} successful fits required ({n} available)"
+    identifiable = {name: line for name, line in _errors(stored).items() if stored.identifiable.get(name, True)}
+    if not identifiable:
+        return "no verdict: no quantity is identifiable from these data"
+    if small := suspicious(stored):
+        accuracy = below([readable(name) for name in small])
+    else:
+        accuracy = _accuracy({name: float(line["excess"]) for name, line in identifiable.items()}, n)
+    parts = [f"accuracy: {accuracy}", f"95 % intervals: {_intervals(stored, identifiable, n)}"]
     ambiguous = sum(math.isfinite(row.scores.get("other_basins_pct", math.nan)) for row in stored.rows)
-    parts += [f"{ambiguous} of {n} answers name another basin that fits"] if ambiguous else []
-    parts += [f"{silent} of {len(stored.rows)} fits have no answer"] if silent else []
-    return "; ".join(part for part in parts if part)
+    parts += [f"{ambiguous} of {n} estimates report another minimum that fits the data"] if ambiguous else []
+    parts += [f"{failed} of {len(stored.rows)} fits without an estimate"] if failed else []
+    return "; ".join(parts)
 
 
 def suspicious(stored: StoredCell) -> list[str]:
     """Return the quantities whose errors are smaller than the bound allows by chance."""
-    scored = _scored(stored) if stored.n_ok >= FEWEST else {}
+    errors = _errors(stored) if stored.n_ok >= FEWEST else {}
     return [
         name
-        for name, own in scored.items()
-        if below_chance(float(own["excess"]), float(own.get("bound", math.nan)), stored.n_ok)
+        for name, line in errors.items()
+        if below_chance(float(line["excess"]), float(line.get("bound", math.nan)), stored.n_ok)
     ]
 
 
 def below(names: Sequence[str]) -> str:
-    """Say that errors are too small to be chance: of quantities, or of methods."""
+    """Describe errors that are too small to be chance; ``names`` are quantities or methods."""
     listed = ", ".join(names)
     return (
-        f"below the bound by more than chance allows ({listed}): check the method for use of the truth or of the prior"
+        f"below the bound by more than chance allows ({listed}): check the method for use of the true values or of "
+        "the prior"
     )
 
 
-def good(said: str) -> bool:
-    """Whether a verdict has nothing against the method."""
-    return said == f"{ON_THE_BOUND}; {HOLD}"
-
-
-def _scored(stored: StoredCell) -> dict[str, Mapping[str, Any]]:
-    """The summaries of the errors of quantities, by quantity."""
+def _errors(stored: StoredCell) -> dict[str, Mapping[str, Any]]:
+    """Return the summary of the error of each quantity that has a bound."""
     suffix = "_error_pct"
-    found = {name.removesuffix(suffix): own for name, own in stored.summary.items() if name.endswith(suffix)}
-    return {name: own for name, own in found.items() if math.isfinite(own.get("excess", math.nan))}
+    lines = {name.removesuffix(suffix): line for name, line in stored.summary.items() if name.endswith(suffix)}
+    return {name: line for name, line in lines.items() if math.isfinite(line.get("excess", math.nan))}
 
 
 def _accuracy(excess: Mapping[str, float], n: int) -> str:
-    least = {name: value * math.sqrt(n / float(chdtri(n, 0.025))) for name, value in excess.items()}
+    lower = {name: value * math.sqrt(n / float(chdtri(n, 0.025))) for name, value in excess.items()}
     worst = max(excess, key=lambda name: excess[name])
-    if max(least.values()) <= NEAR:
-        return ON_THE_BOUND
-    off = f"{excess_text(excess[worst])} times the bound in {readable(worst)}"
-    return off if len(excess) == 1 or min(least.values()) > NEAR else f"{off}, on it in others"
+    if max(lower.values()) <= NEAR:
+        return AT_BOUND
+    text = f"{excess_text(excess[worst])} times the bound in {readable(worst)}"
+    return text if len(excess) == 1 or min(lower.values()) > NEAR else f"{text}, at the bound in others"
 
 
-def _intervals(stored: StoredCell, told: Mapping[str, Any], n: int) -> str:
-    shares = {name: stored.summary.get(f"{name}_coverage_95", {}).get("mean", math.nan) for name in told}
+def _intervals(stored: StoredCell, identifiable: Mapping[str, Any], n: int) -> str:
+    shares = {name: stored.summary.get(f"{name}_coverage_95", {}).get("mean", math.nan) for name in identifiable}
     known = {name: share for name, share in shares.items() if math.isfinite(share)}
     if not known:
-        return "no intervals are told"
+        return "not stated"
     worst = min(known, key=lambda name: known[name])
-    holds = bool(bdtr(round(known[worst] * n), n, LEVEL) >= 0.025)
-    return HOLD if holds else f"95 % intervals of {readable(worst)} hold in {100 * known[worst]:.0f} %"
+    calibrated = bool(bdtr(round(known[worst] * n), n, LEVEL) >= 0.025)
+    return CALIBRATED if calibrated else f"overconfident ({100 * known[worst]:.0f} % cover the true {readable(worst)})"

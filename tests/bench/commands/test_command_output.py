@@ -1,4 +1,4 @@
-"""What the commands print: no wider than the terminal, aligned in any script, rounded to what the interval says."""
+"""The output of the commands: no wider than the terminal, aligned in any script, with the digits of the interval."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from bench.contract.estimate import Status
 from bench.records.intervals import StatedInterval
 from bench.reporting.record_page import record_page
 from bench.reporting.rounding import rounded
+from bench.reporting.sweep_summary import SweepSummary
 from bench.reporting.terminal import columns, help_page, table, wrapped
-from bench.reporting.terminal_tables import Closing, cell_table
+from bench.reporting.terminal_tables import cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
 from bench.store.stored import StoredCell
 
 
 def places(line: str) -> int:
-    """Places that a line takes on a screen, by the Unicode database alone."""
+    """Return the width of a line on a screen by the Unicode database."""
     return sum(
         0 if unicodedata.combining(letter) else 2 if unicodedata.east_asian_width(letter) in "WF" else 1
         for letter in line
@@ -48,7 +49,7 @@ def terminal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture(autouse=True)
 def eighty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The usual terminal."""
+    """Set the width of the usual terminal."""
     monkeypatch.setenv("COLUMNS", "80")
 
 
@@ -57,7 +58,7 @@ def cell_of(*fields: str) -> Cell:
 
 
 def stored_of(cell: Cell, errors: np.ndarray, excess: float = 1.0) -> StoredCell:
-    """A stored cell whose every metric has these errors; its interval is half to one and a half times the median."""
+    """Return a stored cell whose every metric has these errors and an interval of 0.5 to 1.5 times the median."""
     quantities = [f"{q.name}_error_pct" for q in cell.scenario.make_system().quantities]
     metrics = [*quantities, "rmse", "rmse_simulated", "rmse_forecast"]
     rows = tuple(
@@ -65,8 +66,8 @@ def stored_of(cell: Cell, errors: np.ndarray, excess: float = 1.0) -> StoredCell
         for i, e in enumerate(errors)
     )
     median = float(np.median(errors))
-    one = {"mean": median, "median": median, "ci_low": 0.5 * median, "ci_high": 1.5 * median, "bound": 0.123456}
-    summary = {metric: {**one, "excess": excess} for metric in metrics}
+    line = {"mean": median, "median": median, "ci_low": 0.5 * median, "ci_high": 1.5 * median, "bound": 0.123456}
+    summary = {metric: {**line, "excess": excess} for metric in metrics}
     return StoredCell(cell.identity, {}, rows, summary, {}, {"m": False}, 2.0)
 
 
@@ -84,6 +85,8 @@ def stored_of(cell: Cell, errors: np.ndarray, excess: float = 1.0) -> StoredCell
         (2.34567, 2.34567, 2.34567, ("2.35", "2.35", "2.35")),
         (2.34567, 1.23456, math.inf, ("2.35", "1.23", "failed")),
         (math.nan, math.nan, math.nan, ("-", "-", "-")),
+        # six digits at most, however narrow the interval
+        (7.88, 7.8799999962, 7.8800000038, ("7.88000", "7.88000", "7.88000")),
     ],
 )
 def test_a_value_is_rounded_to_two_digits_of_half_its_interval(
@@ -121,70 +124,83 @@ def test_the_scores_of_a_cell_fit(system: str, terminal: int) -> None:
     worst = replace(stored, rows=(*stored.rows, Row(20, Status.CRASHED, "a long message " * 20)))
     text = cell_table(cell, worst)
     assert widest(text) <= terminal
-    numbers = [line.split()[-6:] for line in text.splitlines() if "error % " in line]
-    assert all(len(own) == 6 for own in numbers) or terminal < 80
+    lines = [line for line in text.splitlines() if " % " in line and line.startswith(("k", "natural"))]
+    assert all(len(line.rpartition(" % ")[2].split()) == 6 for line in lines[:-1]) or terminal < 80
 
 
-def closing_of(*entries: tuple[Cell, StoredCell]) -> Closing:
-    closing = Closing()
+def summary_of(*entries: tuple[Cell, StoredCell]) -> SweepSummary:
+    summary = SweepSummary()
     for cell, stored in entries:
-        closing.add(cell, stored)
-    return closing
+        summary.add(cell, stored)
+    return summary
 
 
 def marked(text: str) -> list[str]:
-    """The methods of a sweep's table that have marks, in order."""
+    """Return the methods with a mark in the table of a sweep, in order."""
     return [line.split()[0] for line in text.splitlines() if " + " in line and not line.startswith("+")]
 
 
 def test_the_best_methods_of_a_scenario_are_marked_and_reference_rows_are_not() -> None:
-    """Of equal errors none can be told from the others; twice as large ones on every data set can, and outliers."""
+    """Equal errors are tied; errors twice as large on every data set, and outlier fits, are not tied with them."""
     errors = 0.123456 * np.random.default_rng(0).uniform(0.5, 1.5, 20)  # the bound is 0.123456
     rare = np.where(np.arange(20) < 5, 30.0 * errors, errors)
     of_method = {"ls": errors, "rls": errors, "pinn": 2.0 * errors, "oracle": 0.1 * errors, "sindy": rare}
-    entries = [(cell, stored_of(cell, own)) for name, own in of_method.items() for cell in [cell_of(f"method={name}")]]
-    text = closing_of(*entries).table()
+    cells = {name: cell_of(f"method={name}") for name in of_method}
+    text = summary_of(*((cell, stored_of(cell, of_method[name])) for name, cell in cells.items())).text()
     assert marked(text) == ["ls", "rls"]
     assert "first tier" in text
     assert widest(text) <= 80
 
 
-def test_methods_that_were_told_different_things_or_stand_alone_are_not_compared() -> None:
+def test_methods_on_different_data_or_with_different_knowledge_are_not_compared() -> None:
     errors = np.linspace(1.0, 2.0, 20)
     alone = [cell_of("method=ls"), cell_of("method=rls", "snr=40"), cell_of("method=rls", "initial_state=unknown")]
-    text = closing_of(*((cell, stored_of(cell, errors)) for cell in alone)).table()
+    text = summary_of(*((cell, stored_of(cell, errors)) for cell in alone)).text()
     assert marked(text) == []
     assert "first tier" not in text
 
 
-def test_a_sweep_says_once_what_all_its_cells_share(terminal: int) -> None:
+def test_fields_that_all_cells_share_are_stated_once(terminal: int) -> None:
     cells = [cell_of(f"method={name}", f"snr={snr}") for name in ("ls", "collocation") for snr in (40, 20)]
-    text = closing_of(*((cell, stored_of(cell, np.linspace(1.0, 2.0, 20))) for cell in cells)).table()
+    text = summary_of(*((cell, stored_of(cell, np.linspace(1.0, 2.0, 20))) for cell in cells)).text()
     assert widest(text) <= terminal
-    first, *lines = text.splitlines()
-    assert first == "every cell: system sdof, start known, disturbance none"
+    first, rest = text.split("\n\n", 1)
+    lines = rest.splitlines()
+    assert " ".join(first.split()) == "every cell: system sdof, initial state known, disturbance none"
     assert not any("sdof" in line for line in lines)
     assert [line.split()[:2] for line in lines if "20/20" in line] == [
         ["ls", "40"], ["ls", "20"], ["collocation", "40"], ["collocation", "20"]
     ]  # fmt: skip
 
 
-def test_what_differs_is_a_column_and_many_rows_are_taken_together() -> None:
-    """120 seeds at two noise levels: no row of each seed, but the medians over them of each level."""
-    errors = np.linspace(1.0, 2.0, 20)
-    cells = [cell_of("method=ls", f"snr={snr}", f"seed={seed}") for snr in (40, 20) for seed in range(120)]
-    few, many = (
-        closing_of(*((cell, stored_of(cell, errors)) for cell in part)).table() for part in (cells[118:122], cells)
-    )
-    assert [line.split()[:3] for line in few.splitlines() if "20/20" in line] == [
-        ["ls", "40", "118"], ["ls", "40", "119"], ["ls", "20", "0"], ["ls", "20", "1"]
-    ]  # fmt: skip
-    rows = [line.split() for line in many.splitlines() if line.startswith("ls")]
-    assert [row[:4] for row in rows] == [["ls", "40", "120", "2400/2400"], ["ls", "20", "120", "2400/2400"]]
+def test_few_cells_are_listed_and_many_are_summarised_by_method(terminal: int) -> None:
+    """A method at the bound, an equal one with a fifth of outlier fits, and one that was not run, at 20 seeds each.
+
+    The bound is 0.123456: errors of it have a loss of zero, and six times it is an outlier fit.
+    """
+    at_bound = np.full(20, 0.123456)
+    outliers = np.where(np.arange(20) < 4, 6.0, 1.0) * at_bound
+    errors = {"ls": at_bound, "rls": outliers, "prior": at_bound}
+    cells = [cell_of(f"method={name}", f"seed={seed}") for name in errors for seed in range(20)]
+    results = [(cell, stored_of(cell, errors[cell.label], 1.5)) for cell in cells]
+    few = summary_of(*results[:4]).text()
+    assert [line.split()[:2] for line in few.splitlines() if "20/20" in line] == [["ls", str(i)] for i in range(4)]
+    summary = summary_of(*results, *results)  # a cell may stand in several tables
+    text = summary.text()
+    assert widest(text) <= terminal
+    assert [line.split() for line in text.splitlines() if "400/400" in line and terminal >= 80] == [
+        ["ls", "20", "400/400", "1.50", "0.0", "-", "100", "ms", "1"],
+        ["rls", "20", "400/400", "1.50", "20.0", "-", "100", "ms", "2"],
+        ["prior", "20", "400/400", "1.50", "0.0", "-", "100", "ms", "-"],
+    ] * (terminal >= 80)
+    assert sum("20/20" in line for line in summary.text(every_cell=True).splitlines()) == 60
+    assert summary.report_failures() == 0
+    summary.add(cell_of("method=pinn"), None)
+    assert summary.report_failures() == 1
 
 
-def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(terminal: int) -> None:
-    one = vars(StatedInterval(7.92551, 7.84717, 8.00385, 7.89717, 7.95385, 7.90017, 7.95085, "1/s²"))
+def test_the_page_of_a_record_fits_and_values_have_the_digits_of_their_intervals(terminal: int) -> None:
+    interval = vars(StatedInterval(7.92551, 7.84717, 8.00385, 7.89717, 7.95385, 7.90017, 7.95085, "1/s²"))
     residuals = {
         "rms": 4.23e-4, "unit": "m", "part_of_signal": 0.1, "lag1_autocorrelation": 0.16, "offset": 3.35e-5,
         "whiteness": 0.5,
@@ -192,7 +208,7 @@ def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(termina
     result = {
         "method": "shooting", "data": "測定/梁の自由振動の記録.csv", "samples": 60, "status": "ok",
         "trust": "use with caution", "reasons": ["words " * 40], "modes": [], "notes": ["words " * 20],
-        "estimates": {"k_over_m": one}, "withdrawn": {}, "runs": {},
+        "estimates": {"k_over_m": interval}, "withdrawn": {}, "runs": {},
     }  # fmt: skip
     text = record_page({**result, "residuals": residuals}, True)
     assert widest(text) <= terminal
@@ -202,7 +218,7 @@ def test_a_record_fits_and_its_values_have_the_digits_of_their_intervals(termina
         assert ends in words
 
 
-def test_where_the_full_result_lies_is_one_unbroken_line(
+def test_the_path_of_the_full_result_is_one_unbroken_line(
     tmp_path: Path, bounds_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "a folder with a name that is so long that it cannot stand on one line of eighty places"
@@ -218,7 +234,7 @@ def test_where_the_full_result_lies_is_one_unbroken_line(
 
 
 @pytest.mark.parametrize("words", [["--help"], ["identifiability"]])
-def test_a_reader_that_goes_away_is_no_traceback(words: list[str]) -> None:
+def test_a_closed_pipe_is_no_traceback(words: list[str]) -> None:
     """The reading end is closed before the first line is written, as by ``| head -0``."""
     read, write = os.pipe()
     os.close(read)
@@ -229,7 +245,7 @@ def test_a_reader_that_goes_away_is_no_traceback(words: list[str]) -> None:
     assert (done.returncode, done.stderr) == (141, "")
 
 
-def test_letters_that_the_output_cannot_hold_are_no_traceback(python: Callable[..., Any]) -> None:
+def test_characters_outside_of_the_encoding_of_the_output_are_no_traceback(python: Callable[..., Any]) -> None:
     printed = "sys.exit(guarded('x', lambda: print('Cramér 梁 k²') or 0))"
     script = f"from bench.commands.guard import guarded\nimport sys\n{printed}"
     done = python("-c", script, env={"PYTHONIOENCODING": "ascii"})
@@ -238,7 +254,7 @@ def test_letters_that_the_output_cannot_hold_are_no_traceback(python: Callable[.
 
 @pytest.mark.parametrize("width", [50, 80])
 def test_a_table_too_wide_becomes_a_list_with_all_of_its_numbers(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten columns of six places and the gaps between them take 78."""
+    """Ten columns of width six and the gaps between them take 78."""
     monkeypatch.setenv("COLUMNS", str(width))
     headers = ["test", *(f"size {letter}" for letter in "abcdefghi")]
     rows = [[f"test {row}", *(f"{row}{i}{i}.{i}{i}" for i in range(1, 10))] for row in "pq"]
@@ -248,7 +264,7 @@ def test_a_table_too_wide_becomes_a_list_with_all_of_its_numbers(width: int, mon
     assert ("test test p\n" in text) == (width < 80)
 
 
-def test_a_page_of_usage_goes_on_where_its_explanations_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_explanations_of_a_page_of_help_are_indented(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
     field = "  out   [results] the folder in which all of the files are"
     page = f"usage: some command\n\nfields:\n{field}\n\nA sentence\nof two lines."

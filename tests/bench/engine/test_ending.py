@@ -65,7 +65,7 @@ def test_nothing_temporary_stays(tmp_path: Path, temporary: Path, number: signal
         _, error = run.communicate(timeout=120)
         assert run.returncode == 128 + number
         assert not psutil.wait_procs(processes, timeout=60)[1]
-    assert error.splitlines()[-1] == "bench: interrupted; finished cells are kept, the same command goes on from here"
+    assert error.splitlines()[-1] == "bench: interrupted; finished cells are kept; the same command continues"
     assert "Traceback" not in error
     assert (list(temporary.iterdir()), list((store / "claims").iterdir())) == ([], [])
     assert not (store / "launches").exists()

@@ -1,4 +1,4 @@
-"""The verdict under a cell's table: of summaries that are made to be good, biased, overconfident or silent."""
+"""The verdict below the table of a cell, on summaries made to be good, biased, overconfident or without estimates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy import stats
 
 from bench import Estimate, Normal, Status
 from bench.information.fisher import compute_bound
-from bench.reporting.verdict import good, verdict
+from bench.reporting.verdict import GOOD as NO_FAULT
+from bench.reporting.verdict import verdict
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.score import score
@@ -19,55 +20,61 @@ from bench.scoring.summary import summarise
 from bench.store.stored import StoredCell
 
 
-def cell(excess: dict[str, float], cover: dict[str, float], ok: int = 100, silent: int = 0) -> StoredCell:
-    rows = [Row(i, Status.OK if i < ok else Status.DIVERGED) for i in range(ok + silent)]
+def cell(excess: dict[str, float], coverage: dict[str, float], ok: int = 100, failed: int = 0) -> StoredCell:
+    rows = [Row(i, Status.OK if i < ok else Status.DIVERGED) for i in range(ok + failed)]
     summary: dict[str, Any] = {f"{name}_error_pct": {"excess": value} for name, value in excess.items()}
-    summary |= {f"{name}_coverage_95": {"mean": value} for name, value in cover.items()}
+    summary |= {f"{name}_coverage_95": {"mean": value} for name, value in coverage.items()}
     return StoredCell("0" * 20, {}, rows, summary, {}, {"m": False}, 0.0)
 
 
+AT_BOUND = "accuracy: at the Cramér-Rao bound"
+CALIBRATED = "95 % intervals: calibrated"
 GOOD = {"k_over_m": 1.05, "c_over_m": 0.98}
-COVER = {"k_over_m": 0.95, "c_over_m": 0.93}
+COVERAGE = {"k_over_m": 0.95, "c_over_m": 0.93}
 
 
 @pytest.mark.parametrize(
-    ("excess", "cover", "said"),
+    ("excess", "coverage", "text"),
     [
-        (GOOD, COVER, "on the bound; intervals hold"),
+        (GOOD, COVERAGE, NO_FAULT),
         # 100 errors: a root mean square is within about 14 % of its own, so 1.3 may be chance and 1.5 may not
-        ({**GOOD, "k_over_m": 1.3}, COVER, "on the bound; intervals hold"),
-        ({**GOOD, "k_over_m": 1.5}, COVER, "1.50 times the bound in k/m, on it in others; intervals hold"),
-        ({"k_over_m": 9.0, "c_over_m": 2.0}, COVER, "9.00 times the bound in k/m; intervals hold"),
-        # of 100 intervals at 95 % fewer than 90 hold in less than one case of 40
-        (GOOD, {**COVER, "c_over_m": 0.90}, "on the bound; intervals hold"),
-        (GOOD, {**COVER, "c_over_m": 0.89}, "on the bound; 95 % intervals of c/m hold in 89 %"),
-        (GOOD, {}, "on the bound; no intervals are told"),
-        # what the prior alone tells is not the method's
-        ({**GOOD, "m": 30.0}, {**COVER, "m": 0.1}, "on the bound; intervals hold"),
+        ({**GOOD, "k_over_m": 1.3}, COVERAGE, NO_FAULT),
+        (
+            {**GOOD, "k_over_m": 1.5},
+            COVERAGE,
+            f"accuracy: 1.50 times the bound in k/m, at the bound in others; {CALIBRATED}",
+        ),
+        ({"k_over_m": 9.0, "c_over_m": 2.0}, COVERAGE, f"accuracy: 9.00 times the bound in k/m; {CALIBRATED}"),
+        # of 100 calibrated intervals fewer than 90 cover the true value with a probability below 1/40
+        (GOOD, {**COVERAGE, "c_over_m": 0.90}, NO_FAULT),
+        (GOOD, {**COVERAGE, "c_over_m": 0.89}, f"{AT_BOUND}; 95 % intervals: overconfident (89 % cover the true c/m)"),
+        (GOOD, {}, f"{AT_BOUND}; 95 % intervals: not stated"),
+        # m is not identifiable: its error is due to the prior
+        ({**GOOD, "m": 30.0}, {**COVERAGE, "m": 0.1}, NO_FAULT),
     ],
 )
-def test_it_says_what_the_numbers_say(excess: dict[str, float], cover: dict[str, float], said: str) -> None:
-    assert verdict(cell(excess, cover)) == said
+def test_accuracy_and_intervals_are_judged(excess: dict[str, float], coverage: dict[str, float], text: str) -> None:
+    assert verdict(cell(excess, coverage)) == text
 
 
 @pytest.mark.parametrize("n", [10, 100])
 def test_errors_too_small_to_be_chance_are_never_called_good(n: int) -> None:
     """Chi-square of n at a probability of a millionth: 0.197 and 0.680 of the bound (tables of the gamma function)."""
     least = math.sqrt(stats.gamma.ppf(1e-6, n / 2, scale=2.0) / n)
-    # the last: the bound is of a linearisation that does not hold so far
-    for factor, bound, said in ((0.99, 3.0, "below the bound by more"), (1.01, 3.0, "on the"), (0.99, 80.0, "on the")):
-        stored = cell({"k_over_m": factor * least, "c_over_m": 1.0}, COVER, n)
+    # the last: a bound of 80 % is that of a linearisation, and no limit
+    for factor, bound, fault in ((0.99, 3.0, True), (1.01, 3.0, False), (0.99, 80.0, False)):
+        stored = cell({"k_over_m": factor * least, "c_over_m": 1.0}, COVERAGE, n)
         for summary in (stored.summary["k_over_m_error_pct"], stored.summary["c_over_m_error_pct"]):
             summary["bound"] = bound
-        assert verdict(stored).startswith(said)
-        assert good(verdict(stored)) == (said == "on the")
+        assert (verdict(stored) == NO_FAULT) == (not fault)
+        assert verdict(stored).startswith("accuracy: below the bound by more than chance allows (k/m)") == fault
 
 
-def test_a_method_that_has_the_truth_is_flagged_and_one_at_the_bound_is_not(reference: Scenario) -> None:
+def test_a_method_that_knows_the_truth_is_flagged_and_a_method_at_the_bound_is_not(reference: Scenario) -> None:
     """Summaries of real scores: 20 fits that scatter by the bound, and 20 that were given the truth to 5e-11 %."""
     (problem, truth), bound = reference.replicates(0, 1)[0], compute_bound(reference)
     rng = np.random.default_rng(1)
-    for width, said in ((1.0, "on the bound"), (1e-9, "below the bound by more than chance allows (k/m, c/m")):
+    for width, text in ((1.0, AT_BOUND), (1e-9, "accuracy: below the bound by more than chance allows (k/m, c/m")):
         sds = np.array([width * bound.relative_sd[name] for name in ("k_over_m", "c_over_m")])
         groups = truth.parameters["k"] / truth.parameters["m"], truth.parameters["c"] / truth.parameters["m"]
         means = np.array(groups) * (1.0 + sds * rng.standard_normal((20, 2)))
@@ -76,12 +83,10 @@ def test_a_method_that_has_the_truth_is_flagged_and_one_at_the_bound_is_not(refe
             distribution = Normal(("k_over_m", "c_over_m"), mean, np.diag((sds * groups) ** 2), log=False)
             rows.append(Row(i, Status.OK, scores=score(Estimate(problem.system, groups=distribution), problem, truth)))
         summary = summarise(rows, bound)
-        assert verdict(StoredCell("0" * 20, {}, rows, summary, {}, bound.identifiable, 0.0)).startswith(said)
+        assert verdict(StoredCell("0" * 20, {}, rows, summary, {}, bound.identifiable, 0.0)).startswith(text)
 
 
-def test_fits_without_an_answer_are_counted_and_few_give_no_verdict() -> None:
-    assert verdict(cell(GOOD, COVER, 95, 5)).endswith("5 of 100 fits have no answer")
-    assert not good(verdict(cell(GOOD, COVER, 95, 5)))
-    assert good(verdict(cell(GOOD, COVER)))
-    assert verdict(cell(GOOD, COVER, 4, 96)).startswith("no verdict: 4 of 100")
-    assert verdict(cell({"k_over_m": math.nan}, {})).startswith("no verdict: nothing")
+def test_fits_without_an_estimate_are_counted_and_few_fits_give_no_verdict() -> None:
+    assert verdict(cell(GOOD, COVERAGE, 95, 5)) == f"{NO_FAULT}; 5 of 100 fits without an estimate"
+    assert verdict(cell(GOOD, COVERAGE, 4, 96)) == "no verdict: at least 5 successful fits required (4 available)"
+    assert verdict(cell({"k_over_m": math.nan}, {})).startswith("no verdict: no quantity is identifiable")
