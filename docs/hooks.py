@@ -27,7 +27,8 @@ LINK = re.compile(r"\[(?P<text>[^\[\]]*)\]\((?P<target>[^)#\s]+)(?P<part>#[^)\s]
 GLOSSARY = "reference/glossary.md"
 ENTRY = re.compile(r"^### (?P<term>.+)\n(?P<meaning>.+)$", re.MULTILINE)
 NOT_PROSE = re.compile(
-    r"(^```.*?^```|^#.*?$|^:::.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)", re.DOTALL | re.MULTILINE
+    r"(^```.*?^```|^#.*?$|^:::.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)",
+    re.DOTALL | re.MULTILINE,
 )
 """Parts of a page that get no link to the glossary: code, headings, tables, links, comments and tags."""
 COMMON_WORDS = ("alternative", "card", "cell", "identifiable", "round", "store", "track", "verdict")
@@ -182,6 +183,35 @@ def record_fields() -> str:
     return field_table(("data", *import_module("bench.config.fields").RECORD))
 
 
+def method_table() -> str:
+    """Return the table of the methods, with their variants, from their cards."""
+    registry = import_module("bench.entrants.registry")
+    rows = []
+    for name in registry.registered():
+        method = registry.load_method(name)
+        variants = [
+            f"`{variant}`: {changed['summary']}"
+            for variant, changed in method.card.variants.items()
+            if "summary" in changed
+        ]
+        principle = ". ".join([method.card.summary, *variants])
+        names = ", ".join(f"`{known}`" for known in (name, *method.card.variants))
+        rows.append((names, principle, data_of(method.serves), method.card.start, method.card.uncertainty))
+    return table(("method", "principle", "data", "initial state", "uncertainty"), rows)
+
+
+def data_of(serves: Any) -> str:
+    """Return the data that a method supports."""
+    masses = "one mass" if serves.max_dof == 1 else "several masses"
+    return ", ".join([masses, "free or forced" if serves.forced else "free", *([] if serves.nonlinear else ["linear"])])
+
+
+def card_table(group: str) -> str:
+    """Return the table of the methods of another group of entry points: name and principle."""
+    points = import_module("bench.entry_points").entry_points_of(group)
+    return table(("method", "principle"), [(f"`{name}`", point.load().card.summary) for name, point in points.items()])
+
+
 def column_tables() -> str:
     """Return the data dictionary, docs/reference/columns.csv, as one table per file."""
     with (ROOT / "docs" / "reference" / "columns.csv").open(encoding="utf-8", newline="") as file:
@@ -201,6 +231,9 @@ GENERATED: dict[str, Callable[[], str]] = {
     "<!-- fields of a run -->": run_fields,
     "<!-- fields of a record -->": record_fields,
     "<!-- columns of every file -->": column_tables,
+    "<!-- methods -->": method_table,
+    "<!-- modal methods -->": lambda: card_table("bench.modal"),
+    "<!-- online methods -->": lambda: card_table("bench.trackers"),
 }
 """Comments in pages that the build replaces with text from the code."""
 
