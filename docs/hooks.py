@@ -200,15 +200,24 @@ def method_table() -> str:
     return table(("method", "principle", "data", "initial state", "uncertainty"), rows)
 
 
-def data_of(serves: Any) -> str:
+def data_of(scope: Any) -> str:
     """Return the data that a method supports."""
-    masses = "one mass" if serves.max_dof == 1 else "several masses"
-    return ", ".join([masses, "free or forced" if serves.forced else "free", *([] if serves.nonlinear else ["linear"])])
+    masses = "one mass" if scope.max_dof == 1 else "several masses"
+    return ", ".join([masses, "free or forced" if scope.forced else "free", *([] if scope.nonlinear else ["linear"])])
 
 
-def card_table(group: str) -> str:
-    """Return the table of the methods of another group of entry points: name and principle."""
-    points = import_module("bench.entry_points").entry_points_of(group)
+def modal_table() -> str:
+    """Return the table of the modal methods, with the data that each takes."""
+    points = import_module("bench.entry_points").entry_points_of("bench.modal")
+    words = import_module("bench.contract.modal").WORDS
+    methods = {name: point.load() for name, point in points.items()}
+    rows = [(f"`{n}`", m.card.summary, ", ".join(words[kind] for kind in m.serves)) for n, m in methods.items()]
+    return table(("method", "principle", "data"), rows)
+
+
+def tracker_table() -> str:
+    """Return the table of the online methods."""
+    points = import_module("bench.entry_points").entry_points_of("bench.trackers")
     return table(("method", "principle"), [(f"`{name}`", point.load().card.summary) for name, point in points.items()])
 
 
@@ -232,8 +241,8 @@ GENERATED: dict[str, Callable[[], str]] = {
     "<!-- fields of a record -->": record_fields,
     "<!-- columns of every file -->": column_tables,
     "<!-- methods -->": method_table,
-    "<!-- modal methods -->": lambda: card_table("bench.modal"),
-    "<!-- online methods -->": lambda: card_table("bench.trackers"),
+    "<!-- modal methods -->": modal_table,
+    "<!-- online methods -->": tracker_table,
 }
 """Comments in pages that the build replaces with text from the code."""
 
