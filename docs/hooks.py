@@ -196,7 +196,7 @@ def method_table() -> str:
         ]
         principle = ". ".join([method.card.summary, *variants])
         names = ", ".join(f"`{known}`" for known in (name, *method.card.variants))
-        rows.append((names, principle, data_of(method.serves), method.card.start, method.card.uncertainty))
+        rows.append((names, principle, data_of(method.scope), method.card.start, method.card.uncertainty))
     return table(("method", "principle", "data", "initial state", "uncertainty"), rows)
 
 
@@ -211,7 +211,7 @@ def modal_table() -> str:
     points = import_module("bench.entry_points").entry_points_of("bench.modal")
     words = import_module("bench.contract.modal").WORDS
     methods = {name: point.load() for name, point in points.items()}
-    rows = [(f"`{n}`", m.card.summary, ", ".join(words[kind] for kind in m.serves)) for n, m in methods.items()]
+    rows = [(f"`{n}`", m.card.summary, ", ".join(words[kind] for kind in m.scope)) for n, m in methods.items()]
     return table(("method", "principle", "data"), rows)
 
 
