@@ -87,7 +87,7 @@ class Layout:
             raise InputError("interval", self.interval, "a positive number of seconds")
 
     @property
-    def scale_told(self) -> bool:
+    def scale_known(self) -> bool:
         """Whether the data tell every parameter, by a known force."""
         return bool(self.forced)
 
@@ -95,12 +95,12 @@ class Layout:
     def free(self) -> tuple[str, ...]:
         """The parameters that a tracker estimates: all, or all but the gauge, which is then one unit of mass."""
         names = self.system.names
-        return names if self.scale_told else tuple(name for name in names if name != self.system.gauge)
+        return names if self.scale_known else tuple(name for name in names if name != self.system.gauge)
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """What the data tell: parameters, groups and modal quantities, or the last two alone."""
-        if self.scale_told:
+        if self.scale_known:
             return self.system.quantities
         return tuple(self.system.groups) + tuple(self.system.modal)
 

@@ -260,7 +260,7 @@ class Problem:
         return any(np.any(force.values != 0) for record in self.records for force in record.forces)
 
     @property
-    def scale_told(self) -> bool:
+    def scale_known(self) -> bool:
         """Whether the data tell the scale of the parameters: by a known force, or by a known mass in some record."""
         return self.forced or any(np.any(r.added_mass > 0) for r in self.records if r.added_mass is not None)
 

@@ -54,7 +54,7 @@ def oracle_estimate(problem: Problem, truth: Truth) -> Estimate:
     """
     system, true = problem.system, truth.parameters
     model = _ExactOutputError(problem, gauge=true[system.gauge])
-    p_data = (len(system.names) if problem.scale_told else len(system.groups)) + model.size - len(model.free)
+    p_data = (len(system.names) if problem.scale_known else len(system.groups)) + model.size - len(model.free)
     dof, size = max(problem.n - p_data, 1), float(np.max(np.abs(truth.dense_displacement)))
     start = [*truth.initial_state.displacement, *truth.initial_state.velocity] * len(model.unknown_starts)
     theta = np.concatenate([np.log([true[name] for name in model.free]), start])

@@ -253,7 +253,7 @@ def identified(finding: Finding) -> Identification:
         withdrawn=finding.withdrawn,
         modes=finding.modes,
         residuals=residuals_of(finding),
-        scale_is_free=problem.prior is None and not problem.scale_told and finding.measured.known_mass is None,
+        scale_is_free=problem.prior is None and not problem.scale_known and finding.measured.known_mass is None,
         runs={r.name: RunAnswer(r.finding.trust.value, r.left_out, r.finding.intervals) for r in finding.runs},
     )
 

@@ -105,7 +105,7 @@ class OutputError:
     @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
-        fixed = {self.system.gauge} if self.prior is None and not self.problem.scale_told else set()
+        fixed = {self.system.gauge} if self.prior is None and not self.problem.scale_known else set()
         return tuple(name for name in self.system.names if name not in fixed)
 
     @cached_property

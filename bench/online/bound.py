@@ -44,9 +44,9 @@ def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     model = DiscreteModel(layout)
     n = len(stream.times)
     logs = np.log(np.stack([truth.parameters[name] for name in layout.free], axis=1))
-    if not layout.scale_told:
+    if not layout.scale_known:
         logs = logs - _exponents(layout) * np.log(truth.parameters[layout.system.gauge])[:, None]
-    scale = 1.0 if layout.scale_told else 1.0 / truth.parameters[layout.system.gauge][:, None]
+    scale = 1.0 if layout.scale_known else 1.0 / truth.parameters[layout.system.gauge][:, None]
     joints = np.zeros((n, model.size))
     joints[:, : model.n_motion], joints[:, model.logs] = truth.motion, logs
     joints[:, model.ambient] = truth.ambient * scale
@@ -54,7 +54,7 @@ def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     increments = scenario.increment_variances()
     names = list(layout.system.names)
     walk[:, model.logs] = increments[:, [names.index(name) for name in layout.free]]
-    if not layout.scale_told:
+    if not layout.scale_known:
         walk[:, model.logs] += increments[:, [names.index(layout.system.gauge)]]
     kept = np.array([force.kept for force in scenario.forces if not force.told])
     level = np.array([force.amplitude for force in scenario.forces if not force.told]) * np.mean(scale)

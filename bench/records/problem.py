@@ -80,7 +80,7 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     mass = job.config.fixed.get("m")
     if mass is not None and mass <= 0:
         raise InputError("fixed.m", mass, "a positive mass (kg)")
-    if mass is not None and (problem.prior is not None or problem.scale_told):
+    if mass is not None and (problem.prior is not None or problem.scale_known):
         raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
     return Measured(recordings, problem, _notes(recordings), mass)
 
@@ -121,7 +121,7 @@ def _system(request: Request, recording: Recording) -> System:
 
 def _record(recording: Recording, system: System, start: InitialState | None, job: Job) -> Record:
     name = Path(recording.source).name
-    tells_offset = start is None and getattr(system, "tells_offset", True)
+    offset_identifiable = start is None and getattr(system, "offset_identifiable", True)
     channels, forces = [], []
     for signal in recording.signals:
         if signal.dof >= system.n_dof:
@@ -135,7 +135,14 @@ def _record(recording: Recording, system: System, start: InitialState | None, jo
             forces.append(Force(signal.times, values, hold=job.config.hold, dof=signal.dof))
         else:
             channels.append(
-                Channel(signal.times, signal.values, signal.measures, signal.dof, unit=signal.unit, offset=tells_offset)
+                Channel(
+                    signal.times,
+                    signal.values,
+                    signal.measures,
+                    signal.dof,
+                    unit=signal.unit,
+                    offset=offset_identifiable,
+                )
             )
     if not channels:
         raise InputError("data", name, "no column of it is a motion; name one by columns=x:<number>")
@@ -198,7 +205,7 @@ def with_system(measured: Measured, system: Sum) -> Measured:
 def of_system(problem: Problem, system: Sum) -> Problem:
     """Pose a problem with another system; an offset that it cannot distinguish from the motion is not estimated."""
     records = tuple(
-        replace(r, channels=tuple(replace(c, offset=c.offset and system.tells_offset) for c in r.channels))
+        replace(r, channels=tuple(replace(c, offset=c.offset and system.offset_identifiable) for c in r.channels))
         for r in problem.records
     )
     return replace(problem, system=system, records=records)

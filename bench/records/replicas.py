@@ -107,7 +107,7 @@ def coverage_on_replicas(
 def determined_quantities(problem: Problem) -> tuple[Quantity, ...]:
     """Return the quantities that data or prior determine: the groups alone where nothing determines the scale."""
     system = problem.system
-    return system.quantities if problem.prior is not None or problem.scale_told else (*system.groups, *system.modal)
+    return system.quantities if problem.prior is not None or problem.scale_known else (*system.groups, *system.modal)
 
 
 # ------------------------------------------------------------------------------------------------ drawing

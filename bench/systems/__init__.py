@@ -1,7 +1,7 @@
-"""Vibrating systems, by the name that a configuration gives them; each is one residual (see ``contract``).
+"""Vibrating systems by their names in the configuration (see :mod:`bench.systems.contract`).
 
-A system is registered by an entry point in the group ``bench.systems``, ours as anybody's; its module is imported when
-it is first asked for, so that a cell is computed by the code of its own system alone.
+Every system, built in or from another package, is registered by an entry point in the group ``bench.systems``. Its
+module is imported on first use.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from bench.systems.contract import (
 )
 
 GROUP = "bench.systems"
-OURS = {
+BUILT_IN = {
     "linear": ("SDOF", "Chain", "Matrices", "RayleighChain"),
     "nonlinear": ("BoucWen", "Coulomb", "Duffing", "Pendulum", "QuadraticDamping", "VanDerPol"),
 }
-"""Classes that can be imported from here, by their module."""
+"""Classes that can be imported from this package, by module."""
 
 __all__ = [
     "DAMPING",
@@ -62,27 +62,38 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Our own systems' classes, from their modules, when they are asked for."""
-    for module, classes in OURS.items():
+    """Import the class of a built-in system on first access."""
+    for module, classes in BUILT_IN.items():
         if name in classes:
             return getattr(import_module(f"{__name__}.{module}"), name)
     raise AttributeError(f"module {__name__} has no attribute {name}")
 
 
 def registered_systems() -> dict[str, EntryPoint]:
-    """Return the entry points by the name of the system; nothing is imported."""
+    """Return the entry points by name of the system, without importing anything."""
     return entry_points_of(GROUP)
 
 
 @cache
 def load_system(name: str) -> type[System]:
-    """Return the class of a system; raises InputError for an unknown name or an entry point that does not load."""
+    """Return the class of a system. Raises InputError if the name is unknown or its entry point does not load."""
     cls: type[System] = load_entry_point("system", name, registered_systems(), System)
     return cls
 
 
 def make_system(name: str, options: Mapping[str, Any]) -> System:
-    """The system called ``name`` with its structural options (the number of masses, say)."""
+    """Create a system.
+
+    Args:
+        name: Registered name.
+        options: Structural options of the system, as the number of masses.
+
+    Returns:
+        The system.
+
+    Raises:
+        InputError: If the name is unknown, or the options do not fit the system.
+    """
     try:
         return load_system(name)(**options)
     except TypeError as error:

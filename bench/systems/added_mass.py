@@ -1,4 +1,4 @@
-"""A system that carries known masses, for the record of a rig to which one was added."""
+"""A system with known additional masses, for records of a structure to which masses were attached."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from bench.systems.contract import MASS, Dimension, Parameter, Quantity, System
 
 @dataclass(frozen=True)
 class LoadedSystem(System):
-    """``system`` with ``added`` (kg, one a DOF): ``added_i a_i`` joins the residual of DOF i, whatever the system is.
+    """``system`` with additional masses ``added`` (kg, one per DOF); ``added_i a_i`` is added to the residual of DOF i.
 
-    A known mass gives free vibration its scale: two records, with and without it, tell every parameter.
+    A known mass determines the scale in free vibration: from two records, with and without it, every parameter is
+    identifiable.
     """
 
     system: System
@@ -37,8 +38,8 @@ class LoadedSystem(System):
         return self.system.n_hidden
 
     def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
-        own = self.system.residual(p, x, v, a, f, z, ops)
-        return [r + mass * a_i for r, mass, a_i in zip(own, self.added, a, strict=True)]
+        residual = self.system.residual(p, x, v, a, f, z, ops)
+        return [r + mass * a_i for r, mass, a_i in zip(residual, self.added, a, strict=True)]
 
     def hidden_rates(self, p, x, v, f, z, ops):  # type: ignore[no-untyped-def]
         return self.system.hidden_rates(p, x, v, f, z, ops)
@@ -49,5 +50,5 @@ class LoadedSystem(System):
 
     @property
     def groups(self) -> tuple[Quantity, ...]:
-        """Those of the system; with the added mass told, its parameters are identifiable too."""
+        """Groups of the system without the added masses."""
         return self.system.groups

@@ -1,4 +1,4 @@
-"""Linear systems: one mass, chains of masses, and any symmetric matrices."""
+"""Linear systems: a single mass, chains of masses, and arbitrary symmetric matrices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.systems.contract import (
 )
 
 GROUP_UNITS: dict[Kind, str] = {"mass": "-", "damping": "1/s", "stiffness": "1/s²", "other": "-"}
-"""Units of mass, damping and stiffness over a mass."""
+"""Units of ratios to a mass, by kind of parameter."""
 
 
 SDOF_PARAMETERS = (
@@ -38,14 +38,14 @@ SDOF_MODAL = (
     Quantity("natural_frequency", "Hz", {"k": 0.5, "m": -0.5}, 0.5 / math.pi),
     Quantity("damping_ratio", "-", {"c": 1.0, "k": -0.5, "m": -0.5}, 0.5),
 )
-"""Made once: scoring asks for them with every replicate."""
+"""Created once, since scoring uses them in every replicate."""
 
 
 @dataclass(frozen=True)
 class SDOF(System):
     """Single degree of freedom, ``m x'' + c x' + k x = f(t)`` (the paper's equations 1 and A1).
 
-    Free vibration tells only k/m and c/m: (m, c, k) times any constant gives the same response.
+    Free vibration determines only k/m and c/m: scaling (m, c, k) by a constant leaves the response unchanged.
     """
 
     name: ClassVar[str] = "sdof"
@@ -70,7 +70,7 @@ class SDOF(System):
 
 @dataclass(frozen=True)
 class Chain(System):
-    """A chain of ``n`` masses, each tied to the one before (the first to the ground) by a spring and a damper.
+    """Chain of ``n`` masses, each connected to the previous mass (the first to the ground) by a spring and a damper.
 
     ``m_i a_i + (force of link i) - (force of link i+1) = f_i`` with link force
     ``c_i (v_i - v_{i-1}) + k_i (x_i - x_{i-1})`` and ``x_0 = 0``.
@@ -113,10 +113,10 @@ class Chain(System):
 
 @dataclass(frozen=True)
 class RayleighChain(System):
-    """A chain of ``n`` masses with proportional damping, ``C = alpha M + beta K`` (Inman, section 4.5).
+    """Chain of ``n`` masses with proportional damping, ``C = alpha M + beta K`` (Inman, section 4.5).
 
-    Every mass is damped by ``alpha m_i v_i`` and every link by ``beta k_i`` times its rate of stretch, products that
-    are not affine in the parameters. ``alpha`` (1/s) and ``beta`` (s) are ratios, hence identifiable themselves.
+    The damping force is ``alpha m_i v_i`` on each mass and ``beta k_i`` times the rate of elongation in each link, so
+    that the residual is not affine in the parameters. ``alpha`` (1/s) and ``beta`` (s) are identifiable.
     """
 
     n: int = 2
@@ -171,16 +171,16 @@ Entry = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Matrices(System):
-    """``M x'' + C x' + K x = f`` with any symmetric matrices of a stated pattern of non-zero entries.
+    """``M x'' + C x' + K x = f`` with symmetric matrices of a given pattern of non-zero entries.
 
-    ``mass``, ``damping`` and ``stiffness`` list the entries that are not zero, each once, as ``[row, column]`` or
-    ``[row, column, sign]``, rows and columns from 1; the mirrored entry follows. The parameters ``m11, m12, ...`` are
-    the entries' magnitudes: a parameter is positive, so whether an entry is negative (as the stiffness between two
-    masses is) belongs to the pattern.
+    ``mass``, ``damping`` and ``stiffness`` list the non-zero entries, each once, as ``[row, column]`` or
+    ``[row, column, sign]``, counted from 1; the symmetric entry is implied. The parameters ``m11, m12, ...`` are
+    the magnitudes of the entries. Parameters are positive, so the sign of an entry (negative for the stiffness between
+    two masses) is part of the pattern.
 
-    Free vibration from one general start tells the ratios to ``m11``. That needs a damping matrix that is not
-    proportional, or a mass matrix that is diagonal: ``T M, T C, T K`` has the same response, and where ``inv(M) C``
-    commutes with ``inv(M) K``, some T other than a constant keep a full M symmetric.
+    Free vibration from one general initial state determines the ratios to ``m11`` if the damping is not proportional
+    or the mass matrix is diagonal: ``T M, T C, T K`` has the same response, and if ``inv(M) C`` commutes with
+    ``inv(M) K``, some matrices T other than multiples of the identity keep a full M symmetric.
     """
 
     mass: tuple[Entry, ...] = ((1, 1, 1),)
@@ -197,9 +197,7 @@ class Matrices(System):
         if used != set(range(1, len(used) + 1)) or diagonal != used or len(used) > 9:
             raise InputError("system.options.mass", list(self.mass), "each DOF, 1 to at most 9, needs a mass [i, i]")
         if not _connected(used, [(i, j) for part in (self.mass, self.damping, self.stiffness) for i, j, _ in part]):
-            raise InputError(
-                "system.options", "pattern", "it falls into systems that do not act on each other; split it"
-            )
+            raise InputError("system.options", "pattern", "it consists of uncoupled systems; identify them separately")
 
     @property
     def n_dof(self) -> int:
@@ -233,7 +231,7 @@ class Matrices(System):
 
 
 def _entries(field: str, given: Sequence[Sequence[int]]) -> tuple[Entry, ...]:
-    """The entries with their signs, sorted; raises InputError for what is no entry, or there twice."""
+    """Return the entries with their signs, sorted. Raises InputError for invalid and repeated entries."""
     entries = []
     for entry in given:
         values = (*entry, 1) if len(entry) == 2 else tuple(entry)
@@ -244,11 +242,11 @@ def _entries(field: str, given: Sequence[Sequence[int]]) -> tuple[Entry, ...]:
             or (values[0] == values[1] and values[2] < 0)
         ):
             raise InputError(
-                field, list(entry), "write [row, column] or [row, column, sign], from 1; no negative diagonal"
+                field, list(entry), "[row, column] or [row, column, sign], counted from 1; no negative diagonal"
             )
         entries.append((min(values[:2]), max(values[:2]), values[2]))
     if len({entry[:2] for entry in entries}) < len(entries):
-        raise InputError(field, list(map(list, given)), "an entry is there twice (the matrix is symmetric)")
+        raise InputError(field, list(map(list, given)), "an entry is repeated (the matrix is symmetric)")
     return tuple(sorted(entries))
 
 

@@ -11,7 +11,7 @@ from bench.systems.contract import FORCE, LENGTH, MEASURED, STIFFNESS, Dimension
 from bench.systems.linear import SDOF
 
 TINY = 1e-30
-"""Added below a broken power, whose slope at zero would be 0 times infinity; no number notices."""
+"""Added to the base of a fractional power, whose derivative at zero would be 0 times infinity; too small to matter."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Duffing(System):
 
 @dataclass(frozen=True)
 class QuadraticDamping(System):
-    """Linear and quadratic damping, ``m x'' + c x' + c2 |x'| x' + k x = f(t)``: a body that drags a fluid along."""
+    """Linear and quadratic damping, ``m x'' + c x' + c2 |x'| x' + k x = f(t)``, as by fluid drag."""
 
     name: ClassVar[str] = "quadratic_damping"
     smooth: ClassVar[bool] = False
@@ -53,11 +53,11 @@ class QuadraticDamping(System):
 
 @dataclass(frozen=True)
 class Coulomb(System):
-    """Dry friction beside viscous damping, ``m x'' + c x' + mu tanh(x'/v_s) + k x = f(t)``.
+    """Dry friction and viscous damping, ``m x'' + c x' + mu tanh(x'/v_s) + k x = f(t)``.
 
     ``mu`` is the friction force (N). The smoothing velocity ``v_s`` (``smoothing_velocity``, m/s) is an option, not a
-    parameter: the friction is Coulomb's ``mu sign(x')`` where the speed is well above it, and viscous (``mu / v_s``)
-    below, so nothing ever sticks.
+    parameter: the friction is Coulomb's ``mu sign(x')`` at speeds well above it and viscous (``mu / v_s``) well below
+    it, so there is no sticking.
     """
 
     smoothing_velocity: float = 0.01
@@ -89,8 +89,8 @@ class VanDerPol(System):
     """Self-excited vibration with a limit cycle, ``m x'' - c x' + c3 x² x' + k x = f(t)``.
 
     Van der Pol's equation ``y'' - mu (1 - y²) y' + y = 0`` in physical dimensions, with ``y = x √(c3/c)``, time in
-    ``√(m/k)`` and ``mu = c / √(m k)`` (Nayfeh and Mook, Nonlinear Oscillations, section 3.1.6). ``c`` feeds energy in,
-    ``c3`` (N·s/m³) takes it out; for small mu the amplitude of the limit cycle is ``2 √(c/c3)``.
+    ``√(m/k)`` and ``mu = c / √(m k)`` (Nayfeh and Mook, Nonlinear Oscillations, section 3.1.6). ``c`` supplies energy,
+    ``c3`` (N·s/m³) dissipates it; for small mu the amplitude of the limit cycle is ``2 √(c/c3)``.
     """
 
     name: ClassVar[str] = "van_der_pol"
@@ -109,11 +109,11 @@ class VanDerPol(System):
 
 @dataclass(frozen=True)
 class Pendulum(System):
-    """A pendulum by the path ``x = l θ`` (m) of its bob, ``m x'' + c x' + k l sin(x/l) = f(t)``.
+    """Pendulum in terms of the arc length ``x = l θ`` (m), ``m x'' + c x' + k l sin(x/l) = f(t)``.
 
-    This is ``m l² θ'' + c l² θ' + m g l sin θ = f l`` divided by ``l``, with ``k = m g / l`` the stiffness of small
-    swings. Gravity is not told, so m is not known from the weight ``k l``: free vibration tells k/m (which is g/l) and
-    c/m, and from how far large swings are slower, the length ``l`` itself. Not affine in ``l``.
+    This is ``m l² θ'' + c l² θ' + m g l sin θ = f l`` divided by ``l``, with ``k = m g / l`` the stiffness at small
+    amplitudes. Gravity is not given, so m cannot be computed from the weight ``k l``: free vibration determines k/m
+    (which is g/l), c/m, and, from the longer period at large amplitudes, the length ``l``. Not affine in ``l``.
     """
 
     name: ClassVar[str] = "pendulum"
@@ -136,9 +136,9 @@ class BoucWen(System):
     """Hysteresis by a hidden displacement z, ``m x'' + c x' + k x + kz z = f(t)`` (Bouc 1967, Wen 1976).
 
     ``z' = x' - beta |x'| |z|^(n-1) z - gamma x' |z|^n``: with Wen's stiffness and post-yield ratio ``k = a k0`` and
-    ``kz = (1 - a) k0``, and A = 1, without which his parameters are redundant (Ma et al., J. Eng. Mech. 130:610, 2004).
-    z (m) starts at 0. The ``exponent`` n is an option; ``beta`` and ``gamma`` have dimension ``length^-n`` and, as they
-    stand in the rate of z alone, are identifiable themselves. For small motion the stiffness is ``k + kz``.
+    ``kz = (1 - a) k0``, and A = 1, since Wen's parameters are redundant (Ma et al., J. Eng. Mech. 130:610, 2004). The
+    initial value of z (m) is 0. The ``exponent`` n is an option. ``beta`` and ``gamma`` have dimension ``length^-n``;
+    they occur in the rate of z only and are identifiable. For small motion the stiffness is ``k + kz``.
     """
 
     exponent: float = 1.0

@@ -1,7 +1,6 @@
-"""A system put together from terms: inertia, and of the usual forces of one degree of freedom whichever are named.
+"""Systems of one degree of freedom that are sums of force terms, such as viscous damping, a spring and dry friction.
 
-The laws are those of :mod:`bench.systems.nonlinear`, so that one residual can have several of them at once: what a
-record of a real thing calls for is seldom one textbook system.
+The terms are those of :mod:`bench.systems.nonlinear`. Measured systems often need several of them.
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ GROUPS = (
     Quantity("l", "m", {"l": 1.0}),
     Quantity("b_over_m", "m/s²", {"b": 1.0, "m": -1.0}),
 )
-"""The groups of all terms; a sum has those whose parameters are all its own and free."""
+"""Groups of all terms; a sum has those whose parameters are all among its free parameters."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """A force against the motion: its parameters, the first of them its size, and ``force(sum, p, x, v, ops)``."""
+    """A restoring or resisting force: its parameters, the first of them its size, and ``force(sum, p, x, v, ops)``."""
 
     parameters: tuple[Parameter, ...]
     force: Callable[[Sum, Mapping[str, Array], Array, Array, Ops], Array]
@@ -54,30 +53,30 @@ TERMS = {
     "coulomb": Term((MU,), lambda s, p, x, v, ops: p["mu"] * ops.tanh(v / s.smoothing_velocity), smooth=False),
     "bias": Term((B,), lambda s, p, x, v, ops: s.bias_sign * p["b"]),
 }
-"""The terms by name, in the order in which their parameters stand."""
+"""Terms by name, in the order of their parameters."""
 
-RIVALS = (("spring", "pendulum"), ("cubic", "softening"))
-"""Pairs of which a sum has one at most: they share a parameter, or differ in its sign."""
+EXCLUSIVE = (("spring", "pendulum"), ("cubic", "softening"))
+"""Pairs of terms that exclude each other: they share a parameter, or differ only in its sign."""
 
 
 @dataclass(frozen=True)
 class Sum(System):
-    """One degree of freedom, ``m x'' + (the sum of the named terms) = f(t)``.
+    """One degree of freedom, ``m x'' + (sum of the terms) = f(t)``.
 
     - ``viscous``: ``c x'``, and ``spring``: ``k x`` (Inman, Engineering Vibration, section 1.3);
     - ``pendulum``: ``k l sin(x/l)``, in place of the spring, as in :class:`bench.systems.nonlinear.Pendulum`;
     - ``cubic``: ``k3 x³``, Duffing's hardening spring, and ``softening``: ``-k3s x³`` (Nayfeh and Mook, Nonlinear
-      Oscillations, chapter 4), which beyond ``x² = k / k3s`` no longer pulls back;
-    - ``quadratic``: ``c2 |x'| x'``, the drag of a fluid (the same, section 3.3);
+      Oscillations, chapter 4), which is no longer restoring beyond ``x² = k / k3s``;
+    - ``quadratic``: ``c2 |x'| x'``, fluid drag (ibid., section 3.3);
     - ``coulomb``: ``mu tanh(x'/v_s)``, dry friction, as in :class:`bench.systems.nonlinear.Coulomb`, with
       ``smoothing_velocity`` for v_s (m/s);
-    - ``bias``: ``bias_sign b``, a constant force, as that of a drive's amplifier (A. Janot, M. Gautier, M. Brunot,
-      "Data set and reference models of EMPS", Nonlinear System Identification Benchmarks workshop, 2019). A parameter
-      is positive, so the sign is an option; beside a spring it moves the rest, which an unknown offset does too.
+    - ``bias``: ``bias_sign b``, a constant force, as from a drive's amplifier (A. Janot, M. Gautier, M. Brunot,
+      "Data set and reference models of EMPS", Nonlinear System Identification Benchmarks workshop, 2019). Parameters
+      are positive, so the sign is an option. With a spring it shifts the equilibrium, as an unknown offset does.
 
-    ``fixed`` names parameters that are told, with their values in SI units: they are numbers in the residual, and no
-    parameters any more. A term whose size is told to be 0 is left out. In free vibration only a length can be told
-    so: a force or stiffness would tell the mass, which is held there (``needs_scale``).
+    ``fixed`` gives known parameters with their values in SI units; they are constants of the residual and are not
+    estimated. A term whose size is 0 is dropped. In free vibration only a length can be fixed, since a known force or
+    stiffness would determine the mass, to which all groups are ratios (``needs_scale``).
     """
 
     terms: tuple[str, ...]
@@ -93,22 +92,21 @@ class Sum(System):
             raise InputError("system.options.smoothing_velocity", self.smoothing_velocity, "a positive velocity (m/s)")
         if self.bias_sign not in (-1, 1):
             raise InputError("system.options.bias_sign", self.bias_sign, "1 or -1: b itself is positive")
-        left = tuple(term for term in terms if fixed.get(TERMS[term].parameters[0].name) != 0.0)
-        if not left:
+        present = tuple(term for term in terms if fixed.get(TERMS[term].parameters[0].name) != 0.0)
+        if not present:
             raise InputError("system.options.terms", ", ".join(terms) or "none", f"name at least one of {_known()}")
-        used = {p.name for term in left for p in TERMS[term].parameters}
-        # one form for all that means the same, so that equal sums are equal and have one hash
-        object.__setattr__(self, "terms", left)
+        used = {p.name for term in present for p in TERMS[term].parameters}
+        # equivalent sums get the same fields, so that they compare equal and share a hash
+        object.__setattr__(self, "terms", present)
         object.__setattr__(self, "fixed", tuple(sorted((n, v) for n, v in fixed.items() if n in used)))
-        object.__setattr__(self, "linear", all(TERMS[term].linear for term in left))
-        object.__setattr__(self, "smooth", all(TERMS[term].smooth for term in left))
+        object.__setattr__(self, "linear", all(TERMS[term].linear for term in present))
+        object.__setattr__(self, "smooth", all(TERMS[term].smooth for term in present))
         object.__setattr__(self, "affine_in_parameters", "l" not in self.names)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        told = dict(self.fixed)
-        own = [p for term in self.terms for p in TERMS[term].parameters]
-        return (M, *(p for p in own if p.name not in told))
+        fixed = dict(self.fixed)
+        return (M, *(p for term in self.terms for p in TERMS[term].parameters if p.name not in fixed))
 
     def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
         if self.fixed:
@@ -121,32 +119,33 @@ class Sum(System):
     def rescaled(self, scale: Callable[[Dimension], float]) -> Self:
         by_name = {p.name: scale(p.dimension) for term in self.terms for p in TERMS[term].parameters}
         fixed = tuple((name, value / by_name[name]) for name, value in self.fixed)
-        if "coulomb" not in self.terms:  # a velocity that plays no part stays, and the sum equal to itself
+        if "coulomb" not in self.terms:  # an unused smoothing velocity stays, so that the sum remains equal to itself
             return replace(self, fixed=fixed) if fixed else self
         return replace(self, fixed=fixed, smoothing_velocity=self.smoothing_velocity / scale(MEASURED["velocity"]))
 
     @property
     def groups(self) -> tuple[Quantity, ...]:
-        return self._own(GROUPS)
+        return self._estimated(GROUPS)
 
     @property
     def modal(self) -> tuple[Quantity, ...]:
-        """Natural frequency and damping ratio as by the linear terms alone, where their parameters are free."""
-        return self._own(SDOF().modal)
+        """Natural frequency and damping ratio of the linear terms, where their parameters are free."""
+        return self._estimated(SDOF().modal)
 
     @property
     def needs_scale(self) -> bool:
-        """Whether a told value has kilograms in it, so that the record must have a known force, or a prior be given."""
-        told = dict(self.fixed)
-        return any(p.name in told and p.dimension.mass for term in self.terms for p in TERMS[term].parameters)
+        """True if the dimension of a fixed value contains mass, so that a known force or a prior is required."""
+        fixed = dict(self.fixed)
+        return any(p.name in fixed and p.dimension.mass for term in self.terms for p in TERMS[term].parameters)
 
     @property
-    def tells_offset(self) -> bool:
-        """Whether a sensor's unknown offset can be told from the motion: something pulls back to zero, and no bias."""
-        pulls = {"spring", "pendulum", "cubic", "softening"} & set(self.terms)
-        return bool(pulls) and "bias" not in self.terms
+    def offset_identifiable(self) -> bool:
+        """True if a sensor's unknown offset is identifiable: there is a restoring force, and no bias."""
+        restoring = {"spring", "pendulum", "cubic", "softening"} & set(self.terms)
+        return bool(restoring) and "bias" not in self.terms
 
-    def _own(self, quantities: Sequence[Quantity]) -> tuple[Quantity, ...]:
+    def _estimated(self, quantities: Sequence[Quantity]) -> tuple[Quantity, ...]:
+        """Return the quantities of free parameters only."""
         return tuple(q for q in quantities if set(q.exponents) <= set(self.names))
 
 
@@ -155,38 +154,38 @@ def _known() -> str:
 
 
 def _terms(given: Sequence[str]) -> list[str]:
-    """The terms in their order; raises InputError for unknown ones, and for those that cannot be together."""
+    """Return the terms in the order of TERMS. Raises InputError for unknown, repeated and incompatible terms."""
     field, names = "system.options.terms", [given] if isinstance(given, str) else list(given)
     for name in names:
         if name not in TERMS:
             raise InputError(field, name, f"known terms: {_known()}")
         if names.count(name) > 1:
-            raise InputError(field, name, "it is there twice; name each term once")
-    for one, other in RIVALS:
-        if one in names and other in names:
-            raise InputError(field, f"{one}, {other}", "a sum has one of the two; leave the other out")
+            raise InputError(field, name, "the term is repeated; name each term once")
+    for pair in EXCLUSIVE:
+        if set(pair) <= set(names):
+            raise InputError(field, ", ".join(pair), "these terms exclude each other; remove one")
     return [term for term in TERMS if term in names]
 
 
 def _fixed(given: Mapping[str, float] | Sequence[tuple[str, float]]) -> dict[str, float]:
-    """The told values by name; raises InputError for what is no list of a name and a number, or has a name twice."""
+    """Return the fixed values by name. Raises InputError unless names are unique and values are numbers."""
     field = "system.options.fixed"
     try:
         pairs = [(str(n), float(v)) for n, v in (given.items() if isinstance(given, Mapping) else given)]
     except (TypeError, ValueError):
-        raise InputError(field, given, "write names with their values, as {l: 1.0}") from None
+        raise InputError(field, given, "write names and values, as {l: 1.0}") from None
     if len(dict(pairs)) < len(pairs):
-        raise InputError(field, ", ".join(n for n, _ in pairs), "a name is there twice; give each one value")
+        raise InputError(field, ", ".join(n for n, _ in pairs), "a name is repeated; give each parameter one value")
     return dict(pairs)
 
 
 def _check_fixed(terms: Sequence[str], fixed: Mapping[str, float]) -> None:
-    """Raise InputError for a name that no term has, or a value that it cannot have."""
+    """Raise InputError for a parameter that no term has, or an invalid value."""
     free = [p.name for term in terms for p in TERMS[term].parameters]
     for name, value in fixed.items():
         field = f"system.options.fixed.{name}"
         if name == M.name:
-            raise InputError(field, value, "the mass stays free: the groups are ratios to it; tell another parameter")
+            raise InputError(field, value, "the mass cannot be fixed, since groups are ratios to it; fix another one")
         if name not in free:
             raise InputError(field, value, f"parameters of these terms: {', '.join(free) or 'none'}")
         if not 0 <= value < float("inf") or (name == L.name and value == 0):
@@ -200,29 +199,39 @@ SYSTEMS: dict[str, tuple[str, ...]] = {
     "quadratic_damping": ("viscous", "spring", "quadratic"),
     "pendulum": ("viscous", "pendulum"),
 }
-"""Names of systems that stand for their terms, wherever they are."""
+"""Systems that are abbreviations of their terms."""
 FIRST: dict[str, tuple[str, ...]] = {"coulomb": ("viscous", "spring", "coulomb")}
-"""Words that name a system where they come first, and a term elsewhere."""
+"""Names that denote a system in the first place and a term elsewhere."""
 
 
 def sum_from(text: str, **options: Any) -> Sum:
-    """The sum that a user writes, as ``sdof+coulomb+quadratic``: names of terms, or of systems that stand for theirs.
+    """Parse a sum written as names of terms or systems, as ``sdof+coulomb+quadratic``.
 
-    ``coulomb`` is our system of that name, spring and all, where it comes first, and friction alone elsewhere; so a
-    driven axis is ``viscous+coulomb``. ``options`` are those of :class:`Sum`. Raises InputError.
+    ``coulomb`` in the first place is the system (with spring and viscous damping), elsewhere the friction term; a
+    driven axis is ``viscous+coulomb``.
+
+    Args:
+        text: Names joined by ``+``.
+        **options: Other fields of :class:`Sum`.
+
+    Returns:
+        The sum.
+
+    Raises:
+        InputError: If a name is unknown or repeated, or an option is invalid.
     """
     words = [word.strip().lower() for word in text.split("+")]
-    found: set[str] = set()
+    included: set[str] = set()
     for i, word in enumerate(words):
-        own = FIRST.get(word) if i == 0 else None
-        own = own or SYSTEMS.get(word) or ((word,) if word in TERMS else None)
-        if own is None:
+        terms = FIRST.get(word) if i == 0 else None
+        terms = terms or SYSTEMS.get(word) or ((word,) if word in TERMS else None)
+        if terms is None:
             known = ", ".join(dict.fromkeys([*SYSTEMS, *TERMS]))
             raise InputError("system", text, f"{word or 'an empty word'} is unknown; join by + some of: {known}")
         if word in words[:i]:
-            raise InputError("system", text, f"{word} is there twice; name each once")
-        found.update(own)
+            raise InputError("system", text, f"{word} is repeated; name each term once")
+        included.update(terms)
     try:
-        return Sum(tuple(term for term in TERMS if term in found), **options)
+        return Sum(tuple(term for term in TERMS if term in included), **options)
     except TypeError as error:
         raise InputError("system.options", options, str(error)) from None

@@ -133,8 +133,8 @@ class DDNN(BandIdentifier):
             raise NoEstimate(str(reason), cost=cost) from None
         return Estimate(
             system,
-            parameters=distribution if problem.scale_told else None,
-            groups=None if problem.scale_told else distribution,
+            parameters=distribution if problem.scale_known else None,
+            groups=None if problem.scale_known else distribution,
             reconstructions=tuple(s.response() for s in smoothers),
             initial_states=tuple(InitialState(*s.streams(np.zeros(1))[:2, 0]) for s in smoothers),
             cost=cost,
@@ -157,7 +157,7 @@ def _regressions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters at the fitted paths, (n,), and at their draws, (n_draws, n); the gauge mass 1 where it is unknown."""
     system = problem.system
-    free = [i for i, name in enumerate(system.names) if problem.scale_told or name != system.gauge]
+    free = [i for i, name in enumerate(system.names) if problem.scale_known or name != system.gauge]
     full = np.ones((len(paths[0]), len(system.names)))
     for draw, values in enumerate(full):
         columns, rest = [], []
@@ -165,7 +165,7 @@ def _regressions(
             x, v, a = (list(path[draw, s].T) for s in range(3))
             block, b = regression_columns(record.rig(system), x, v, a, force)
             columns.append(block[:, free])
-            rest.append(b if problem.scale_told else b + block[:, system.names.index(system.gauge)])
+            rest.append(b if problem.scale_known else b + block[:, system.names.index(system.gauge)])
         values[free] = np.linalg.lstsq(np.concatenate(columns), -np.concatenate(rest), rcond=None)[0]
     return full[0], full[1:]
 
@@ -173,7 +173,7 @@ def _regressions(
 def _distribution(problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float) -> Normal:
     """The groups, or the log-parameters where the scale is known, with the prior where there is one."""
     system = problem.system
-    if not problem.scale_told:
+    if not problem.scale_known:
         parameters = dict(zip(system.names, values, strict=True))
         means = np.array([group.value(parameters) for group in system.groups])
         # every group is linear in each parameter once the gauge is one, to first order: p ∂g/∂p = exponent g

@@ -75,7 +75,7 @@ class Head:
 
         The zero of a displacement under a known force is taken to be right: its mean may be that force's.
         """
-        system, x, told = self.layout.system, OPEN * self.swing(omega), self.layout.scale_told
+        system, x, told = self.layout.system, OPEN * self.swing(omega), self.layout.scale_known
         zeros = np.sqrt(np.nanmean(self.values**2, axis=0)).tolist()
         shown = [
             0.0 if told and s.measures == "displacement" else z for s, z in zip(self.layout.sensors, zeros, strict=True)
@@ -191,7 +191,7 @@ def _scan(head: Head) -> np.ndarray:
     layout = head.layout
     n, interval = len(head.values), layout.interval
     omegas = np.pi * np.arange(1, n) / (n * interval)
-    masses = MASSES if layout.scale_told else (1.0,)
+    masses = MASSES if layout.scale_known else (1.0,)
     pushes = PUSHES if layout.ambient else (0.0,)
     found = []
     rng = np.random.default_rng(0)
@@ -203,7 +203,7 @@ def _scan(head: Head) -> np.ndarray:
     drive = float(np.sqrt(np.mean(head.forces**2))) if layout.forced else 1.0
     for omega, ratio, mass, push in grid:
         size = head.swing(omega)
-        mass = mass * drive / (size * omega**2) if layout.scale_told else 1.0
+        mass = mass * drive / (size * omega**2) if layout.scale_known else 1.0
         jitter = rng.normal(0.0, 0.5 if layout.system.n_dof > 1 else 0.0, len(layout.free))
         logs = np.log(_sizes(layout, mass, size, omega, ratio)) + jitter
         force = push * mass * size * omega**2

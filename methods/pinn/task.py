@@ -103,14 +103,14 @@ def channels_of(problem: Problem) -> list[Channel]:
 
 def free_parameters(problem: Problem) -> tuple[str, ...]:
     """Return the parameters to estimate: all but the gauge mass where neither prior nor data determine the scale."""
-    fixed = problem.system.gauge if problem.prior is None and not problem.scale_told else None
+    fixed = problem.system.gauge if problem.prior is None and not problem.scale_known else None
     return tuple(name for name in problem.system.names if name != fixed)
 
 
 def degrees_of_freedom(problem: Problem) -> float:
     """Count samples less what they decide: parameters or groups, unknown initial states, offsets; at least 1."""
     system = problem.system
-    parameters = len(system.names) if problem.scale_told else len(system.groups)
+    parameters = len(system.names) if problem.scale_known else len(system.groups)
     starts = sum(2 * system.n_dof for record in problem.records if record.initial_state is None)
     return float(max(problem.n - parameters - starts - sum(c.offset for c in channels_of(problem)), 1))
 
@@ -181,7 +181,7 @@ class Task:
     @property
     def open(self) -> bool:
         """True where the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
-        if self.scaled.prior is not None or not self.scaled.scale_told or self.best is None:
+        if self.scaled.prior is not None or not self.scaled.scale_known or self.best is None:
             return False
         return bool(np.any(left_open(np.diag(self.best.covariance))))
 

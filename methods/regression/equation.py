@@ -85,7 +85,7 @@ class Regression:
             known = [np.concatenate([s.displacement, s.velocity]) for s in states if s is not None]
             starts.append(np.stack(known, axis=1) if known else None)
         first = problems[0]
-        return Regression(first.system, first.records, first.scale_told, tuple(values), tuple(starts))
+        return Regression(first.system, first.records, first.scale_known, tuple(values), tuple(starts))
 
     @property
     def sets(self) -> int:

@@ -64,7 +64,7 @@ class PlainPySINDy(Identifier):
             raise NoEstimate("the regression gave no finite coefficients", Status.DIVERGED)
         kept = ", ".join(name for name, value in terms.items() if value) or "none"
         message, system = f"terms kept of {len(terms)}: {kept}", problem.system
-        if not problem.scale_told:
+        if not problem.scale_known:
             return Estimate(system, groups=Normal(("k_over_m", "c_over_m"), groups, None, log=False), message=message)
         inverse_mass = terms.get("f", 0.0)
         values = np.array([1.0, *groups[::-1]]) / inverse_mass if inverse_mass else np.zeros(3)

@@ -91,7 +91,7 @@ def _spline(channel: Channel, weight: float, times: np.ndarray) -> np.ndarray:
 
 def _fixed(problem: Problem) -> dict[str, float]:
     """Return the gauge mass, fixed at 1, where neither a force nor a prior sets the scale; else nothing."""
-    return {} if problem.scale_told and problem.prior is None else {problem.system.gauge: 1.0}
+    return {} if problem.scale_known and problem.prior is None else {problem.system.gauge: 1.0}
 
 
 def _regressed(problem: Problem, rigs: Sequence[System], blocks: Sequence[Curves]) -> dict[str, float]:

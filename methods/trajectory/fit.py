@@ -193,6 +193,6 @@ def with_open_held(
 def leaves_open(maximum: Maximum) -> np.ndarray:
     """Return which log-parameters the data leave more open than the very wide prior would, where none need be."""
     model, k = maximum.model, len(maximum.model.free)
-    if model.prior is not None or not model.problem.scale_told:
+    if model.prior is not None or not model.problem.scale_known:
         return np.zeros(k, bool)
     return np.ones(k, bool) if maximum.covariance is None else left_open(np.diag(maximum.covariance)[:k])

@@ -152,7 +152,7 @@ class Shooting(SearchingIdentifier):
         if not guesses.cases.size:
             raise NoEstimate(NO_START)
         maximum, starts = self._by_programme(model, guesses.thetas), list(guesses.thetas)
-        if model.prior is None and model.problem.scale_told and (maximum is None or np.any(leaves_open(maximum))):
+        if model.prior is None and model.problem.scale_known and (maximum is None or np.any(leaves_open(maximum))):
             # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
             first = {name: float(value) for name, value in model.parameters(guesses.first[0]).items()}
             prior, k = very_wide(first), len(first)

@@ -109,7 +109,7 @@ def test_what_makes_no_sense_for_a_measured_record_is_one_line(
     ("more", "part"),
     [
         pytest.param(["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, "),
-        pytest.param(["system=sdof+coulomb+coulomb"], "coulomb is there twice"),
+        pytest.param(["system=sdof+coulomb+coulomb"], "coulomb is repeated"),
         pytest.param(["system=sdof+pendulum"], "a sum has one of the two"),
         pytest.param(["fixed.m=0"], "fixed.m=0.0: a positive mass"),
         (["fixed.q=1"], "q"),

@@ -51,7 +51,7 @@ def test_the_first_record_is_as_it_is_alone_and_the_second_is_of_the_heavier_mas
     assert np.var(z) == pytest.approx(1.0, abs=5 * math.sqrt(2 / z.size))
     assert abs(np.corrcoef(z.ravel(), other.ravel())[0, 1]) < 5 / math.sqrt(z.size)
     assert truth.sigma[1] == pytest.approx(math.sqrt(np.mean(clean**2) / 100))
-    assert problem.scale_told
+    assert problem.scale_known
     assert TWO.data_identity() != PLAIN.data_identity()
 
 

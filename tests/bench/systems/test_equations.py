@@ -253,12 +253,12 @@ def test_rayleigh_damping_ratios_are_the_textbooks() -> None:
         ("rayleigh_chain", {"n": 0}, "one mass"),
         ("matrices", {"mass": [[1, 1], [3, 3]]}, "needs a mass"),
         ("matrices", {"mass": [[1, 1], [1, 1, -1]]}, "diagonal"),
-        ("matrices", {"mass": [[1, 1]], "damping": [[1, 1], [1, 1]]}, "twice"),
-        ("matrices", {"mass": [[1, 1], [2, 2]], "damping": [[1, 1]], "stiffness": [[2, 2]]}, "split"),
+        ("matrices", {"mass": [[1, 1]], "damping": [[1, 1], [1, 1]]}, "repeated"),
+        ("matrices", {"mass": [[1, 1], [2, 2]], "damping": [[1, 1]], "stiffness": [[2, 2]]}, "uncoupled"),
         ("matrices", {"mass": [[1]]}, "row"),
     ],
 )
-def test_options_that_make_no_sense_are_refused_in_one_line(name: str, options: dict[str, Any], part: str) -> None:
+def test_invalid_options_raise_one_line(name: str, options: dict[str, Any], part: str) -> None:
     with pytest.raises(InputError, match=part) as caught:
         make_system(name, options)
     assert len(str(caught.value).splitlines()) == 1

@@ -97,9 +97,9 @@ def test_a_told_stiffness_tells_the_mass() -> None:
 
 
 def test_an_offset_is_told_where_something_pulls_back_and_no_bias_does() -> None:
-    assert Sum(("viscous", "spring")).tells_offset
-    assert not Sum(("viscous", "coulomb")).tells_offset
-    assert not Sum(("viscous", "spring", "bias")).tells_offset
+    assert Sum(("viscous", "spring")).offset_identifiable
+    assert not Sum(("viscous", "coulomb")).offset_identifiable
+    assert not Sum(("viscous", "spring", "bias")).offset_identifiable
 
 
 @every_sum
@@ -170,31 +170,31 @@ def test_what_a_user_writes(text: str) -> None:
     assert sum_from(text) == Sum(PARSED[text])
 
 
-def test_what_a_user_writes_takes_the_options() -> None:
+def test_a_parsed_sum_has_the_options() -> None:
     assert sum_from("pendulum", fixed={"l": 1.0}, smoothing_velocity=0.1).fixed == (("l", 1.0),)
 
 
 BAD: dict[str, tuple[Callable[[], Sum], str]] = {
     "an unknown term": (lambda: Sum(("viscous", "magnet")), "terms=magnet: known terms: viscous, spring"),
-    "a term twice": (lambda: Sum(("viscous", "viscous")), "terms=viscous: it is there twice"),
+    "a term twice": (lambda: Sum(("viscous", "viscous")), "terms=viscous: the term is repeated"),
     "no term": (lambda: Sum(()), "name at least one"),
-    "two springs": (lambda: Sum(("spring", "pendulum")), "spring, pendulum: a sum has one"),
-    "two signs": (lambda: Sum(("spring", "cubic", "softening")), "cubic, softening: a sum has one"),
+    "two springs": (lambda: Sum(("spring", "pendulum")), "spring, pendulum: these terms exclude each other"),
+    "two signs": (lambda: Sum(("spring", "cubic", "softening")), "cubic, softening: these terms exclude each other"),
     "nothing left": (lambda: Sum(("spring",), fixed=(("k", 0.0),)), "terms=spring: name at least one"),
-    "a told mass": (lambda: Sum(("spring",), fixed=(("m", 1.0),)), "fixed.m=1.0: the mass stays free"),
-    "a told stranger": (lambda: Sum(("spring",), fixed=(("mu", 1.0),)), "fixed.mu=1.0: parameters of these terms: k"),
+    "a fixed mass": (lambda: Sum(("spring",), fixed=(("m", 1.0),)), "fixed.m=1.0: the mass cannot be fixed"),
+    "a fixed parameter of no term": (lambda: Sum(("spring",), fixed=(("mu", 1.0),)), "fixed.mu=1.0: parameters of these terms: k"),
     "a negative value": (lambda: Sum(("spring",), fixed=(("k", -1.0),)), "0 or more"),
-    "no length": (lambda: Sum(("pendulum",), fixed=(("l", 0.0),)), "a finite number, positive"),
+    "length 0": (lambda: Sum(("pendulum",), fixed=(("l", 0.0),)), "a finite number, positive"),
     "a value that is not finite": (lambda: Sum(("spring",), fixed=(("k", float("nan")),)), "a finite number"),
-    "a value twice": (lambda: Sum(("spring",), fixed=(("k", 1.0), ("k", 2.0))), "there twice"),
-    "no pairs": (lambda: Sum(("spring",), fixed=("k",)), "write names with their values"),  # type: ignore[arg-type]
+    "a value twice": (lambda: Sum(("spring",), fixed=(("k", 1.0), ("k", 2.0))), "is repeated"),
+    "no pairs": (lambda: Sum(("spring",), fixed=("k",)), "write names and values"),  # type: ignore[arg-type]
     "no smoothing": (lambda: Sum(("coulomb",), 0.0), "smoothing_velocity=0.0: a positive velocity"),
     "a bias of 2": (lambda: Sum(("bias",), bias_sign=2), "bias_sign=2: 1 or -1"),
     "an unknown word": (lambda: sum_from("sdof+magnet"), "system=sdof+magnet: magnet is unknown"),
     "an empty word": (lambda: sum_from("sdof+"), "an empty word is unknown"),
-    "a word twice": (lambda: sum_from("sdof+coulomb+coulomb"), "coulomb is there twice"),
+    "a word twice": (lambda: sum_from("sdof+coulomb+coulomb"), "coulomb is repeated"),
     "an unknown option": (lambda: sum_from("sdof", exponent=2), "exponent"),
-    "a pendulum with a spring": (lambda: sum_from("sdof+pendulum"), "spring, pendulum: a sum has one"),
+    "a pendulum with a spring": (lambda: sum_from("sdof+pendulum"), "spring, pendulum: these terms exclude each other"),
 }
 
 
