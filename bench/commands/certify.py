@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bench.commands.declaration import Others, Within, command_line
-from bench.config.fields import RECORD as OF_RECORD
+from bench.commands.declaration import Bare, Others, Within, command_line
+from bench.commands.log import LOG
+from bench.config.fields import RECORD
 from bench.errors import InputError
 from bench.isolation.processes import start_server
 from bench.records.workers import PRELOADED
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from bench.records.problem import Measured
     from bench.records.request import ModalRequest, Request
 
-RECORD = (
-    *(name for name in OF_RECORD if name not in ("plot", "picture")),
+RECORD_FIELDS = (
+    *(name for name in RECORD if name not in ("plot", "picture")),
     "initial_state", "prior", "seed", "method", "system",
 )  # fmt: skip
-"""Fields of a measured record that other verbs take as a run does; settings of method and system with them."""
+"""Fields of a measured record, which several verbs read as a run does, with the settings of method and system."""
 FAST = ("fast",)
 
 
 def certify(
-    data: Annotated[str, "measured record, or several of one rig: run1.csv,run2.csv"],
-    record: Annotated[list[str], Others(RECORD), "columns=, units=, modes=, ... as for python -m bench data="],
+    data: Annotated[str, Bare(), "measured record, or several of one rig: run1.csv,run2.csv"],
+    record: Annotated[list[str], Others(RECORD_FIELDS), "columns=, units=, modes=, ... as for python -m bench data="],
     out: Annotated[Path, "folder of certificate.html and certificate.json"] = Path("certificate"),
     twins: Annotated[int, Within(ge=0, le=100_000), "simulated replicas that check the intervals; 0: none"] = 200,
     system: Annotated[str, "system, or auto: the best of the model classes"] = "auto",
@@ -38,7 +38,7 @@ def certify(
 ) -> int:
     """Write the certificate of a measured record, as a page and as JSON.
 
-    The primary method states the values; the others are compared with it. With modes= it is a certificate of modes.
+    The first method gives the values; the others are compared with it. With modes= the modes are certified.
     Exit status: 0, 1 where the verdict is "do not trust", 2 for bad input.
     """
     again = command_line(certify, locals())
@@ -47,7 +47,7 @@ def certify(
     request = _request(data, system, method, record)
     several_modes = isinstance(request, ModalRequest)
     if all(path.is_file() for path in request.files):
-        start_server(PRELOADED)  # it imports while this process does
+        start_server(PRELOADED)  # the server imports while this process does
     from bench.face.results import nulls
     from bench.records.modal_data import read_modal
     from bench.records.problem import read_measured
@@ -66,12 +66,12 @@ def certify(
 
 
 def _installed(names: Iterable[str]) -> list[str]:
-    """Return the methods whose packages are installed, and print which are left out."""
+    """Return the methods whose packages are installed, and warn which are left out."""
     from bench.entrants.registry import missing_package, registered
 
     lacking = {name: missing_package(name) if name in registered() else None for name in names}
     if left_out := [why for why in lacking.values() if why]:
-        print(f"left out: {'; '.join(left_out)}", file=sys.stderr)
+        LOG.warning("left out: %s", "; ".join(left_out))
     return [name for name, why in lacking.items() if why is None]
 
 
@@ -81,7 +81,7 @@ def _one_mode(request: Request, measured: Measured, twins: int, again: str) -> d
     from bench.reporting.certificate.contents import contents
 
     with progress_bar() as on_look:
-        certificate = certificate_of(request, measured, twins, on_look, lambda said: print(said, file=sys.stderr))
+        certificate = certificate_of(request, measured, twins, on_look, LOG.info)
     return contents(certificate, again)
 
 
@@ -95,7 +95,7 @@ def _modes(request: ModalRequest, records: Sequence[ModalRecord], again: str) ->
 
 
 def _request(data: str, system: str, method: Sequence[str], record: Sequence[str]) -> Any:
-    """Return a request, or one of modes where they are asked for."""
+    """Return the request of a certificate; with ``modes=`` that of a certificate of modes."""
     from bench.config.choices import check_choice, choices
     from bench.config.overrides import read_overrides
     from bench.config.records import certificate_methods

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from bench.commands.certify import RECORD
+from bench.commands.certify import RECORD_FIELDS
 from bench.commands.declaration import OneOf, Others, Parsed, Within, file
 from bench.errors import InputError
 from bench.scenario.declaration import value_of
@@ -154,7 +154,7 @@ def best_force(
 
 def longer(
     given: Annotated[str, "record of a free decay"],
-    record: Annotated[Sequence[str], Others(RECORD), "columns=, units=, ... as for python -m bench data="],
+    record: Annotated[Sequence[str], Others(RECORD_FIELDS), "columns=, units=, ... as for python -m bench data="],
     want: Annotated[tuple[str, float] | None, Parsed(wanted), "<quantity>:<error>%"] = None,
     method: Method = None,
 ) -> int:

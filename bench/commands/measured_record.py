@@ -1,4 +1,4 @@
-"""Measured records on the command line: what methods find in them, with a plot in the terminal and a picture."""
+"""Measured records on the command line: estimates of methods, with a plot in the terminal and a picture."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Shown = tuple[list["Identification"], "Response | None", str]
 
 
 def identify_records(overrides: Overrides) -> int:
-    """Print what methods find in measured records; 1 where no method's answer is to be trusted."""
+    """Print the estimates of methods on measured records; return 1 where none is to be trusted, else 0."""
     from bench.records.request import ModalRequest, modal_request_of, request_of
     from bench.reporting.record_page import methods_page
     from bench.reporting.terminal import wrapped
@@ -44,7 +44,7 @@ def identify_records(overrides: Overrides) -> int:
     if response is not None and plot:
         print(f"\n{plotted(response)}\n")
     if table:
-        print(wrapped("the values are not stored: format=json prints all, with residuals"))
+        print(wrapped("results are not saved; format=json prints all of them, with residuals"))
     if picture and drawn:
         write(picture, drawn, field="picture")
         print(f"picture of the fit: {picture}", file=sys.stdout if table else sys.stderr)
@@ -52,7 +52,7 @@ def identify_records(overrides: Overrides) -> int:
 
 
 def _answers(request: Request, plot: bool, picture: bool) -> Shown:
-    """Return results, what a terminal plots, and the content of a picture."""
+    """Return the results, the response that a terminal plots, and the content of a picture."""
     from bench.face.identification import identified
     from bench.records.identification import identify_all
     from bench.records.problem import read_measured
@@ -82,9 +82,9 @@ def _modes(request: ModalRequest, plot: bool, picture: bool) -> Shown:
 
 
 def _picture(config: Config) -> Path | None:
-    """Return the file of the picture; raises InputError, before any work, where what is asked for cannot be."""
+    """Return the file of the picture, None for none; raises InputError, before any work, where it cannot be written."""
     if config.format == "json" and config.plot == "always":
-        raise InputError("plot", config.plot, "with format=table; programs read the JSON")
+        raise InputError("plot", config.plot, "use it with format=table")
     if config.picture is None:
         return None
     path = Path(config.picture)

@@ -17,6 +17,14 @@ def robust_settings(method: str) -> dict[str, Any]:
     return dict(_content()["robust"].get(method, {}))
 
 
+def default_method() -> str:
+    """Return the default method of a measured record: the first of a certificate whose packages are installed."""
+    from bench.entrants.registry import missing_package, registered
+
+    names = [name for name in certificate_methods() if name in registered()]
+    return next((name for name in names if not missing_package(name)), primary_method())
+
+
 def certificate_methods() -> list[str]:
     """Return the methods that a certificate compares, the primary method first."""
     return list(_content()["certificate"])

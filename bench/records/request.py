@@ -13,6 +13,7 @@ from bench.config.choices import choices, is_user_file
 from bench.config.experiment import sweep
 from bench.config.fields import GROUPS, MODAL, Config
 from bench.config.overrides import Overrides
+from bench.config.records import default_method
 from bench.config.schema import Job, config_from
 from bench.contract.modal import MOST_MODES, ModalIdentifier
 from bench.entrants.modal import make_modal, registered_modal
@@ -74,6 +75,8 @@ def request_of(overrides: Overrides) -> Request:
         raise InputError("system", system, "its terms have no further fields; leave system.<field> out")
     if given.get("method") == [ALL]:
         given["method"] = [name for name in method_names() if name not in REFERENCES]
+    if "method" not in given and "experiment" not in given:
+        given["method"] = [default_method()]
     jobs = sweep(given, measured=True)
     config = jobs[0].config
     options, files = _options(config), _files(config)

@@ -1,4 +1,4 @@
-"""A measured record on the command line: its plot, and the picture that is saved."""
+"""A measured record on the command line: table, plot, and the picture that is saved."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import pytest
 
 from bench.commands.main import main
 
-BELOW = "the values are not stored: format=json prints all, with residuals"
+LAST_LINE = "results are not saved; format=json prints all of them, with residuals"
 
 
 @pytest.fixture(autouse=True)
 def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A record of a decay in the working folder, and a flat one that no method has an answer to."""
+    """Write a record of a free decay, and one without motion, to the working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     times = np.arange(0.0, 5.0, 0.05)
@@ -28,24 +28,24 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def printed(capsys: pytest.CaptureFixture[str], *fields: str, status: int = 0) -> str:
-    given = [one for one in ("data=record.csv", "method=matrix_pencil") if one.split("=")[0] not in str(fields)]
-    assert main([*given, *fields]) == status
+    defaults = [word for word in ("data=record.csv", "method=matrix_pencil") if word.split("=")[0] not in str(fields)]
+    assert main([*defaults, *fields]) == status
     return capsys.readouterr().out
 
 
 def words_of(path: Path) -> str:
-    """The names and texts of a picture, which must be well-formed."""
+    """Return the names and texts of a picture, which must be well-formed."""
     return " ".join(f"{item.tag} {item.text or ''}" for item in ElementTree.parse(path).iter())
 
 
-def test_a_pipe_gets_the_table_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_gets_no_plot(capsys: pytest.CaptureFixture[str]) -> None:
     out = printed(capsys)
     assert "measured" not in out
-    assert out.splitlines()[-1] == BELOW
+    assert out.splitlines()[-1] == LAST_LINE
     assert sorted(path.name for path in Path().iterdir()) == ["flat.csv", "record.csv"]
 
 
-def test_the_best_of_several_methods_is_drawn_and_saved_where_it_is_asked_for(
+def test_the_fit_of_the_best_method_is_drawn_and_saved(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     lines = printed(capsys, "method=ls,matrix_pencil", "plot=always", "picture=a/mine.svg").splitlines()
@@ -53,32 +53,63 @@ def test_the_best_of_several_methods_is_drawn_and_saved_where_it_is_asked_for(
     assert any(line.startswith("residual: rms ") for line in lines)
     assert lines[-1] == "picture of the fit: a/mine.svg"
     assert "svg" in words_of(Path("a/mine.svg"))
-    assert "var(" not in Path("a/mine.svg").read_text(encoding="utf-8")  # it has colours of its own, outside of a page
+    assert "var(" not in Path("a/mine.svg").read_text(
+        encoding="utf-8"
+    )  # outside of a page the picture defines its colours
 
 
-def test_a_record_without_a_fit_is_drawn_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_record_without_a_fit_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     out = printed(capsys, "data=flat.csv", "plot=always", "picture=flat.svg", status=1)
     assert "found no fit to draw" in out
     assert Path("flat.svg").is_file()
 
 
-def test_json_is_json_with_a_picture_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_is_valid_with_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(printed(capsys, "format=json", "picture=b.svg"))["method"] == "matrix_pencil"
     assert Path("b.svg").is_file()
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "message"),
     [
         (["picture=fit.png"], "picture=fit.png: a file whose name ends in .svg"),
-        (["plot=always", "format=json"], "plot=always: with format=table"),
+        (["plot=always", "format=json"], "plot=always: use it with format=table"),
     ],
 )
-def test_what_cannot_be_is_said_before_the_work(
-    fields: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_bad_fields_are_reported_before_the_work(
+    fields: list[str], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.records.identification.identify_all", None)
     assert main(["data=record.csv", "method=matrix_pencil", *fields]) == 2
     out, err = capsys.readouterr()
     assert (out, len(err.splitlines())) == ("", 1)
-    assert said in err
+    assert message in err
+
+
+def test_methods_without_an_estimate_are_grouped_by_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    """ddnn cannot estimate an offset; a straight line through a record without motion is no decay."""
+    out = printed(capsys, "method=matrix_pencil,ddnn")
+    table, not_applicable = out.split("not applicable:\n")
+    assert "matrix_pencil" in table
+    assert "ddnn" not in table
+    assert not_applicable.strip().startswith("ddnn: ")
+
+
+def test_a_record_needs_no_method_and_a_certificate_no_field_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data=record.csv", "plot=never"]) == 0
+    assert "shooting: " in capsys.readouterr().out
+    assert main(["record.csv"]) == 2
+    assert "python -m bench certify record.csv" in capsys.readouterr().err
+    assert main(["certify", "record.csv", "twins=0", "method=matrix_pencil", "system=sdof"]) in (0, 1)
+    assert Path("certificate/certificate.html").is_file()
+
+
+def test_ctrl_c_does_not_promise_that_results_of_a_record_are_kept(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bench.commands.measured_record.identify_records", interrupted)
+    assert main(["data=record.csv", "method=matrix_pencil"]) == 130
+    assert capsys.readouterr().err.strip() == "bench: interrupted; results of a record are not saved"
