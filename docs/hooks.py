@@ -31,7 +31,7 @@ NOT_PROSE = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 """Parts of a page that get no link to the glossary: code, headings, tables, links, comments and tags."""
-COMMON_WORDS = ("alternative", "card", "cell", "identifiable", "round", "store", "track", "verdict")
+COMMON_WORDS = ("alternative", "archive", "audit", "card", "cell", "identifiable", "round", "store", "track", "verdict")
 """Terms that are ordinary words too; they are linked behind an article only."""
 
 
@@ -232,7 +232,8 @@ def column_tables() -> str:
         name: table(("column", "unit", "meaning"), [(f"`{r['column']}`", r["unit"], r["meaning"]) for r in listed])
         for name, listed in columns.items()
     }
-    return "\n\n".join(f"### {name.replace('<', '&lt;')}\n\n{text}" for name, text in tables.items())
+    titles = {name: name.replace("<", "&lt;").replace(".csv ", ".csv, ") for name in tables}
+    return "\n\n".join(f"### {titles[name]}\n\n{text}" for name, text in tables.items())
 
 
 GENERATED: dict[str, Callable[[], str]] = {

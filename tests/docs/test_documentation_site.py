@@ -1,4 +1,4 @@
-"""The site is built without a warning, and a reader's browser is sent nowhere else."""
+"""The site builds without a warning, is complete, and loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
     path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    build = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True)
+    assert build.returncode == 0, build.stderr
     return folder
 
 
@@ -47,23 +47,25 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
         for target in ASSET.findall(page.read_text(encoding="utf-8")):
             assert not re.match(r"(?:https?:)?//", unescape(target)), (page, target)
     for sheet in site.rglob("*.css"):
-        for found in SHEET.findall(sheet.read_text(encoding="utf-8")):
-            assert not re.match(r"(?:https?:)?//", "".join(found)), (sheet, found)
+        for urls in SHEET.findall(sheet.read_text(encoding="utf-8")):
+            assert not re.match(r"(?:https?:)?//", "".join(urls)), (sheet, urls)
 
 
 @pytest.mark.slow
-def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
-    ours = [page for page in site.rglob("*.html") if page.name != "404.html" and "results" not in page.parts]
-    for page in ours:
+def test_links_of_the_site_lead_to_files(site: Path) -> None:
+    pages = [page for page in site.rglob("*.html") if page.name != "404.html" and "results" not in page.parts]
+    for page in pages:
         for target in re.findall(r"""<a\b[^>]*?href=["']?([^"'\s>#]+)""", page.read_text(encoding="utf-8")):
             if not re.match(r"\w+:", unescape(target)):
                 assert (page.parent / unescape(target)).exists(), (page, target)
 
 
 @pytest.mark.slow
-def test_every_public_name_and_every_command_has_a_place(site: Path) -> None:
+def test_every_public_name_command_and_term_is_shown(site: Path) -> None:
     python = (site / "reference" / "python.html").read_text(encoding="utf-8")
     assert [name for name in bench.__all__ if f'id="bench.{name}"' not in python] == []
     commands = (site / "reference" / "commands.html").read_text(encoding="utf-8")
     assert "python -m bench certify" in commands
     assert "usage: python -m bench method=" in commands
+    guide = (site / "how_to" / "run_cells.html").read_text(encoding="utf-8")
+    assert re.search(r'href="?\.\./reference/glossary\.html#cell"? title="One method', guide)

@@ -1,4 +1,4 @@
-"""What the documents show is what there is: tables, files, imports, commands."""
+"""The documents agree with the repository: files, headings, imports, commands and their fields."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from bench.commands.main import main as bench_main
 from bench.commands.verbs import VERBS
 
 README = REPOSITORY / "README.md"
-OPEN = {"method", "system", "prior", "disturbance", "settings", "hydra", "fixed", "nominal"}
-"""Groups whose fields a command's help does not list; ``<field>.<name>=`` of these is checked by the command alone."""
-OWN = {
+FREE_GROUPS = {"method", "system", "prior", "disturbance", "settings", "hydra", "fixed", "nominal"}
+"""Groups whose fields a command's help does not list: ``<field>.<name>=`` is checked by the command alone."""
+EXPERIMENT_MODULES = {
     "experiment=measured": "measured_track", "experiment=online": "online", "experiment=modal": "modal",
     "experiment=atlas": "atlas",
 }  # fmt: skip
-"""Experiments with a module, and so fields, of their own."""
+"""Experiments that have their own module and fields."""
 
 
 def test_the_readme_is_short_and_shows_a_picture_commands_and_a_table() -> None:
@@ -40,8 +40,8 @@ def test_the_readme_is_short_and_shows_a_picture_commands_and_a_table() -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name)
-def test_every_file_that_is_pointed_to_is_there(document: Path) -> None:
-    """Links, and paths of this repository in code marks."""
+def test_linked_files_exist(document: Path) -> None:
+    """Links, and paths of this repository in code spans."""
     text = document.read_text(encoding="utf-8")
     for target in re.findall(LINKED, text):
         assert (document.parent / target).exists(), target
@@ -54,20 +54,20 @@ LINKED = r"\]\((?!http)([^)#]+)(?:#[^)]*)?\)"
 
 
 @pytest.mark.parametrize("page", sorted(RESULTS.glob("*.md")), ids=name)
-def test_every_file_that_a_page_of_results_points_to_is_there(page: Path) -> None:
+def test_files_linked_by_a_page_of_results_exist(page: Path) -> None:
     for target in re.findall(LINKED, page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
 
 
-def test_every_published_picture_is_shown_or_linked_by_a_page() -> None:
+def test_every_published_figure_is_linked_by_a_page() -> None:
     pages = {*DOCUMENTS, *RESULTS.glob("*.md")}
     linked = {(p.parent / target).resolve() for p in pages for target in re.findall(LINKED, p.read_text("utf-8"))}
     assert {path.resolve() for path in (RESULTS / "figures").iterdir()} <= linked
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name)
-def test_every_heading_that_is_pointed_to_is_there(document: Path) -> None:
-    """Anchors as the site and the usual forges make them: small letters, blanks as hyphens, no other signs."""
+def test_linked_headings_exist(document: Path) -> None:
+    """Anchors are made as by the site and the usual forges: lower case, spaces as hyphens, no other characters."""
     for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#([^)]+)\)", document.read_text(encoding="utf-8")):
         text = ((document.parent / target) if target else document).read_text(encoding="utf-8")
         headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
@@ -75,8 +75,8 @@ def test_every_heading_that_is_pointed_to_is_there(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name)
-def test_what_a_document_imports_is_there(document: Path) -> None:
-    """Every Python block is valid, and every ``from bench... import name`` finds its name."""
+def test_imports_of_a_document_exist(document: Path) -> None:
+    """Every Python block is valid, and every name of ``from bench... import name`` exists."""
     for block in (block for block in blocks(document) if block.language == "python"):
         for node in ast.walk(ast.parse(block.code)):
             if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "bench":
@@ -85,55 +85,58 @@ def test_what_a_document_imports_is_there(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name)
-def test_every_command_of_a_document_is_there(document: Path) -> None:
-    """The modules that ``python -m`` is told to run, in blocks and in prose."""
+def test_modules_of_commands_exist(document: Path) -> None:
+    """The modules behind ``python -m``, in blocks and in prose."""
     for module in re.findall(r"python -m\s((?:bench|tests)[\w.]*\w)", document.read_text(encoding="utf-8")):
         assert find_spec(module) is not None, module
 
 
 def arguments(text: str) -> list[str]:
-    """The words of a command line, which may itself stand in quotes: ``sbatch --wrap 'python -m bench method=ls'``."""
+    """Return the words of a command line, which may be quoted itself: ``sbatch --wrap 'python -m bench method=ls'``."""
     return shlex.split(text.removesuffix("'") if text.count("'") % 2 else text)
 
 
 def written() -> list[tuple[str, str, tuple[str, ...]]]:
-    """Of every command in a block: its document, its module and its arguments."""
-    found = set()
+    """Return document, module and arguments of every command in a block."""
+    written_commands = set()
     for document in DOCUMENTS:
         for block in blocks(document):
             for line in commands(block) if block.language in ("bash", "sh") else ():
                 if match := re.search(r"python -m (bench[\w.]*) ?(.*)", re.sub(r"\s[<>]\s.*", "", line)):
-                    found.add((name(document), match[1], tuple(arguments(match[2]))))
-    return sorted(found)
+                    written_commands.add((name(document), match[1], tuple(arguments(match[2]))))
+    return sorted(written_commands)
 
 
 @pytest.mark.parametrize(("document", "module", "given"), written(), ids=lambda value: str(value)[:60])
-def test_the_fields_of_a_command_are_known_to_it(
+def test_fields_of_a_command_are_in_its_help(
     document: str, module: str, given: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Parsed only: a field that is written stands in the command's help, or in that of ``python -m bench``."""
+    """A field that a document uses is in the help of its command, or in that of ``python -m bench``."""
     command = import_module(f"bench.commands.{module.removeprefix('bench').lstrip('.') or 'main'}").main
     command([*(word for word in given[:1] if word in VERBS), "--help"])
     bench_main(["--help"])
-    sources = ["conf/config.yaml", *(f"bench/commands/{OWN[word]}.py" for word in given if word in OWN)]
-    said = capsys.readouterr().out + "".join((REPOSITORY / path).read_text(encoding="utf-8") for path in sources)
+    sources = [
+        "conf/config.yaml",
+        *(f"bench/commands/{EXPERIMENT_MODULES[word]}.py" for word in given if word in EXPERIMENT_MODULES),
+    ]
+    helps = capsys.readouterr().out + "".join((REPOSITORY / path).read_text(encoding="utf-8") for path in sources)
     for argument in given:
         field = re.match(r"\+?([\w./]+)=", argument)
-        if field and re.split(r"[./]", field[1])[0] not in OPEN:
-            assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", said), (document, argument)
+        if field and re.split(r"[./]", field[1])[0] not in FREE_GROUPS:
+            assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", helps), (document, argument)
 
 
-def test_three_questions_are_answered_with_pandas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_with_pandas_give_the_published_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """The medians that the first question prints are those of the published table 5."""
     page = REPOSITORY / "docs" / "how_to" / "regenerate_results.md"
     code = "\n".join(block.code for block in blocks(page) if block.language == "python")
     monkeypatch.chdir(REPOSITORY)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    printed = dict(line.split() for line in done.stdout.splitlines()[1:6])
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    printed = dict(line.split() for line in finished.stdout.splitlines()[1:6])
     table = pd.read_csv(RESULTS / "table5.csv").query("snr_db == 10 and initial_state == 'unknown'")
     known = table[table["metric"] == "k_over_m_error_pct"].set_index("method")["median"]
     assert len(printed) == 5
     for label, median in printed.items():
         assert float(median) == pytest.approx(known[label], rel=1e-4)
-    assert re.search(r"^shooting +\d\.\d+ +\d+$", done.stdout, re.MULTILINE)
-    assert re.search(r"^shooting +\d\.\d\d +\d\.\d\d", done.stdout, re.MULTILINE)
+    assert re.search(r"^shooting +\d\.\d+ +\d+$", finished.stdout, re.MULTILINE)
+    assert re.search(r"^shooting +\d\.\d\d +\d\.\d\d", finished.stdout, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""The reference names everything there is: public names, commands, fields with their defaults, columns of files."""
+"""The reference is complete: public names, commands, fields with their defaults, columns of files."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def page(name: str) -> str:
 
 
 def lines(text: str) -> Iterator[list[str]]:
-    """The lines of all tables of a text, cell by cell."""
+    """Iterate over the rows of all tables of a text."""
     for line in re.findall(r"^\| (.*) \|$", text, re.MULTILINE):
         yield [cell.strip() for cell in re.split(r" ?\| ?", line)]
 
 
-def test_every_public_name_is_on_the_page_once_and_explained() -> None:
+def test_every_public_name_is_on_the_page_once_and_documented() -> None:
     shown = re.findall(r"^::: bench\.(\w+)$", page("python.md"), re.MULTILINE)
     assert sorted(shown) == sorted(bench.__all__)
     for name in bench.__all__:
@@ -72,7 +72,7 @@ def test_every_generated_part_has_its_place(hooks: ModuleType) -> None:
     assert hooks.helps().keys() == {"", *VERBS}
 
 
-def test_every_field_of_a_run_is_there_with_its_default(hooks: ModuleType) -> None:
+def test_every_field_of_a_run_is_listed_with_its_default(hooks: ModuleType) -> None:
     shown = {cells[0].strip("`"): cells[1].strip("`") for cells in lines(hooks.run_fields() + hooks.record_fields())}
     assert shown["timeout_s"] == "600"
     assert (shown["workers"], shown["system"], shown["disturbance"]) == ("", "sdof", "none")
@@ -93,7 +93,7 @@ def test_a_term_of_the_glossary_is_linked_once(hooks: ModuleType) -> None:
 
 
 @pytest.mark.parametrize(("kind", "heading"), [(Scenario, "Fields of a scenario"), (ForceSpec, "Fields of `force`")])
-def test_every_field_of_a_scenario_and_of_a_force_is_there_with_its_default(kind: type[Any], heading: str) -> None:
+def test_every_field_of_a_scenario_and_of_a_force_is_listed_with_its_default(kind: type[Any], heading: str) -> None:
     text = page("configuration.md").partition(heading)[2].partition("\n## ")[0]
     text = text.partition("Fields of `force`")[0] if kind is Scenario else text
     shown = {name: cells[1] for cells in lines(text) for name in re.findall(r"`(\w+)`", cells[0])}
@@ -111,7 +111,7 @@ def test_every_field_of_a_scenario_and_of_a_force_is_there_with_its_default(kind
             ), name
 
 
-def test_every_field_of_a_prior_is_there() -> None:
+def test_every_field_of_a_prior_is_listed() -> None:
     text = page("configuration.md").partition("## Fields of a prior")[2].partition("\n## ")[0]
     assert {field.name for field in fields(PriorSpec)} == {cells[0].strip("`") for cells in lines(text)} - {
         "field",
@@ -119,14 +119,14 @@ def test_every_field_of_a_prior_is_there() -> None:
     }
 
 
-def test_the_limits_of_a_fit_are_those_that_hold() -> None:
+def test_the_limits_of_a_fit_are_those_of_the_code() -> None:
     text = page("configuration.md").partition("## Limits of a fit")[2].partition("\n## ")[0]
     shown = {cells[0].partition(",")[0].partition(":")[0]: cells[1:] for cells in lines(text)}
     assert shown["printed output"] == [f"{LONGEST_FILE >> 20} MB", f"`{Status.CRASHED}`"]
     assert shown["estimate"] == [f"{LONGEST_ANSWER >> 20} MB", f"`{Status.INVALID}`"]
     assert shown["processor time"] == [f"`timeout_s` and {CPU_MARGIN_S:g} s", f"`{Status.TIMEOUT}`"]
     assert shown["start-up and import of its packages"][0] == f"{READY_S:g} s"
-    assert {one for *_, status in shown.values() for one in re.findall(r"`(\w+)`", status)} <= set(map(str, Status))
+    assert {name for *_, status in shown.values() for name in re.findall(r"`(\w+)`", status)} <= set(map(str, Status))
     assert f"with {MEMORY_MB:g} MB" in text
 
 
