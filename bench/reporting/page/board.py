@@ -1,4 +1,4 @@
-"""The leaderboard: a line a scenario, method and quantity; its columns as texts in the order in which they sort."""
+"""Data of the leaderboard: one line per scenario, method and quantity, as columns of sorted texts."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from bench.reporting.ranking import first_tier, median_time
 from bench.scoring.summary import outlier_fits
 from bench.store.stored import unmarked
 
-STANDINGS = ("first tier", "behind", "reference", "failed")
-"""In the order in which a board is sorted at first."""
+STANDINGS = ("tied", "worse", "reference", "failed")
+"""Values of the column "Standing", in the order in which it is sorted."""
 BY_SCENARIO = ("System", "SNR", "Initial state", "Data")
-"""Columns that all lines of a scenario share."""
+"""Columns with the same value in all lines of a scenario."""
 HIDDEN = ("Bound", *BY_SCENARIO)
-"""Columns that are not shown at first."""
+"""Columns that are hidden by default."""
 
 
 class Line(NamedTuple):
-    """A method's errors in one quantity of a scenario; ``tier`` is the first."""
+    """The errors of a method in one quantity of a scenario, and the scenario's first tier."""
 
     place: int
     panel: ScenarioPanel
@@ -38,7 +38,7 @@ class Line(NamedTuple):
 
 
 def data_files(site: Any) -> Iterator[tuple[str, bytes]]:
-    """What the pages' scripts load: the path in the site, and a call of one of their functions."""
+    """Yield the data that the scripts of the pages load: the path in the site, and a call of a function."""
     yield "data/board.js", called("board", board(site.panels, site.methods))
     for panel in site.panels:
         yield f"scenarios/{panel.slug}.js", called("scenario", {"slug": panel.slug, **scenario_data(panel)})
@@ -47,33 +47,38 @@ def data_files(site: Any) -> Iterator[tuple[str, bytes]]:
 
 
 def called(function: str, value: Any) -> bytes:
-    """A script that hands a value to a function of the page."""
+    """Return a script that calls a function of the page with a value."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return f"bench.{function}({text});\n".encode()
 
 
 def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Its columns, with the addresses of methods; quantities that a scenario's data do not tell are left out."""
-    asked = [(i, panel, metric) for i, panel in enumerate(panels) for metric in panel.ranked]
-    tiers = [(*own, first_tier(own[1].results, [own[2]])) for own in asked]
+    """Return the columns of the leaderboard, without quantities that are not identifiable.
+
+    Args:
+        panels: The scenarios.
+        methods: Addresses of the methods, by label.
+    """
     lines = [
         Line(i, panel, metric, result, tier)
-        for i, panel, metric, tier in tiers
+        for i, panel in enumerate(panels)
+        for metric in panel.ranked
+        for tier in [first_tier(panel.results, [metric])]
         for result in panel.results
         if metric in result.summary and result.status is not Status.UNSUPPORTED
     ]
     used = [panels[i] for i in sorted({line.place for line in lines})]
     return [
-        column("Method", lines, lambda line: (line.result.title, line.result.label), lambda own: own[0],
-               lambda own: f"methods/{methods[unmarked(own[1])]}.html"),
+        column("Method", lines, lambda line: (line.result.title, line.result.label), itemgetter(0),
+               lambda value: f"methods/{methods[unmarked(value[1])]}.html"),
         column("Error of", lines, lambda line: heading(line.metric)),
         column("× bound", lines, statistic("excess"), number),
         column("Standing", lines, lambda line: STANDINGS.index(standing(line)), STANDINGS.__getitem__),
         column("Bound", lines, lambda line: short(line.result.bound(line.metric), 3), number),
         column("Median", lines, statistic("median"), number),
-        column("95 %", lines, interval, lambda own: f"{number(own[0])} to {number(own[1])}"),
-        column("Gross", lines, gross_share, lambda own: f"{own:g} %"),
-        column("Fits ok", lines, fits, lambda own: f"{own[1]}/{own[2]}"),
+        column("95 %", lines, interval, lambda ends: f"{number(ends[0])} to {number(ends[1])}"),
+        column("Outliers", lines, outlier_share, lambda share: f"{share:g} %"),
+        column("Fits ok", lines, fits, lambda counts: f"{counts[1]}/{counts[2]}"),
         column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), seconds),
         column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
                lambda place: f"scenarios/{panels[place].slug}.html"),
@@ -85,23 +90,32 @@ def column(
     name: str, items: Sequence[Any], value: Callable[[Any], Any], text: Callable[[Any], str] = str, link: Any = None,
     by: str = "",
 ) -> dict[str, Any]:  # fmt: skip
-    """Its texts, sorted by what they show, and their places for each line, or for each text of the column ``by``."""
+    """Return a column: its distinct texts in sorted order, and an index into them per line.
+
+    Args:
+        name: Title of the column.
+        items: One item per line, or per text of the column ``by``.
+        value: Sort key of an item; None comes last.
+        text: Text of a sort key.
+        link: Address of a sort key, if the texts are links.
+        by: Column whose texts the items belong to.
+    """
     values = [value(item) for item in items]
-    order = sorted(set(values), key=lambda own: (own is None, own))
-    places = {own: i for i, own in enumerate(order)}
-    found = {"title": name, "values": ["–" if own is None else text(own) for own in order], "by": by}
-    links = {"links": [link(own) for own in order]} if link else {}
-    return {**found, **links, "codes": [places[own] for own in values]}
+    order = sorted(set(values), key=lambda key: (key is None, key))
+    places = {key: i for i, key in enumerate(order)}
+    links = {"links": [link(key) for key in order]} if link else {}
+    texts = ["–" if key is None else text(key) for key in order]
+    return {"title": name, "values": texts, "by": by, **links, "codes": [places[key] for key in values]}
 
 
 def first_choice(panels: Sequence[ScenarioPanel]) -> dict[str, str]:
-    """What the leaderboard shows at first: one of some scenarios at the usual noise, and a quantity that is told."""
-    panel = min(panels, key=lambda one: abs(one.facts.snr_db - USUAL_DB))
+    """Return the first view of the leaderboard: a scenario at the usual noise, and an identifiable quantity."""
+    panel = min(panels, key=lambda panel: abs(panel.facts.snr_db - USUAL_DB))
     return {**choices(panel), **({"Error of": heading(panel.ranked[0])} if panel.ranked else {})}
 
 
 def choices(panel: ScenarioPanel) -> dict[str, str]:
-    """A scenario as the leaderboard's choices."""
+    """Return the filters of the leaderboard that select a scenario."""
     facts = panel.facts
     system = f"{facts.system}: {system_words(facts)}"
     return {
@@ -111,37 +125,37 @@ def choices(panel: ScenarioPanel) -> dict[str, str]:
 
 
 def statistic(name: str) -> Callable[[Line], float | None]:
-    """A column of one of the summary's numbers."""
+    """Return a function that reads a statistic of the summary of a line."""
     return lambda line: short(line.result.statistic(line.metric, name), 3)
 
 
 def interval(line: Line) -> tuple[float, float] | None:
-    """The 95 % interval of the median error."""
+    """Return the 95 % interval of the median error."""
     low, high = (short(line.result.statistic(line.metric, name), 2) for name in ("ci_low", "ci_high"))
     return None if low is None or high is None else (low, high)
 
 
-def gross_share(line: Line) -> float | None:
-    """The share of gross errors (%)."""
+def outlier_share(line: Line) -> float | None:
+    """Return the share of outlier fits (%)."""
     errors = line.result.errors(line.metric)
     bound = line.result.bound(line.metric)
     return short(100 * float(np.mean(outlier_fits(errors, bound))), 2) if errors.size else None
 
 
 def fits(line: Line) -> tuple[float, int, int]:
-    """Fits that returned an answer, most first."""
+    """Return the successful fits, with a sort key that puts the largest share first."""
     return -line.result.n_ok / max(line.result.n, 1), line.result.n_ok, line.result.n
 
 
 def short(value: float, digits: int = 4) -> float | None:
-    """So many significant digits; None for what is not finite."""
+    """Round to significant digits; None if not finite."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
 def standing(line: Line) -> str:
-    """One of :data:`STANDINGS`."""
+    """Return the standing of a line, one of :data:`STANDINGS`."""
     if line.result.is_reference:
         return "reference"
     if line.result.n_ok == 0:
         return "failed"
-    return "first tier" if line.result in line.tier else "behind"
+    return "tied" if line.result in line.tier else "worse"

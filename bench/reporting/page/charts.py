@@ -1,6 +1,7 @@
-"""The site's interactive charts, as Vega-Lite without colours: ``static/site.js`` has those of the page.
+"""Interactive charts of the site as Vega-Lite specifications.
 
-Marks that are not a series have a named style: ``ink``, ``quiet`` or ``region``.
+Colours are set by ``static/site.js``; marks that are not a series have the named style ``ink``, ``quiet`` or
+``region``.
 """
 
 from __future__ import annotations
@@ -28,40 +29,41 @@ POINTS = 42
 SMOOTH = {"interpolate": "monotone"}
 MOST_SAMPLES = 200
 MOST_SETS = 100
-"""Data sets on which two methods can be compared in a scenario."""
+"""Largest number of data sets per scenario in the comparison of two methods."""
 MOST_FITS = 2
 MOST_ABOVE = 3.0
-"""A fit whose typical error is more times the least is not drawn over the record: it would hide the others."""
+"""Largest ratio of a drawn fit's error to the smallest one; larger ones would hide the others."""
 LOWEST, HIGHEST = 0.7, 6.0
-"""Errors over the bound at the ends of the first screen's chart; what is beyond is cut off."""
+"""Range of errors over the bound in the chart of the home page; points outside are clipped."""
 RECORD = {"sample_times", "sample_values", "sample_dof", "dense_times", "true_displacement"}
 UP = "displacement (m)"
 Spec = dict[str, Any]
 
 
 def scenario_data(panel: ScenarioPanel) -> dict[str, Any]:
-    """What a scenario's page draws, and by method the error over the bound of its first fits, as it is ranked."""
-    fits = {label: its[0] for label, its in fits_of(panel.results).items() if its and its[0].size}
+    """Return the charts of a scenario's page, and the errors over the bound of the first fits by method."""
+    fits = {label: logs[0] for label, logs in fits_of(panel.results).items() if logs and logs[0].size}
     errors = {title(label): packed(np.exp(losses[:MOST_SETS])) for label, losses in fits.items()}
     return {"charts": {"record": record(panel), "spread": spread(panel)}, "errors": errors}
 
 
 def packed(errors: np.ndarray) -> str:
-    """Errors (n,) as half-precision numbers in base 64."""
+    """Encode errors (n,) as half-precision numbers in base 64."""
     return base64.b64encode(errors.astype("<f2").tobytes()).decode()
 
 
-def forest(one: Advice) -> Spec:
-    """By method and noise level the typical error over the bound, and its tier and time."""
-    levels = {snr: fits_of(its) for snr, its in group(one.results, lambda result: result.snr_db).items()}
+def forest(advice: Advice) -> Spec:
+    """Chart the typical error over the bound by method and noise level, with tier and time."""
+    by_level = group(advice.results, lambda result: result.snr_db)
+    levels = {snr: fits_of(results) for snr, results in by_level.items()}
     points: list[dict[str, Any]] = []
-    ranked = [row for row in one.ranking if row.tier]
+    ranked = [row for row in advice.ranking if row.tier]
     for row in ranked:
-        time = seconds(one.seconds[row.label])
-        said = {"method": title(row.label), "tier": row.tier, "text": f"tier {row.tier}, {time}"}
+        time = seconds(advice.seconds[row.label])
+        facts = {"method": title(row.label), "tier": row.tier, "text": f"tier {row.tier}, {time}"}
         for snr, fits in levels.items():
             if means := [float(np.mean(within_bound(fit))) for fit in fits[row.label]]:
-                points.append({**said, "SNR (dB)": decibels(snr), "error": math.exp(float(np.mean(means)))})
+                points.append({**facts, "SNR (dB)": decibels(snr), "error": math.exp(float(np.mean(means)))})
     colours = [decibels(snr) for snr in sorted(levels, reverse=True)]
     scale = {"type": "log", "domain": [LOWEST, HIGHEST], "nice": False}
     axis = {"values": [1, 1.5, 2, 3, 5], "grid": True}
@@ -93,18 +95,18 @@ def forest(one: Advice) -> Spec:
 
 
 def inline(rows: Any) -> Spec:
-    """A table as the data of a chart, in the fewest letters: CSV."""
+    """Return a table as data of a chart, in CSV."""
     text = pd.DataFrame(rows).to_csv(index=False, float_format="%.3g", lineterminator="\n")
     return {"values": text, "format": {"type": "csv"}}
 
 
 def tips(*fields: str) -> list[dict[str, str]]:
-    """What a chart says of a mark under the pointer."""
+    """Return the tooltip of some fields."""
     return [{"field": name} for name in fields]
 
 
 def chosen(cells: Sequence[Result]) -> list[Result]:
-    """A few that differ: the least error of the displacement, and one not far above it."""
+    """Select the cell with the least displacement error, and one with a slightly larger error."""
     order = sorted((c for c in cells if math.isfinite(_median(c))), key=lambda cell: (_median(cell), cell.label))
     order = [cell for cell in order if _median(cell) <= MOST_ABOVE * _median(order[0])]
     places = np.linspace(0, len(order) - 1, min(MOST_FITS, len(order))).round()
@@ -116,7 +118,7 @@ def _median(cell: Result) -> float:
 
 
 def displacement(cell: Result, arrays: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    """The first replicate's identified response (n_dof, n_dense); None where it is not known."""
+    """Return the identified response of the first replicate (n_dof, n_dense), or None."""
     fit = arrays.get("displacement")
     if fit is None and cell.known_model is not None and not cell.truth_drawn and cell.ok[0]:
         with suppress(InputError, np.linalg.LinAlgError):
@@ -125,15 +127,15 @@ def displacement(cell: Result, arrays: Mapping[str, np.ndarray]) -> np.ndarray |
 
 
 def record(panel: ScenarioPanel) -> Spec | None:
-    """The first data set: samples, truth, and some methods' fits; None where no arrays are kept."""
-    found = {cell.title: (cell, cell.arrays()) for cell in [*chosen(panel.methods), *panel.results]}
-    found = {name: own for name, own in found.items() if set(own[1]) >= RECORD}
-    if not found:
+    """Chart the first data set: samples, true response, and the fits of some methods; None without stored arrays."""
+    cells = {cell.title: (cell, cell.arrays()) for cell in [*chosen(panel.methods), *panel.results]}
+    cells = {name: pair for name, pair in cells.items() if set(pair[1]) >= RECORD}
+    if not cells:
         return None
-    first = next(iter(found.values()))[1]
+    first = next(iter(cells.values()))[1]
     dof, truth = int(first["sample_dof"][0]), np.atleast_2d(first["true_displacement"])
     places = np.unique(np.linspace(0, first["dense_times"].size - 1, POINTS).round().astype(int))
-    drawn = {cell.title: displacement(*found[cell.title]) for cell in chosen(panel.methods) if cell.title in found}
+    drawn = {cell.title: displacement(*cells[cell.title]) for cell in chosen(panel.methods) if cell.title in cells}
     fits = {name: fit[dof, places] for name, fit in drawn.items() if fit is not None and fit.shape == truth.shape}
     curves = pd.DataFrame({"time (s)": first["dense_times"][places], "truth": truth[dof, places], **fits})
     samples = pd.DataFrame(np.transpose(samples_of(first, dof)), columns=["time (s)", UP]).head(MOST_SAMPLES)
@@ -141,7 +143,7 @@ def record(panel: ScenarioPanel) -> Spec | None:
     y = {"field": UP, "type": "quantitative", "title": f"{UP}, mass {dof + 1} of {len(truth)}" if dof else UP}
     method = {"field": "method", "type": "nominal", "sort": list(fits)}
     fold = {"fold": [escaped_field(name) for name in fits], "as": ["method", UP]}
-    said = tips("method", "time (s)", UP)
+    tooltip = tips("method", "time (s)", UP)
     return {
         "height": 300,
         "data": inline(curves),
@@ -150,20 +152,20 @@ def record(panel: ScenarioPanel) -> Spec | None:
             {"mark": {"type": "line", "strokeWidth": 6, "style": "region", **SMOOTH},
              "encoding": {"y": {**y, "field": "truth"}}},
             {"transform": [fold], "mark": {"type": "line", "strokeWidth": 1.6, **SMOOTH},
-             "encoding": {"y": y, "color": method, "strokeDash": method, "tooltip": said}},
+             "encoding": {"y": y, "color": method, "strokeDash": method, "tooltip": tooltip}},
             {"data": inline(samples), "mark": {"type": "point", "filled": True, "size": 28, "style": "ink"},
-             "encoding": {"y": y, "tooltip": said[1:]}},
+             "encoding": {"y": y, "tooltip": tooltip[1:]}},
         ],
     }  # fmt: skip
 
 
 def escaped_field(name: str) -> str:
-    """The name of a column as Vega reads it, for which dots and brackets are paths."""
+    """Escape the name of a column for Vega, which reads dots and brackets as paths."""
     return re.sub(r"([.\[\]\\'\"])", r"\\\1", name)
 
 
 def spread(panel: ScenarioPanel) -> Spec | None:
-    """By method, worst first, how far off the truth (%) the middle 95 % of its data sets are."""
+    """Chart the relative errors (%) of the middle 95 % of the data sets by method, the worst first."""
     quantities = [metric for metric in panel.ranked if metric != "rmse"]
     rows = [row for metric in quantities for row in _spreads(panel, metric)]
     if not rows:
@@ -173,7 +175,7 @@ def spread(panel: ScenarioPanel) -> Spec | None:
     widest = frame.assign(width=frame[["from", "to"]].abs().max(axis=1)).groupby("quantity")["width"].quantile(0.75)
     reach = (1.1 * np.fmax(widest, 1.5 * pd.Series(bounds))).clip(1e-3, 1e4).round(4)
     ends = {"domainMin": {"expr": "-reach[quantity]"}, "domainMax": {"expr": "reach[quantity]"}, "nice": False}
-    x = {"field": "from", "type": "quantitative", "title": "off the truth (%)", "scale": ends}
+    x = {"field": "from", "type": "quantitative", "title": "relative error (%)", "scale": ends}
     y = {"field": "method", "type": "nominal", "sort": None, "title": None}
     offered = {"input": "select", "options": list(bounds), "name": "Quantity "}
     only = [{"filter": "datum.quantity == quantity"}]
@@ -196,7 +198,7 @@ def spread(panel: ScenarioPanel) -> Spec | None:
 
 
 def _spreads(panel: ScenarioPanel, metric: str) -> Iterator[tuple[Any, ...]]:
-    """The lines of one quantity."""
+    """Yield the lines of one quantity."""
     for cell in sorted(panel.results, key=lambda c: (-_excess(c, metric), c.label)):
         ratios = cell.scores(f"{metric.removesuffix(ERROR)}_ratio")
         ratios = ratios[np.isfinite(ratios)]

@@ -1,4 +1,4 @@
-"""Pages built by mkdocs, in one step: nobody meets half of a site, and no file of an older one stays behind."""
+"""Build a site with mkdocs in one step: it replaces an older site as a whole, or not at all."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from bench.reporting import whole_file
 from bench.reporting.page.site import NAV
 
 MARKS = ("index.html", "assets", "data")
-"""What a site has: no other folder that holds anything is replaced."""
+"""Files of every site; a folder without them is not replaced, unless it is empty."""
 SHOWN = (".md", ".csv", ".gz", ".png")
 OUTSIDE = re.compile(r"\[([^\]]*)\]\((\.\./|archive|README)[^)]*\)")
-"""A link of a table to what is not beside it."""
+"""Link in a table to a file that is not part of the site."""
 
 
 def check_folder(out: Path) -> None:
-    """Raise InputError, before any work, for what must not be replaced, or where no folder can be written."""
+    """Raise InputError, before any work, if a folder must not be replaced or cannot be written."""
     other = out.is_dir() and any(out.iterdir()) and not all((out / name).exists() for name in MARKS)
     if out.is_file() or other:
         raise InputError("out", out, "a folder that is new, empty, or a site that this command wrote")
@@ -30,7 +30,7 @@ def check_folder(out: Path) -> None:
 
 
 def results_files(folder: Path) -> Iterator[tuple[str, bytes]]:
-    """The tables and figures of a folder, with their paths in the site; HTML in a table is text there."""
+    """Yield the tables and figures of a folder with their paths in the site; HTML in tables is escaped."""
     for path in sorted([*folder.glob("*"), *folder.glob("figures/*.png")]):
         if path.is_file() and path.suffix in SHOWN and path.name != "README.md":
             content = path.read_bytes()
@@ -41,7 +41,7 @@ def results_files(folder: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def write_site(out: Path, pages: Iterable[tuple[str, bytes]]) -> None:
-    """Build pages and their files into a folder, in place of what is there; raises InputError where it cannot."""
+    """Build pages and their files into a folder and replace its contents; raises InputError if that fails."""
     from mkdocs.commands.build import build
     from mkdocs.config import load_config
 

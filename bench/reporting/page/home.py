@@ -1,4 +1,4 @@
-"""What the first screen says of a ranking beyond its first tier."""
+"""Format the facts of a ranking for the home page and for "Which method?"."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from bench.reporting.tables.pooling import pooled_quantities
 from bench.store.stored import unmarked
 
 FEW = 3
-"""Quantities that are named; of more, their number is said."""
+"""Largest number of quantities that are listed by name."""
 
 
 def between(values: Sequence[float], text: Callable[[float], str] = "{:.2f}".format) -> str:
-    """The least and the largest of some values; a dash without any."""
+    """Format the range of some values; a dash without any."""
     return " to ".join(dict.fromkeys((text(min(values)), text(max(values))))) if values else "–"
 
 
 def lost(rows: Sequence[Ranked]) -> str:
-    """The least and the largest share of fits that some methods lose."""
+    """Format the range of the shares of outlier fits of some methods."""
     return between([row.lost / row.fits for row in rows], percent)
 
 
 def levels(panels: Sequence[ScenarioPanel]) -> str:
-    """The range of noise levels (dB)."""
+    """Format the range of noise levels (dB)."""
     return between([panel.facts.snr_db for panel in panels], decibels)
 
 
 def bound(panels: Sequence[ScenarioPanel]) -> str:
-    """The quantities that the data decide, with their Cramér-Rao bounds in percent at the usual noise."""
+    """List the identifiable quantities with their Cramér-Rao bounds in percent at the usual noise level."""
     level = min((panel.facts.snr_db for panel in panels), key=lambda snr: (abs(snr - USUAL_DB), snr), default=USUAL_DB)
     bounds: dict[str, list[float]] = {}
     for panel in (panel for panel in panels if panel.facts.snr_db == level and panel.facts.known_model):
@@ -51,13 +51,13 @@ def bound(panels: Sequence[ScenarioPanel]) -> str:
 
 
 def method_name(label: str) -> str:
-    """The registered name of a method, variant or submitted method."""
+    """Return the registered name of a method, variant or submitted method."""
     plain = unmarked(label)
     return next((name for name in registered() if (card := card_of(name)) and plain in card.variants), plain)
 
 
 def needs(label: str) -> str:
-    """What a method has to be given, from its card."""
+    """Return the requirements of a method, from its card: a prior, and packages."""
     try:
         method = load_method(method_name(label))
     except InputError:

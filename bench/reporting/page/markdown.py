@@ -1,4 +1,4 @@
-"""Pages as Markdown from templates, in which names from a store are text and nothing else."""
+"""Render pages in Markdown from templates, with all values escaped."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bench.reporting.page import home, words
 
 
 def escaped(value: object) -> Markup:
-    """A value whose signs mean nothing in Markdown or HTML, on one line; what is Markdown already stays."""
+    """Escape a value for Markdown and HTML, on one line; Markup is returned as it is."""
     if isinstance(value, Markup):
         return value
     text = " ".join(str(value).split("\n"))
@@ -20,12 +20,12 @@ def escaped(value: object) -> Markup:
 
 
 def link(address: str, name: object) -> Markup:
-    """A link to another page of the site, by its address from this one."""
+    """Return a link to another page of the site."""
     return Markup(f"[{escaped(name)}]({address})")
 
 
 def rendered(template: str, **values: Any) -> str:
-    """A page of one of the templates beside this module, every value escaped."""
+    """Render a template of this package, with all values escaped."""
     return str(_templates().get_template(f"{template}.md.j2").render(**values)) + "\n"
 
 
@@ -38,5 +38,5 @@ def _templates() -> Any:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     functions = {**vars(words), **vars(home)}
-    templates.filters |= {name: one for name, one in functions.items() if callable(one)}
+    templates.filters |= {name: function for name, function in functions.items() if callable(function)}
     return templates

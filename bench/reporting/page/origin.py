@@ -1,4 +1,4 @@
-"""Where the stored cells come from, what of them is stale or missing, and what failed."""
+"""Provenance of stored cells: commits, machines and packages; stale and missing cells; failed fits."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from bench.store.stored import StoredCell
 from bench.store.version import settings_version
 
 LONGEST = 200
-"""Letters of a message that are shown."""
+"""Largest number of characters of a message that are shown."""
 Lines = list[dict[str, Any]]
-"""Of a table: values by heading."""
+"""Lines of a table: values by heading."""
 
 
 def cells_of(results: Sequence[Result]) -> pd.DataFrame:
-    """A line a cell: fits, processor time (h), where and when it was computed, and which version has changed since."""
+    """Return one line per cell: fits, processor time (h), provenance, and the version that has changed since."""
     return pd.DataFrame([_facts(result.stored) for result in results if result.stored])
 
 
@@ -47,7 +47,7 @@ def _facts(cell: StoredCell) -> dict[str, Any]:
 
 
 def changed(cell: StoredCell) -> str:
-    """Which version has changed since a cell was computed; nothing where none has."""
+    """Return which version has changed since a cell was computed; empty if none has."""
     method, system = str(cell.cell.get("method")), str((cell.cell.get("data") or {}).get("system"))
     try:
         return settings_version(method, system, cell.cell.get("settings", {})).changed_since(cell.version)
@@ -56,26 +56,27 @@ def changed(cell: StoredCell) -> str:
 
 
 def counted(cells: pd.DataFrame, column: str) -> Lines:
-    """The values of a column with their cells and fits, the most frequent first; empty ones are left out."""
+    """Count cells and fits by the values of a column, the most frequent first; empty values are left out."""
     groups = cells[cells[column] != ""].groupby(column, as_index=False)
     groups = groups.agg(cells=("fits", "size"), fits=("fits", "sum"))
     return groups.sort_values(["cells", column], ascending=[False, True]).to_dict("records")
 
 
 def experiments(cells: pd.DataFrame) -> Lines:
-    """Of each experiment of which a cell is stored: its cells, and how many are missing or stale."""
+    """Count the cells of each experiment with a stored cell, and those that are missing or stale."""
     stale, lines = dict(zip(cells.identity, cells.changed != "", strict=True)), []
     for name in table_experiments():
         with suppress(InputError):  # a method of it is not installed here
-            own = {cell.identity for cell in Experiment(name).cells()}
-            there = own & stale.keys()
-            counts = {"cells": len(own), "missing": len(own - there), "stale": sum(stale[one] for one in there)}
-            lines += [{"experiment": name, **counts}] if there else []
+            described = {cell.identity for cell in Experiment(name).cells()}
+            stored = described & stale.keys()
+            missing, outdated = len(described - stored), sum(stale[identity] for identity in stored)
+            counts = {"cells": len(described), "missing": missing, "stale": outdated}
+            lines += [{"experiment": name, **counts}] if stored else []
     return lines
 
 
 def commits_here(cells: pd.DataFrame) -> int | None:
-    """How many of the commits the repository of this checkout holds; None where there is none."""
+    """Count the commits that the repository of this checkout contains; None without a repository."""
     named = sorted({commit.split()[0] for commit in cells.commit if commit != "not recorded"})
     with suppress(OSError):
         command = ["git", "cat-file", "--batch-check"]
@@ -87,7 +88,7 @@ def commits_here(cells: pd.DataFrame) -> int | None:
 
 
 def not_ok(results: Sequence[Result], unsupported: bool) -> Lines:
-    """What failed, or what was not tried since a method cannot take such data: how often, and with what message."""
+    """Count failed fits, or unsupported data, by method and message."""
     lines = [
         {"method": result.title, "status": status.value, "message": message[:LONGEST], "scenario": _where(result)}
         for result in results

@@ -1,4 +1,4 @@
-"""Stored cells by scenario, and the tables that show them: what every page of the site is made of."""
+"""Read a store for the site: stored cells by scenario, with the tables that show them."""
 
 from __future__ import annotations
 
@@ -33,15 +33,18 @@ from bench.reporting.page.words import (
 from bench.store.store import Store
 
 DERIVED = ("natural_frequency", "damping_ratio")
-"""Quantities that say the same as k/m and c/m once more; they are in the CSVs."""
+"""Quantities that follow from k/m and c/m; they are in the CSV files alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScenarioPanel:
-    """All that is stored of one scenario and seed: one result a label, methods and reference rows alike.
+    """The stored results of one scenario and seed, one per label, reference rows included.
 
-    ``experiments`` are those that describe a table with it, ``slug`` is its permanent address, ``title`` says what it
-    is in a line that no other has.
+    Attributes:
+        results: The results.
+        experiments: Experiments with a table that contain the scenario.
+        slug: Permanent address.
+        title: Title, different from those of all other scenarios.
     """
 
     results: tuple[Result, ...]
@@ -51,71 +54,75 @@ class ScenarioPanel:
 
     @property
     def facts(self) -> Result:
-        """What all share: any of the results."""
+        """One of the results; all share the facts of the scenario."""
         return self.results[0]
 
     @property
     def disturbance(self) -> str:
-        """What breaks the assumptions; empty where nothing does."""
+        """Disturbance with its size; empty for none."""
         return disturbed(self.facts.disturbance, self.facts.disturbance_size)
 
     @property
     def kind(self) -> str:
-        """What is special about its data, in a few words."""
+        """Properties that distinguish the data from those of a plain scenario."""
         facts = self.facts
-        drawn = "truth drawn anew" if facts.truth_drawn else ""
+        drawn = "random true values" if facts.truth_drawn else ""
         prior = "no prior" if facts.prior is None else "wrong prior" if facts.prior.get("wrong") else ""
         parts = [self.disturbance, drawn, prior, f"seed {facts.seed}" if facts.seed else ""]
         return ", ".join(filter(None, parts)) or "undisturbed"
 
     @property
     def plain(self) -> bool:
-        """Neither disturbed nor with a truth of its own in each replicate."""
+        """Whether the data are undisturbed and all replicates have the same true values."""
         return not self.facts.disturbance and not self.facts.truth_drawn
 
     @cached_property
     def methods(self) -> tuple[Result, ...]:
-        """The results of methods; reference rows left out."""
+        """Results without those of reference rows."""
         return tuple(result for result in self.results if not result.is_reference)
 
     @property
     def most_sets(self) -> int:
-        """The data sets of the method that has most."""
+        """Largest number of data sets of a method."""
         return max((result.n for result in self.methods), default=0)
 
     @cached_property
     def metrics(self) -> tuple[str, ...]:
-        """Errors of parameters and groups, and the displacement's, in the order in which the results have them."""
+        """Error metrics of parameters, groups and displacement, in the order of the results."""
         names = dict.fromkeys(name for result in self.results for name in result.summary)
         errors = [name for name in names if name.endswith(ERROR) and not name.startswith(DERIVED)]
         return (*errors, *(["rmse"] if "rmse" in names else []))
 
     @cached_property
     def ranked(self) -> tuple[str, ...]:
-        """The metrics that the data decide: what methods can be compared on."""
+        """Error metrics of identifiable quantities, on which methods are compared."""
         return tuple(name for name in self.metrics if self.identifiable.get(name.removesuffix(ERROR), True))
 
     @cached_property
     def identifiable(self) -> Mapping[str, bool]:
-        """By quantity, whether the data alone tell it."""
-        return {name: told for result in reversed(self.results) for name, told in result.identifiable.items()}
+        """Whether each quantity is identifiable from the data alone."""
+        return {name: value for result in reversed(self.results) for name, value in result.identifiable.items()}
 
     @cached_property
     def prior_share(self) -> Mapping[str, float]:
-        """By quantity, the prior's share of the variance at the bound."""
+        """Share of the bound's variance that is due to the prior, by quantity."""
         return {name: share for result in reversed(self.results) for name, share in result.prior_share.items()}
 
     def bound(self, metric: str) -> float:
-        """The bound on the root mean square of a metric; that of any result that has one."""
+        """Return the bound on the root mean square of a metric, from any result that has one."""
         return next((result.bound(metric) for result in self.results if metric in result.summary), float("nan"))
 
 
 @dataclass(frozen=True)
 class StoreReading:
-    """What the site shows of a store.
+    """Contents of a store as the site shows them.
 
-    ``stored`` are all of its results, ``drawn`` those of drawn scenarios, which have no page each; ``hidden`` counts
-    those that gave way to others of the same label and scenario, by title.
+    Attributes:
+        panels: Scenarios with a page.
+        stored: All results.
+        drawn: Results of random scenarios, which have no pages.
+        hidden: Number of results that are not shown since another of the same label and scenario has more data sets,
+            by title.
     """
 
     panels: tuple[ScenarioPanel, ...]
@@ -125,10 +132,9 @@ class StoreReading:
 
 
 def read(store: Store) -> StoreReading:
-    """Read a store; raises InputError where there is none, where it is empty, or for a file that is no cell.
+    """Read a store; raises InputError for a store that is absent or empty, or a file that is no cell.
 
-    Scenarios that were drawn, hundreds with one data set each, say something together only: they are left to their
-    table. So are the variants of a family, dozens of one method.
+    Random scenarios (hundreds, with one data set each) and the variants of a family have no pages, only tables.
     """
     stored = stored_results(store)
     drawn = [result for result in stored if result.question in drawn_questions()]
@@ -136,35 +142,35 @@ def read(store: Store) -> StoreReading:
     grouped = group(results, lambda result: result.question)
     tables = {name: questions(name) for name in table_experiments() if not drawn_scenarios(name)}
     order = sorted(tables, key=lambda name: (table_number(name), name))
-    panels = [_panel(own, [name for name in order if key in tables[name]]) for key, own in grouped.items()]
+    panels = [_panel(members, [name for name in order if key in tables[name]]) for key, members in grouped.items()]
     panels.sort(key=lambda panel: _order(panel, order))
     panels = named(panels)
     shown = {result.identity for panel in panels for result in panel.results}
     title = {panel.facts.question: panel.title for panel in panels}
-    gone = (f"{one.title} ({title[one.question]})" for one in results if one.identity not in shown)
-    return StoreReading(tuple(panels), tuple(stored), tuple(drawn), Counter(gone))
+    hidden = (f"{result.title} ({title[result.question]})" for result in results if result.identity not in shown)
+    return StoreReading(tuple(panels), tuple(stored), tuple(drawn), Counter(hidden))
 
 
 def _panel(results: Sequence[Result], experiments: Sequence[str]) -> ScenarioPanel:
-    """Of several results of a label, the one of most replicates."""
-    fewest_first = sorted(results, key=lambda one: (-one.n, one.identity), reverse=True)
+    """Make a panel with the result of most replicates of each label."""
+    fewest_first = sorted(results, key=lambda result: (-result.n, result.identity), reverse=True)
     chosen = {result.label: result for result in fewest_first}
     return ScenarioPanel(tuple(chosen[label] for label in sorted(chosen)), tuple(experiments))
 
 
 def _order(panel: ScenarioPanel, tables: Sequence[str]) -> Any:
-    """Tables, other experiments, single cells; then by system, less noise first, start unknown first."""
+    """Return the sort key of a panel: tables first, then system, least noise and unknown initial state first."""
     facts, first = panel.facts, tables.index(panel.experiments[0]) if panel.experiments else len(tables)
     known = facts.initial_state != "unknown"
     return first, bool(panel.disturbance), facts.system, -facts.snr_db, known, facts.question
 
 
 def named(panels: Iterable[ScenarioPanel]) -> list[ScenarioPanel]:
-    """Scenarios with their titles and permanent addresses, which a link may outlive new results with.
+    """Give scenarios their titles and permanent addresses, which new results do not change.
 
-    An address is of system, noise, start and what is special; where another scenario has that already, it ends with a
-    hash of the whole question. Panels come in the order of the tables, so that a scenario of a table keeps the plain
-    address. Scenarios of the same title have in it what tells them apart.
+    An address consists of system, noise, initial state and special properties; if another scenario has the same, it
+    ends with a hash of the question. Panels are in the order of the tables, so a scenario of a table keeps the plain
+    address. Titles that would be equal are extended by the facts that differ.
     """
     taken: dict[str, str] = {}
     for panel in panels:
@@ -172,8 +178,8 @@ def named(panels: Iterable[ScenarioPanel]) -> list[ScenarioPanel]:
         special = re.sub(r"[^\w .,-]+", "", special, flags=re.ASCII)
         plain = slug(f"{facts.system} {decibels(facts.snr_db)}db start {facts.initial_state}{special}")
         taken[facts.question] = hashed(plain, facts.question) if plain in taken.values() else plain
-    alike = group(panels, _title)
-    titles = {panel.facts.question: text for title, own in alike.items() for panel, text in _told_apart(title, own)}
+    by_title = group(panels, _title)
+    titles = {panel.facts.question: text for name, same in by_title.items() for panel, text in _distinct(name, same)}
     return [replace(panel, slug=taken[(key := panel.facts.question)], title=titles[key]) for panel in panels]
 
 
@@ -182,12 +188,12 @@ def _title(panel: ScenarioPanel) -> str:
     return f"{system_words(facts)}, {decibels(facts.snr_db)} dB, initial state {facts.initial_state}{special}"
 
 
-def _told_apart(title: str, panels: Sequence[ScenarioPanel]) -> Iterable[tuple[ScenarioPanel, str]]:
-    """Scenarios of one title: the first with the title alone, others with those of their facts in which they differ."""
+def _distinct(title: str, panels: Sequence[ScenarioPanel]) -> Iterable[tuple[ScenarioPanel, str]]:
+    """Extend the title of all but the first of some scenarios by the facts in which they differ from it."""
 
-    def facts(one: Result) -> tuple[str, str, str]:
-        length = f"{one.samples} samples in {one.duration:g} s"
-        return length, true_values(one), f"prior: {prior_words(one)}"
+    def facts(result: Result) -> tuple[str, str, str]:
+        length = f"{result.samples} samples in {result.duration:g} s"
+        return length, true_values(result), f"prior: {prior_words(result)}"
 
     usual = facts(panels[0].facts)
     for panel in panels:

@@ -1,4 +1,4 @@
-"""Situations that a user has before him, and the ranking of methods over all stored scenarios of each."""
+"""Situations of users, and the ranking of methods over the stored scenarios of each."""
 
 from __future__ import annotations
 
@@ -12,35 +12,42 @@ from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.ranking import Ranked, median_time, ranking
 
 HOPELESS = 0.5
-"""No method is advised where each of the first tier loses more than this share of its fits."""
+"""No method is recommended if each of the first tier has a larger share of outlier fits."""
 FEWEST_METHODS = 0.5
-"""Scenarios with less than this share of the situation's methods are studies of a few, and compare no others."""
+"""Smallest share of a situation's methods in a scenario; those with fewer are left out of the ranking."""
 WRONG_MODEL = ("added_friction", "cubic_spring", "second_mode")
 SITUATIONS = {
     "free-decay-start-unknown": "One mass, free decay, initial state unknown",
     "free-decay-start-known": "One mass, free decay, initial state known",
-    "few-samples-a-cycle": "One mass, near or beyond two samples a cycle, or nearly aperiodic",
+    "few-samples-a-cycle": "One mass, about two samples per cycle or fewer, or nearly aperiodic",
     "known-force": "One mass, known force",
     "added-mass": "One mass, a second record with known mass added",
     "several-masses": "Several masses, linear",
     "nonlinear-free": "Nonlinear, free decay",
     "nonlinear-forced": "Nonlinear, known force",
     "disturbed": "One mass, noise that is not white and Gaussian, bias, drift, jitter or outliers",
-    "wrong-model": "One mass, and the rig has friction, a cubic spring or a mode that the model lacks",
+    "wrong-model": "One mass, but with friction, a cubic spring or a mode that the model lacks",
 }
-"""By name, as in addresses, in words."""
+"""Titles of the situations, by the name in their address."""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """The methods of a situation as they are ranked; ``href`` is the page about them.
+    """The ranking of the methods in a situation.
 
-    ``seconds``: by method, the median processor time of a fit that gave an answer; NaN without any. ``results`` and
-    ``panels`` are what is ranked, where it is stored. ``basis`` says on what the ranking rests, and ``error`` what its
-    typical errors are over, where that is not the bound; ``needs`` is what all methods of a track have to be given.
+    Attributes:
+        title: Title of the situation.
+        href: Page of the ranking.
+        ranking: Ranks of the methods.
+        seconds: Median processor time of a successful fit by method; NaN without any.
+        results: Ranked results, if they are cells.
+        panels: Their scenarios.
+        basis: Data of the ranking, if they are not scenarios.
+        error: Meaning of the errors, if they are not relative to the Cramér-Rao bound.
+        needs: Requirements of all methods, if they are not on their cards.
     """
 
-    words: str
+    title: str
     href: str
     ranking: Sequence[Ranked]
     seconds: Mapping[str, float]
@@ -56,7 +63,7 @@ class Advice:
 
     @property
     def hopeless(self) -> bool:
-        """Whether all that could be advised lose most of their fits: then none is."""
+        """Whether all methods of the first tier fail in most fits, so that none is recommended."""
         return not any(row.lost <= HOPELESS * row.fits for row in self.first_tier)
 
     @property
@@ -65,14 +72,14 @@ class Advice:
         return min(self.first_tier, key=lambda row: (np.nan_to_num(self.seconds[row.label], nan=np.inf), row.label))
 
 
-def advice(words: str, href: str, results: Sequence[Result], panels: Sequence[ScenarioPanel] = ()) -> Advice:
+def advice(title: str, href: str, results: Sequence[Result], panels: Sequence[ScenarioPanel] = ()) -> Advice:
     """Rank the methods of some scenarios."""
-    seconds = {label: median_time(its) for label, its in group(results, lambda result: result.label).items()}
-    return Advice(words, href, ranking(results), seconds, tuple(results), tuple(panels))
+    seconds = {label: median_time(members) for label, members in group(results, lambda result: result.label).items()}
+    return Advice(title, href, ranking(results), seconds, tuple(results), tuple(panels))
 
 
 def situation(panel: ScenarioPanel) -> str:
-    """Return the name of a scenario's situation; empty where it is of none."""
+    """Return the name of a scenario's situation; empty if it belongs to none."""
     facts, model = panel.facts, panel.facts.known_model
     regime = "regimes" in panel.experiments
     if facts.disturbance in WRONG_MODEL:
@@ -95,11 +102,11 @@ def situation(panel: ScenarioPanel) -> str:
 
 
 def advise(panels: Sequence[ScenarioPanel]) -> list[Advice]:
-    """Rank the methods of each situation of which anything is stored."""
+    """Rank the methods of each situation with stored scenarios."""
     by_name, ranked = group((panel for panel in panels if panel.experiments), situation), []
-    for name, words in SITUATIONS.items():
+    for name, title in SITUATIONS.items():
         most = max((len(panel.methods) for panel in by_name.get(name, [])), default=0)
-        its = [panel for panel in by_name.get(name, []) if len(panel.methods) >= FEWEST_METHODS * most]
-        results = [result for panel in its for result in panel.results]
-        ranked += [advice(words, f"situations/{name}.md", results, its)] if its else []
+        members = [panel for panel in by_name.get(name, []) if len(panel.methods) >= FEWEST_METHODS * most]
+        results = [result for panel in members for result in panel.results]
+        ranked += [advice(title, f"situations/{name}.md", results, members)] if members else []
     return ranked

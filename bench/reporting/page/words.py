@@ -1,4 +1,4 @@
-"""Numbers, names and addresses as the site shows them."""
+"""Format numbers, names and addresses for the site."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from bench.reporting.ranking import Ranked
 from bench.reporting.rounding import readable
 
 USUAL_DB = 20.0
-"""The SNR (dB) that is shown first: the nearest that there is."""
+"""SNR (dB) that is shown first, or the nearest available one."""
 LONGEST = 80
-"""Letters of an address."""
+"""Largest number of characters of an address."""
 SIZES = {
     "integrator": "relative tolerance {:g}", "jitter": "{:g} of a step", "irregular": "",
     "coloured": "correlation {:g}", "heavy_tails": "{:g} degrees of freedom", "outliers": "{:g} × the noise",
     "bias": "{:g} of the signal’s rms", "drift": "{:g} of the signal’s rms at the end", "late_trigger": "{:g} s",
 }  # fmt: skip
-"""What the size of a disturbance is, by kind; of others the bare number is shown."""
+"""Formats of the size of a disturbance, by kind; other kinds show the number alone."""
 
 
 def quantity(metric: str) -> str:
-    """``k_over_m_error_pct`` is ``k/m``; the displacement's error is ``displacement``."""
+    """Return the quantity of an error metric: ``k/m`` for ``k_over_m_error_pct``, ``displacement`` for ``rmse``."""
     return "displacement" if metric == "rmse" else readable(metric.removesuffix(ERROR))
 
 
 def heading(metric: str) -> str:
-    """The same with its unit."""
+    """Return the quantity of an error metric, with the unit of the error."""
     return f"{quantity(metric)} ({'m' if metric == 'rmse' else '%'})"
 
 
 def number(value: float, digits: int = 3) -> str:
-    """So many significant digits; a dash for what is not there, ``failed`` for an infinite error."""
+    """Format a number with significant digits; a dash for NaN, ``failed`` for infinity."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -47,30 +47,30 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent to two digits."""
+    """Format a share in percent with two digits."""
     return "–" if math.isnan(share) else "100\u00a0%" if share >= 0.995 else f"{100 * share:.2g}\u00a0%"
 
 
 def seconds(value: float) -> str:
-    """A time with its unit."""
+    """Format a time with its unit."""
     if math.isnan(value):
         return "–"
     return f"{1000 * value:.2g} ms" if value < 0.1 else f"{value:.2g} s" if value < 100 else f"{value:.0f} s"
 
 
 def decibels(snr_db: float) -> str:
-    """A signal-to-noise ratio to a tenth of a decibel."""
+    """Format a signal-to-noise ratio to a tenth of a decibel."""
     return f"{round(snr_db, 1):g}"
 
 
 def disturbed(kind: str, size: float) -> str:
-    """A disturbance and its size with the unit; nothing where there is none."""
-    said = "" if math.isnan(size) else SIZES.get(kind, "{:g}").format(size)
-    return (f"{kind}, {said}" if said else kind).replace("_", " ")
+    """Describe a disturbance and its size; empty for none."""
+    text = "" if math.isnan(size) else SIZES.get(kind, "{:g}").format(size)
+    return (f"{kind}, {text}" if text else kind).replace("_", " ")
 
 
 def system_words(facts: Result) -> str:
-    """What vibrates: how many masses, what is special, and whether a force drives it."""
+    """Describe a system: number of masses, nonlinearity, and force."""
     model = facts.known_model
     n = model.n_dof if model else facts.n_dof or 1
     masses = "One mass" if n == 1 else f"{n} masses"
@@ -81,52 +81,52 @@ def system_words(facts: Result) -> str:
 
 
 def true_values(facts: Result) -> str:
-    """The true parameters, in SI units."""
+    """List the true parameters, in SI units."""
     return ", ".join(f"{name} = {number(float(value))}" for name, value in facts.parameters.items())
 
 
 def prior_words(facts: Result) -> str:
-    """How far the nominal values may be off, by kind of parameter."""
+    """Describe the prior: the widths by kind of parameter."""
     if facts.prior is None:
         return "none"
     kinds = {parameter.kind for parameter in facts.known_model.parameters} if facts.known_model else set(facts.prior)
     widths = [f"{kind} {100 * float(facts.prior[kind]):g} %" for kind in facts.prior if kind in kinds - {"wrong"}]
-    wrong = "; deliberately three standard deviations off" if facts.prior.get("wrong") else ""
-    return f"nominal values, off by about: {', '.join(widths)}{wrong}"
+    wrong = "; deliberately wrong by three of them" if facts.prior.get("wrong") else ""
+    return f"nominal values, with standard deviations of {', '.join(widths)}{wrong}"
 
 
 def at_most(row: Ranked) -> float:
-    """The upper end of the one-sided 95 % interval of the share of lost fits (C. J. Clopper, E. S. Pearson, 1934)."""
+    """Return the one-sided 95 % upper limit of the share of outlier fits (C. J. Clopper, E. S. Pearson, 1934)."""
     return 1.0 if row.lost == row.fits else float(beta.ppf(0.95, row.lost + 1, row.fits - row.lost))
 
 
 def table_number(experiment: str) -> float:
-    """The number of the table that an experiment describes; infinite where it has none."""
+    """Return the number of an experiment's table; infinite if it has none."""
     return float(Experiment(experiment).table.get("number", math.inf))
 
 
 def table_name(experiment: str) -> str:
-    """``Table 3``, or the name of an experiment whose table has no number."""
+    """Return ``Table 3``, or the name of an experiment whose table has no number."""
     number = table_number(experiment)
     return f"Table {number:.0f}" if math.isfinite(number) else experiment
 
 
 def slug(name: str) -> str:
-    """A name as part of an address: lower case, digits, ``-`` and ``_``; what loses letters gets a hash of the name."""
+    """Return a name as part of an address; a name that loses characters gets a hash of the whole name."""
     plain = re.sub(r"[^a-z0-9_.]+", "-", name.lower()).strip("-.")[:LONGEST]
     whole = re.fullmatch(r"[\w .,=()-]+", name, re.ASCII) and plain and len(name) <= LONGEST
     return plain if whole else hashed(plain, name)
 
 
 def hashed(plain: str, name: str) -> str:
-    """An address that ends with a hash of the whole name."""
+    """Append a hash of the whole name to an address."""
     return f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}".lstrip("-")
 
 
 def slugs(names: Sequence[str]) -> Mapping[str, str]:
-    """The addresses of several names, all different."""
-    found: dict[str, str] = {}
+    """Return different addresses for several names."""
+    addresses: dict[str, str] = {}
     for name in names:
-        own = slug(name)
-        found.setdefault(name, hashed(own, name) if own in found.values() else own)
-    return found
+        plain = slug(name)
+        addresses.setdefault(name, hashed(plain, name) if plain in addresses.values() else plain)
+    return addresses

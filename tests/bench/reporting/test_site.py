@@ -94,7 +94,7 @@ def test_names_are_text_and_nothing_else(cells: Cells) -> None:
     )
     for path in site.rglob("*.html"):
         assert "<script>alert(1)" not in path.read_text(encoding="utf-8"), path
-    assert HOSTILE in text_of(site / "provenance.html")
+    assert HOSTILE in text_of(site / "trust.html")
     assert f"One mass, free decay ({HOSTILE})" in text_of(next((site / "systems").glob("script*.html")))
     assert {HOSTILE, OTHER_SCRIPTS, "a$b$_c"} <= {
         re.sub(r" - vibration-bench.*", "", text_of(path)).replace("‹", "<").replace("›", ">")
@@ -184,12 +184,12 @@ def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
     columns = board.board(panels, {"mcmc": "mcmc", "ls": "ls"})
     lines = [{own["title"]: own["values"][own["codes"][i]] for own in columns if not own["by"]} for i in range(6)]
     line, other = (line for line in lines if line["Error of"] == "k/m (%)")
-    assert (other["TrackerOutput"], line["TrackerOutput"]) == ("first tier", "behind")
+    assert (other["Standing"], line["Standing"]) == ("tied", "worse")
     errors = [row.scores["k_over_m_error_pct"] for row in cell.rows[4:]]
     rms = math.sqrt(sum(e**2 for e in errors) / 36)
     assert (line["Bound"], line["Fits ok"]) == ("0.5", "36/40")
     assert float(line["× bound"]) == pytest.approx(rms / 0.5, rel=0.005)
-    assert line["Gross"] == f"{100 * (4 + sum(e > 2.5 for e in errors)) / 40:.2g} %"
+    assert line["Outliers"] == f"{100 * (4 + sum(e > 2.5 for e in errors)) / 40:.2g} %"
     excesses = [float(text) for text in columns[2]["values"]]
     assert excesses == sorted(excesses)
 
@@ -241,13 +241,13 @@ def test_what_the_data_do_not_tell_is_said_and_when_it_was_computed(cells: Cells
     said = text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
     assert "Computed 2026-01-01. Reproduce with" in said
     assert "Computed 2026-01-01. Reproduce with" in text_of(site / "methods" / "ls.html")
-    said = said[said.index("What can be found here") :]
+    said = said[said.index("Identifiability") :]
     assert re.search(r"m no 100 % c no 25 % k no 95 % k/m yes 0.1 % c/m yes 0.1 %", said)
 
 
 def test_a_store_of_failures_says_so(cells: Cells) -> None:
     site = made(cells(stored("ls", failed=40, message="no luck"), stored("mcmc", failed=40, message="none either")))
-    assert "no luck" in text_of(site / "provenance.html")
+    assert "no luck" in text_of(site / "trust.html")
     assert "0/40" in text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
 
 
@@ -258,7 +258,7 @@ def test_a_submitted_method_says_how_it_was_verified(cells: Cells, monkeypatch: 
         "bench.reporting.page.reading.drawn_questions", lambda: frozenset([Result.of_stored(mine).question])
     )
     said = text_of(made(cells(mine, stored("mcmc"))) / "methods" / "ls.html")
-    assert "4 of its 40 rows were computed again" in said
+    assert "4 of its 40 rows were recomputed" in said
     assert "(submitted)" in said
 
 

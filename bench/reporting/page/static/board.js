@@ -1,13 +1,13 @@
-// The leaderboard: its choices, order and columns are in the address; below it two methods on the same data sets.
+// The leaderboard (its filters, order and columns are in the address), and the comparison of two methods.
 "use strict";
 
-const LOST = 10; // what a lost fit counts as
+const LOST = 10; // error over the bound assigned to an outlier fit
 
 bench.board = (columns) => {
   const form = document.getElementById("choices");
   const verdict = document.getElementById("verdict");
   const fields = Array.from(form.elements).filter((field) => field.name);
-  const choices = fields.filter((field) => form.contains(field)); // the others choose what is compared
+  const choices = fields.filter((field) => form.contains(field)); // the other fields select the methods to compare
   const at = Object.fromEntries(columns.map(({ title }, i) => [title, i]));
   const code = ({ codes, by }, line) => codes[by ? code(columns[at[by]], line) : line];
   const rows = columns[0].codes.map((_, line) => columns.map((column) => code(column, line)));
@@ -19,7 +19,7 @@ bench.board = (columns) => {
     for (const value of columns[at[field.dataset.of || field.name]].values) field.add(new Option(value));
   }
   const cell = ({ values, links }) => (code, kind) => {
-    if (kind === "sort" || kind === "type") return code; // texts are in the order in which they sort
+    if (kind === "sort" || kind === "type") return code; // texts are stored in sorted order
     const [name, address] = [values[code], links?.[code]].map(DataTable.util.escapeHtml);
     return address ? `<a href="${address}">${name}</a>` : name;
   };
@@ -31,7 +31,7 @@ bench.board = (columns) => {
   table.on("draw column-visibility", write);
   table.on("draw", compare);
   form.addEventListener("reset", () => setTimeout(() => table.draw()));
-  form.addEventListener("change", ({ target }) => { // a choice that leaves no line gives up the others
+  form.addEventListener("change", ({ target }) => { // a filter without results resets the other filters
     for (const field of choices.toReversed()) if (field !== target && !rows.some(fits)) field.value = "";
     table.draw();
   });
@@ -62,28 +62,28 @@ bench.board = (columns) => {
 
   async function compare() {
     const [a, b] = [form.elements.A.value, form.elements.B.value];
-    verdict.textContent = "Choose two methods; they are compared in the scenarios of the lines above.";
+    verdict.textContent = "Choose two methods to compare them in the scenarios of the rows above.";
     document.getElementById("scatter").replaceChildren();
     if (!a || !b || a === b) return;
     const { values, links } = columns[at.Scenario];
     const shown = table.rows({ search: "applied" }).data().toArray();
     const scenarios = Array.from(new Set(shown.map((row) => row[at.Scenario])));
-    const asked = location.hash;
+    const address = location.hash;
     await Promise.all(scenarios.map((place) => load(links[place].replace(/html$/, "js"))));
-    if (location.hash !== asked) return; // another choice meanwhile
+    if (location.hash !== address) return; // the filters have changed meanwhile
     const pairs = scenarios.flatMap((place) => {
       const errors = bench.errors[links[place].replace(/^.*\/|\.html$/g, "")];
-      const other = unpacked(errors[b]);
-      const own = unpacked(errors[a]).slice(0, other.length);
-      return own.map((value, i) => ({ scenario: values[place], "data set": i, a: value, b: other[i] }));
+      const errorsOfB = unpacked(errors[b]);
+      const errorsOfA = unpacked(errors[a]).slice(0, errorsOfB.length);
+      return errorsOfA.map((value, i) => ({ scenario: values[place], "data set": i, a: value, b: errorsOfB[i] }));
     });
-    verdict.textContent = pairs.length ? said(bench.statistics(pairs), a, b) : "No data set above has both.";
+    verdict.textContent = pairs.length ? sentence(bench.statistics(pairs), a, b) : "No data sets in common.";
     if (pairs.length) bench.draw({ scatter: scatter(pairs, a, b) });
   }
 };
 
 const loaded = {};
-const load = (path) => loaded[path] ||= new Promise((resolve) => { // from a folder scripts can be read, files cannot
+const load = (path) => loaded[path] ||= new Promise((resolve) => { // without a server, scripts can be loaded, files not
   const script = document.createElement("script");
   Object.assign(script, { src: bench.root + path, onload: resolve });
   document.body.append(script);
@@ -106,11 +106,11 @@ bench.statistics = (pairs) => {
   };
 };
 
-function said({ n, ratio, low, high, nearer, further, lost }, a, b) {
+function sentence({ n, ratio, low, high, nearer, further, lost }, a, b) {
   const digits = (value) => Number(value.toPrecision(3));
   return `On ${n} data sets the error of ${b} is ${digits(ratio)} times that of ${a} (median of the ratios; 95 % `
-    + `interval ${digits(low)} to ${digits(high)}). ${a} is nearer the truth on ${nearer}, ${b} on ${further}. `
-    + `Lost fits: ${lost[0]} of ${a}, ${lost[1]} of ${b}.`;
+    + `interval ${digits(low)} to ${digits(high)}). ${a} is more accurate on ${nearer}, ${b} on ${further}. `
+    + `Outlier fits: ${lost[0]} of ${a}, ${lost[1]} of ${b}.`;
 }
 
 function scatter(values, a, b) {

@@ -1,13 +1,13 @@
-// Tables that sort, are searched and can be taken as files (DataTables), and charts in the page's colours (Vega-Lite).
+// Tables with sorting, search and export (DataTables), and charts in the colours of the page (Vega-Lite).
 "use strict";
 
-const SERIES = { // M. Okabe, K. Ito, 2008: told apart by those who see colours differently
+const SERIES = { // M. Okabe, K. Ito, 2008: distinct under colour vision deficiency
   light: ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F7F7F"],
   dark: ["#56B4E9", "#E69F00", "#30C495", "#E3A0C6", "#A8A8A8"],
 };
 const SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"; // a name; nothing is loaded from there
 
-// By the ending of a file's name, what a table's lines (arrays of texts, the headings first) are in it.
+// Formats of exported tables by file ending, from lines of texts, the headings first.
 const FORMATS = {
   json: ([head, ...rows]) => {
     const record = (row) => Object.fromEntries(head.map((name, i) => [name, row[i]]));
@@ -27,7 +27,7 @@ const FORMATS = {
 };
 const TITLES = { json: "JSON", md: "Markdown", tex: "LaTeX" };
 
-// The number that a cell begins with, such as "0.38 ×0.97", "3/4" or "12 ms" (in seconds); other cells are the last.
+// Sort key: the number that a cell begins with, such as "0.38 ×0.97", "3/4" or "12 ms" (in seconds); other cells come last.
 const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)( ms\b| µs\b)?/i;
 const UNITS = { " ms": 1e-3, " µs": 1e-6 };
 const EMPTY = /^(–|-|failed|no answer|)$/;
@@ -45,17 +45,17 @@ DataTable.type("leading", {
   order: { pre: leading },
 });
 Object.assign(DataTable.defaults.language, {
-  search: "Search ", info: "_START_ to _END_ of _TOTAL_ lines", infoFiltered: "(of _MAX_)", infoEmpty: "no line",
-  zeroRecords: "No line has this.",
+  search: "Search ", info: "_START_ to _END_ of _TOTAL_ rows", infoFiltered: "(of _MAX_)", infoEmpty: "no rows",
+  zeroRecords: "No matching rows.",
 });
 const HEADING = "preceding::*[self::h1 or self::h2 or self::h3][1]/text()";
 
 window.bench = {
   root: new URL("..", document.currentScript.src).href,
-  errors: {}, // of each scenario that is loaded, by quantity and method
+  errors: {}, // of each loaded scenario, by method
   drawn: {},
 
-  // What a scenario's file holds: the charts of its page, and errors for the comparison of methods.
+  // Called by the file of a scenario with the charts of its page and the errors for the comparison of methods.
   scenario({ slug, charts, errors }) {
     this.errors[slug] = errors;
     this.draw(charts);
@@ -69,7 +69,7 @@ window.bench = {
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   },
 
-  // Makes an element a table; a phone shows each heading before its cell, and a file has what is shown.
+  // Makes an element a DataTable; small screens show the heading before each cell, exports contain the visible rows.
   table(element, more = {}) {
     const name = document.evaluate(HEADING, element, null, XPathResult.STRING_TYPE).stringValue.trim();
     const heads = more.columns ?? Array.from(element.rows[0].cells, (cell) => ({ title: cell.textContent }));
@@ -93,12 +93,12 @@ window.bench = {
       createdRow: (row, data, place, cells) => cells.forEach((cell, i) => { cell.dataset.label = heads[i].title; }),
       ...more,
     });
-    const scrolled = { className: "scroll", tabIndex: 0, role: "region", ariaLabel: name }; // by keyboard, too
+    const scrolled = { className: "scroll", tabIndex: 0, role: "region", ariaLabel: name }; // also by keyboard
     Object.assign(element.parentElement, scrolled);
     return table;
   },
 
-  // Draws charts, each in the element of that name, where the page has it.
+  // Draws each chart in the element of the same name, if the page has it.
   async draw(charts) {
     Object.assign(this.drawn, charts);
     const style = getComputedStyle(document.body);
@@ -118,7 +118,7 @@ window.bench = {
     const options = { ast: true, renderer: "svg", logLevel: vega.Error, config, actions, tooltip: { theme: scheme() } };
     for (const [id, chart] of Object.entries(charts)) {
       const place = document.getElementById(id);
-      if (place && !chart) place.textContent = "Nothing is stored that could be drawn here.";
+      if (place && !chart) place.textContent = "No stored data for this chart.";
       if (!place || !chart) continue;
       await vegaEmbed(place, { $schema: SCHEMA, width: "container", ...chart }, { ...options, downloadFileName: id });
       place.querySelector("summary").ariaLabel = "Save this chart as SVG or PNG";

@@ -1,4 +1,4 @@
-"""The ranking of what other commands wrote beside the site: the measured track, and the online track."""
+"""Rankings of the measured track and of the online track, from their tables."""
 
 from __future__ import annotations
 
@@ -14,34 +14,35 @@ from bench.reporting.page.situations import Advice
 from bench.reporting.ranking import LOST, Fits, capped, ranked
 
 
-def elsewhere(folder: Path) -> list[Advice]:
-    """Rank the methods of the measured track and of the online track, as far as ``folder`` has their tables."""
-    ranked = []
+def track_rankings(folder: Path) -> list[Advice]:
+    """Rank the methods of the measured track and of the online track, if ``folder`` contains their tables."""
+    rankings = []
     for name, (rank, columns) in TABLES.items():
         with contextlib.suppress(OSError, ValueError):  # there is no such table, or it has other columns
-            ranked.append(rank(pd.read_csv(folder / name, usecols=columns)))
-    return [one for one in ranked if one.ranking]
+            rankings.append(rank(pd.read_csv(folder / name, usecols=columns)))
+    return [advice for advice in rankings if advice.ranking]
 
 
 def measured(table: pd.DataFrame) -> Advice:
-    """Rank methods on real records, whose truth nobody knows, by what they leave unexplained of samples held out.
+    """Rank methods on measured records, whose true values are unknown, by their prediction of held-out samples.
 
-    It is divided by the least of all methods on the record. An answer that its own checks withdraw is lost.
+    The unexplained part is divided by the smallest of all methods on the record. An estimate that is rejected by its
+    checks counts as an outlier fit.
     """
-    fits = table[table.status.notna() & (table.status != "unsupported")]  # without a status: all records together
+    fits = table[table.status.notna() & (table.status != "unsupported")]  # lines over all records have no status
     fits = fits.drop_duplicates(["set", "system", "method", "sibling"])
-    stands = (fits.status == "ok") & (fits.trust != "do not trust") & fits.held_out.notna()
-    unexplained = (100 - fits.held_out).where(stands)
+    usable = (fits.status == "ok") & (fits.trust != "do not trust") & fits.held_out.notna()
+    unexplained = (100 - fits.held_out).where(usable)
     by_record = unexplained.groupby([fits.set, fits.system, fits.sibling])
-    excess = (unexplained / by_record.transform("min")).fillna(1.0)  # of the best that leaves nothing
-    fits = fits.assign(loss=np.where(stands, capped(excess), LOST), record=fits.set + fits.system)
+    excess = (unexplained / by_record.transform("min")).fillna(1.0)  # 0/0 where the best leaves nothing unexplained
+    fits = fits.assign(loss=np.where(usable, capped(excess), LOST), record=fits.set + fits.system)
     return Advice(
-        "A real record of a rig",
+        "A measured record",
         "results/table11.md",
         ranked(_losses(fits)),
         fits.wall_s.where(fits.status == "ok").groupby(fits.method).median().to_dict(),
-        basis=f"{by_record.ngroups} records of rigs",
-        error="of held-out samples, over the least of any method",
+        basis=f"{by_record.ngroups} measured records",
+        error="held-out samples, relative to the best method",
     )
 
 
@@ -57,7 +58,7 @@ def online(table: pd.DataFrame) -> Advice:
         ranked(_losses(lines)),
         (lines.micros_median / 1e6).groupby(lines.method).median().to_dict(),
         basis=f"{lines.scenario.nunique()} scenarios",
-        needs="a first guess",
+        needs="an initial guess",
     )
 
 
@@ -65,13 +66,13 @@ def _losses(fits: pd.DataFrame) -> Fits:
     """Return the losses by method and record."""
     records = fits.record.unique()
     return {
-        method: [own.loss[own.record == record].to_numpy() for record in records]
-        for method, own in fits.groupby("method")
+        method: [lines.loss[lines.record == record].to_numpy() for record in records]
+        for method, lines in fits.groupby("method")
     }
 
 
 def _title(label: str) -> str:
-    """Return a tracker's name for people, where it is registered."""
+    """Return the title of a tracker, or its label if it is not registered."""
     try:
         return online_card(label).title
     except InputError:
@@ -82,4 +83,4 @@ TABLES = {
     "table11.csv": (measured, ("set", "system", "method", "sibling", "status", "trust", "held_out", "wall_s")),
     "table10.csv": (online, ("scenario", "method", "quantity", "excess", "micros_median")),
 }
-"""By file, what ranks it, and of which columns."""
+"""Functions that rank the methods of a table, and the columns they read, by file."""
