@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import posixpath
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import cache
 from importlib import import_module
@@ -146,18 +147,26 @@ def help_pages() -> str:
     return "\n\n".join(f"## `{titles[verb]}`\n\n```text\n{text}\n```" for verb, text in helps().items())
 
 
-def field_table(names: Iterable[str]) -> str:
-    """Return the table of some fields of a run, with their defaults and, where there are few, their choices."""
-    fields, declaration = import_module("bench.config.fields"), import_module("bench.config.declaration")
-    choices = import_module("bench.config.choices").default_choices() | {"method": ""}
+def field_table(declared: Mapping[str, Any], names: Mapping[str, str], defaults: Mapping[str, str]) -> str:
+    """Return a table of fields with their defaults and, where there are few, their choices.
+
+    Args:
+        declared: The fields by name.
+        names: Fields to list, with the name to show for each.
+        defaults: Defaults that the declaration does not state.
+
+    Returns:
+        The table in Markdown.
+    """
+    declaration = import_module("bench.config.declaration")
     rows = []
-    for name in names:
-        field = fields.declared()[name]
+    for name, shown in names.items():
+        field = declared[name]
         stated = isinstance(field.default, str | int | float | Path)
-        default = choices[name] if name in fields.GROUPS else declaration.written(field.default) if stated else ""
-        few = name not in fields.GROUPS and bool not in field.types and len(field.choices) <= declaration.MOST_LISTED
-        meaning = "; ".join([field.text, *([", ".join(field.choices)] if few and field.choices else [])])
-        rows.append((f"`{name}`", f"`{default}`" if default else "", meaning))
+        default = defaults.get(name, declaration.written(field.default) if stated else "")
+        choices = () if bool in field.types or len(field.choices) > declaration.MOST_LISTED else field.choices
+        meaning = "; ".join([field.text, *([", ".join(choices)] if choices and name not in defaults else [])])
+        rows.append((f"`{shown}`", f"`{default}`" if default else "", meaning))
     return table(("field", "default", "meaning"), rows)
 
 
@@ -173,14 +182,44 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def run_fields() -> str:
     """Return the table of the fields of a cell and of a run."""
-    fields = import_module("bench.config.fields")
-    rows = field_table(name for name in fields.declared() if name not in ("data", *fields.RECORD))
+    fields, choices = import_module("bench.config.fields"), import_module("bench.config.choices")
+    names = [name for name in fields.declared() if name not in ("data", *fields.RECORD)]
+    rows = field_table(
+        fields.declared(), dict(zip(names, names, strict=True)), choices.default_choices() | {"method": ""}
+    )
     return f"{rows}\n| `experiment` | | a sweep of `conf/experiment`; other fields override it |"
 
 
 def record_fields() -> str:
     """Return the table of the fields of a measured record."""
-    return field_table(("data", *import_module("bench.config.fields").RECORD))
+    fields = import_module("bench.config.fields")
+    names = ("data", *fields.RECORD)
+    return field_table(fields.declared(), dict(zip(names, names, strict=True)), {})
+
+
+def scenario_fields() -> str:
+    """Return the table of the fields of a scenario, without those of a cell."""
+    scenario, fields_of = import_module("bench.scenario.scenario"), import_module("bench.config.declaration").fields_of
+    paths = {field.name: scenario.config_path(field) for field in dataclasses.fields(scenario.Scenario)}
+    names = {name: path.removeprefix("system.") for name, path in paths.items() if path.startswith("system.")}
+    rows = field_table(fields_of(scenario.Scenario), names, {})
+    return f"{rows}\n| `default_prior` | `nominal` | prior if none is chosen |"
+
+
+def force_fields() -> str:
+    """Return the table of the fields of a force."""
+    return declared_fields(import_module("bench.scenario.force").ForceSpec)
+
+
+def prior_fields() -> str:
+    """Return the table of the fields of a prior."""
+    return declared_fields(import_module("bench.scenario.scenario").PriorSpec)
+
+
+def declared_fields(cls: type) -> str:
+    """Return the table of the fields of a dataclass."""
+    declared = import_module("bench.config.declaration").fields_of(cls)
+    return field_table(declared, dict(zip(declared, declared, strict=True)), {})
 
 
 def method_table() -> str:
@@ -240,6 +279,9 @@ GENERATED: dict[str, Callable[[], str]] = {
     "<!-- the help of every command, written by docs/hooks.py when the site is built -->": help_pages,
     "<!-- fields of a run -->": run_fields,
     "<!-- fields of a record -->": record_fields,
+    "<!-- fields of a scenario -->": scenario_fields,
+    "<!-- fields of a force -->": force_fields,
+    "<!-- fields of a prior -->": prior_fields,
     "<!-- columns of every file -->": column_tables,
     "<!-- methods -->": method_table,
     "<!-- modal methods -->": modal_table,

@@ -39,18 +39,18 @@ class ForceSpec:
     """
 
     __pydantic_config__ = STRICT
-    amplitude: Positive
-    low_hz: Positive | None = None
-    high_hz: Positive | None = None
-    tones: Annotated[int, Within(ge=1)] = 10
-    samples: Annotated[int, Within(ge=2)] = 201
-    hold: Hold = "linear"
-    dof: Annotated[int, Within(ge=0)] = 0
-    kind: Shape = "multisine"
-    start_s: Annotated[float, Within(ge=0.0)] = 0.0
-    length_s: Positive | None = None
-    file: str | None = None
-    noise_db: float | None = None
+    amplitude: Annotated[Positive, "N: root mean square of a continuing force, maximum of an impulse or a step"]
+    low_hz: Annotated[Positive | None, "lower end of the band (Hz)"] = None
+    high_hz: Annotated[Positive | None, "upper end of the band (Hz)"] = None
+    tones: Annotated[int, Within(ge=1), "number of sine waves of a multisine"] = 10
+    samples: Annotated[int, Within(ge=2), "number of force samples"] = 201
+    hold: Annotated[Hold, "interpolation between force samples"] = "linear"
+    dof: Annotated[int, Within(ge=0), "DOF on which the force acts"] = 0
+    kind: Annotated[Shape, "shape of the force"] = "multisine"
+    start_s: Annotated[float, Within(ge=0.0), "start of an impulse or a step (s)"] = 0.0
+    length_s: Annotated[Positive | None, "length of an impulse (s)"] = None
+    file: Annotated[str | None, "file of a column: one number per line"] = None
+    noise_db: Annotated[float | None, "signal-to-noise ratio of the force that is given to a method (dB)"] = None
 
     def __post_init__(self) -> None:
         if self.kind not in SHAPES:

@@ -37,10 +37,15 @@ class PriorSpec:
     """
 
     __pydantic_config__ = STRICT
-    name: str
-    sd_by_kind: Mapping[str, Positive]
-    wrong: bool = False
-    draws: Literal["nominal", "truth"] = "nominal"
+    name: Annotated[str, "name of the prior"]
+    sd_by_kind: Annotated[
+        Mapping[str, Positive],
+        "standard deviation of a parameter's logarithm, by kind: mass, damping, stiffness, other",
+    ]
+    wrong: Annotated[bool, "nominal values are off by three standard deviations"] = False
+    draws: Annotated[
+        Literal["nominal", "truth"], "what is drawn: nominal values around the true ones, or true values around these"
+    ] = "nominal"
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a method knows of it, as JSON holds it: neither the name nor which of the two is drawn."""
@@ -96,22 +101,34 @@ class Scenario:
     """
 
     __pydantic_config__ = STRICT
-    system: str
-    parameters: Mapping[str, Positive]
-    initial: Annotated[tuple[tuple[float, ...], tuple[float, ...]], WrittenAs(InitialMotion)]
-    snr_db: Annotated[float, Within(ge=-40, le=300)]
-    duration: Positive = 10.0
-    samples: Annotated[int, Within(ge=MIN_SAMPLES, le=100_000)] = 25
-    initial_state: Literal["known", "unknown"] = "known"
-    prior: PriorSpec | None = None
-    force: ForceSpec | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    dense: Annotated[int, Within(ge=2, le=100_000)] = 1000
-    forecast: Positive = 10.0
-    label: str = ""
-    disturbance: Disturbance | None = None
-    measured: tuple[Annotated[int, Within(ge=0)], ...] | None = None
-    added_mass: tuple[Annotated[float, Within(ge=0)], ...] | None = None
+    system: Annotated[str, "equation: an entry point of the group bench.systems"]
+    parameters: Annotated[Mapping[str, Positive], "true values, hidden from all methods"]
+    initial: Annotated[
+        tuple[tuple[float, ...], tuple[float, ...]],
+        WrittenAs(InitialMotion),
+        "true displacement and velocity of each degree of freedom (DOF) at time 0",
+    ]
+    snr_db: Annotated[float, Within(ge=-40, le=300), "signal-to-noise ratio (dB)"]
+    duration: Annotated[Positive, "record length (s)"] = 10.0
+    samples: Annotated[
+        int, Within(ge=MIN_SAMPLES, le=100_000), "displacement samples per measured DOF, both ends included"
+    ] = 25
+    initial_state: Annotated[Literal["known", "unknown"], "whether the initial state is given to a method"] = "known"
+    prior: Annotated[PriorSpec | None, "prior distribution of the parameters"] = None
+    force: Annotated[ForceSpec | None, "known force; its fields are listed below"] = None
+    options: Annotated[Mapping[str, Any], "arguments of the equation, such as {n: 3} for a chain"] = field(
+        default_factory=dict
+    )
+    dense: Annotated[int, Within(ge=2, le=100_000), "number of times at which displacement is scored"] = 1000
+    forecast: Annotated[Positive, "length of the scored forecast after the record (s)"] = 10.0
+    label: Annotated[str, "name in tables"] = ""
+    disturbance: Annotated[Disturbance | None, "violated assumption of the methods"] = None
+    measured: Annotated[
+        tuple[Annotated[int, Within(ge=0)], ...] | None, "DOFs with a sensor, counted from 0; unset: all"
+    ] = None
+    added_mass: Annotated[
+        tuple[Annotated[float, Within(ge=0)], ...] | None, "kg per DOF: a second record with these masses added"
+    ] = None
 
     def __post_init__(self) -> None:
         system = self.make_system()

@@ -7,11 +7,10 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -28,7 +27,7 @@ from bench.engine.method_process import CPU_MARGIN_S, LONGEST_ANSWER
 from bench.isolation.limits import LONGEST_FILE
 from bench.isolation.processes import READY_S
 from bench.scenario.force import ForceSpec
-from bench.scenario.scenario import PriorSpec, Scenario, config_path
+from bench.scenario.scenario import PriorSpec, Scenario
 
 REFERENCE = REPOSITORY / "docs" / "reference"
 RESULTS = REPOSITORY / "results"
@@ -92,31 +91,16 @@ def test_a_term_of_the_glossary_is_linked_once(hooks: ModuleType) -> None:
     assert set(hooks.COMMON_WORDS) <= set(terms)
 
 
-@pytest.mark.parametrize(("kind", "heading"), [(Scenario, "Fields of a scenario"), (ForceSpec, "Fields of `force`")])
-def test_every_field_of_a_scenario_and_of_a_force_is_listed_with_its_default(kind: type[Any], heading: str) -> None:
-    text = page("configuration.md").partition(heading)[2].partition("\n## ")[0]
-    text = text.partition("Fields of `force`")[0] if kind is Scenario else text
-    shown = {name: cells[1] for cells in lines(text) for name in re.findall(r"`(\w+)`", cells[0])}
-    for field in fields(kind):
-        name = config_path(field).removeprefix("system.") if kind is Scenario else field.name
-        if name in ("snr", "initial_state", "prior", "disturbance"):
-            continue  # fields of a cell
-        if kind is Scenario and name == "kind" and field.name != "system":
-            continue
-        assert name in shown, name
-        if isinstance(field.default, int | float | str) and field.default is not MISSING and "," not in shown[name]:
-            assert shown[name].strip("`") in (
-                f"{field.default:g}" if not isinstance(field.default, str) else field.default,
-                "",
-            ), name
-
-
-def test_every_field_of_a_prior_is_listed() -> None:
-    text = page("configuration.md").partition("## Fields of a prior")[2].partition("\n## ")[0]
-    assert {field.name for field in fields(PriorSpec)} == {cells[0].strip("`") for cells in lines(text)} - {
-        "field",
-        "---",
-    }
+def test_every_field_of_a_scenario_a_force_and_a_prior_is_listed(hooks: ModuleType) -> None:
+    scenario, force, prior = (
+        {cells[0].strip("`"): cells[1].strip("`") for cells in lines(text)}
+        for text in (hooks.scenario_fields(), hooks.force_fields(), hooks.prior_fields())
+    )
+    of_a_cell = {"snr_db", "initial_state", "prior", "disturbance"}
+    assert {field.name for field in fields(Scenario)} - of_a_cell - {"system"} | {"kind"} <= scenario.keys()
+    assert (scenario["samples"], scenario["duration"], scenario["kind"]) == ("25", "10", "")
+    assert {field.name for field in fields(ForceSpec)} <= force.keys()
+    assert {field.name for field in fields(PriorSpec)} <= prior.keys()
 
 
 def test_the_limits_of_a_fit_are_those_of_the_code() -> None:
