@@ -1,1 +1,1 @@
-"""Difference equations of sampled motion: autoregression, at once or recursive, and its maximum likelihood."""
+"""Difference equations of sampled motion: autoregression, batch or recursive, and its maximum likelihood."""

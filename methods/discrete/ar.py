@@ -1,17 +1,15 @@
 """Autoregression of order two: the difference equation of a sampled free decay, by least squares.
 
-At even steps h a free decay is a sum of two exponentials ``z₁^j, z₂^j``, ``z = e^(sh)``, so that its samples obey
+At even steps h a free decay is a sum of two exponentials ``z₁^j, z₂^j``, ``z = e^(sh)``, so its samples satisfy
 ``x_j = a₁ x_(j-1) + a₂ x_(j-2)`` with ``z² - a₁ z - a₂ = 0``. A sensor's offset d adds the constant
-``(1 - a₁ - a₂) d``. It is solved for a₁ and a₂ over all samples (the least-squares form of the method of G. R. B. de
-Prony: S. M. Kay, Modern Spectral Estimation, 1988, section 11.4). From the roots, ``k/m = s₁ s₂`` and
-``c/m = -(s₁ + s₂)``, ``s = log(z)/h``: for a complex pair and for two positive roots, that is for a damping ratio below
-and above 1.
+``(1 - a₁ - a₂) d``. Least squares over all samples gives a₁ and a₂ (the least-squares form of the method of G. R. B. de
+Prony: S. M. Kay, Modern Spectral Estimation, 1988, section 11.4). The roots give ``k/m = s₁ s₂`` and
+``c/m = -(s₁ + s₂)``, ``s = log(z)/h``, for a complex pair and for two positive roots (damping ratio below and above 1).
 
-This is the plain form that textbooks give and people run, and it has their bias. The columns are measured too: their
-noise (errors in variables; T. Söderström, Automatica 43:939, 2007) draws the coefficients towards zero, the more the
-more samples a cycle there are, since then two neighbours differ by little else than noise. The estimate is biased
-at any length of record, towards too much damping above all. ``iqml`` removes that bias. The uncertainty is a parametric
-bootstrap's spread, which does not show it.
+This is the usual textbook form, and it is biased: the regressors are noisy (errors in variables; T. Söderström,
+Automatica 43:939, 2007), which reduces the coefficients, more so at many samples per cycle, where neighbouring samples
+differ by little but noise. The bias, mainly towards larger damping, does not decrease with the length of the record.
+``iqml`` removes it. The uncertainty is the spread of a parametric bootstrap, which excludes the bias.
 """
 
 from __future__ import annotations
@@ -27,13 +25,13 @@ from methods.regression.equation import solve
 
 NO_OSCILLATOR = (
     "the roots of its difference equation are not those of a sampled oscillator (one is negative, or one decays and "
-    "one grows): take more samples a cycle, a longer record or less noise"
+    "one grows): more samples per cycle, a longer record or less noise are required"
 )
 
 
 @dataclass(frozen=True)
 class AR(PoleIdentifier):
-    """Autoregression of order two by least squares; ``bootstrap`` records are drawn for the covariance, 0 for none."""
+    """Autoregression of order two by least squares; ``bootstrap``: synthetic records for the covariance, 0 for none."""
 
     bootstrap: int = 100
 
@@ -55,22 +53,22 @@ class AR(PoleIdentifier):
 
 
 def equations(sets: np.ndarray, offset: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Make columns (sets, n - 2, 2 or 3) of a₁, a₂ and an offset's constant, and target (sets, n - 2), of samples."""
+    """Return the columns (sets, n - 2, 2 or 3) of a₁, a₂ and an offset's constant, and the target (sets, n - 2)."""
     columns = [sets[:, 1:-1], sets[:, :-2]] + ([np.ones_like(sets[:, 2:])] if offset else [])
     return np.stack(columns, axis=-1), sets[:, 2:]
 
 
 def groups_of(a: np.ndarray, step: float) -> np.ndarray:
-    """Return k/m and c/m, (..., 2), of coefficients a₁ and a₂ (..., 2 or more) at a step of time.
+    """Return k/m and c/m, (..., 2), for coefficients a₁ and a₂ (..., 2 or more) at a time step.
 
-    NaN where the roots are no oscillator's: not finite, negative, or on both sides of 1.
+    NaN where the roots are not those of an oscillator: not finite, negative, or on both sides of 1.
     """
     with np.errstate(all="ignore"):
         half, product = 0.5 * a[..., 0], -a[..., 1]
         decay = -np.log(product) / step
         inside = product - half**2
         angle = np.arctan2(np.sqrt(np.maximum(inside, 0.0)), half) / step
-        # the larger root, and the smaller by their product: no cancellation
+        # the larger root, and the smaller one from their product, to avoid cancellation
         large = half + np.sqrt(np.maximum(-inside, 0.0))
         rates = np.log(large) / step, np.log(product / large) / step
         pair = (0.5 * decay) ** 2 + angle**2
@@ -81,13 +79,13 @@ def groups_of(a: np.ndarray, step: float) -> np.ndarray:
 
 
 def coefficients_of(groups: np.ndarray | tuple[float, float], step: float) -> np.ndarray:
-    """Return a₁ and a₂, (2,), of k/m and c/m (2,) at a step of time: the inverse of :func:`groups_of`."""
+    """Return a₁ and a₂, (2,), for k/m and c/m (2,) at a time step: the inverse of :func:`groups_of`."""
     envelope, cosine, _ = _waves(groups, step)
     return np.array([2.0 * envelope * cosine, -(envelope**2)])
 
 
 def coefficient_slopes(groups: np.ndarray | tuple[float, float], step: float) -> np.ndarray:
-    """Differentiate :func:`coefficients_of` by k/m and c/m, (2, 2), a row a coefficient."""
+    """Differentiate :func:`coefficients_of` by k/m and c/m, (2, 2), one row per coefficient."""
     envelope, cosine, sine = _waves(groups, step)
     by_stiffness = -envelope * step**2 * sine
     by_damping = -step * envelope * cosine - 0.5 * groups[1] * by_stiffness
@@ -95,7 +93,7 @@ def coefficient_slopes(groups: np.ndarray | tuple[float, float], step: float) ->
 
 
 def _waves(groups: np.ndarray | tuple[float, float], step: float) -> tuple[float, float, float]:
-    """``e^(-dh)``, ``cosh(rh)`` and ``sinh(rh)/(rh)`` of ``d = c/2m``, ``r² = d² - k/m``, without a cut at r = 0."""
+    """Return ``e^(-dh)``, ``cosh(rh)`` and ``sinh(rh)/(rh)`` for ``d = c/2m``, ``r² = d² - k/m``; r may be zero."""
     decay = 0.5 * float(groups[1])
     angle = np.sqrt(complex(decay**2 - float(groups[0]))) * step
     ratio = np.sinh(angle) / angle if abs(angle) > 1e-4 else 1.0 + angle**2 / 6.0

@@ -1,13 +1,12 @@
-"""Autoregression of order two by recursive least squares: the coefficients after each sample of a free decay.
+"""Autoregression of order two by recursive least squares.
 
-The regression is that of ``ar`` (:mod:`methods.discrete.ar`), its bias included, taken one sample at a time by the
-update of ``rls`` (:mod:`methods.regression.rls`). Unlike ``rls`` it differentiates nothing. It starts from zero
-coefficients and a diffuse covariance, ``diffuse`` times the identity in natural units (displacement of order one).
-Since the parameters do not move, the forgetting factor is 1: the last estimate is that of ``ar``, to the diffuse start.
-Below 1 it follows parameters that move, and costs precision here.
+The regression is that of ``ar`` (:mod:`methods.discrete.ar`), with its bias, updated sample by sample as in ``rls``
+(:mod:`methods.regression.rls`) but without differentiation. The initial values are zero coefficients and a diffuse
+covariance, ``diffuse`` times the identity in natural units (displacement of order one). Since the parameters are
+constant, the default forgetting factor is 1, and the last estimate equals that of ``ar`` but for the diffuse prior.
 
-The trace ``trajectory`` keeps k/m and c/m after each sample from the third (n_samples - 2, 2), NaN where the roots are
-no oscillator's yet, ``trajectory_times`` its times (s).
+The trace ``trajectory`` contains k/m and c/m after each sample from the third (n_samples - 2, 2), NaN where the roots
+are not those of an oscillator, ``trajectory_times`` its times (s).
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from methods.regression.rls import check_recursion, recursive_least_squares, tra
 
 @dataclass(frozen=True)
 class ARRecursive(PoleIdentifier):
-    """The regression of ``ar``, recursively; ``forgetting`` and ``diffuse`` as above.
+    """Recursive autoregression; ``forgetting`` factor, initial covariance ``diffuse``.
 
-    ``bootstrap`` records are drawn for the covariance, 0 for none.
+    ``bootstrap``: synthetic records for the covariance, 0 for none.
     """
 
     bootstrap: int = 100
@@ -44,7 +43,7 @@ class ARRecursive(PoleIdentifier):
         scale="groups",
         reconstruction="simulated",
         uncertainty="covariance of a parametric bootstrap: spread only, not the bias of noisy columns",
-        settings_source="forgetting 1: the parameters do not move; diffuse: large against 1, as that of RLS",
+        settings_source="forgetting 1: the parameters are constant; diffuse: large against 1, as that of RLS",
         tuning="none",
         title="AR, recursive",
         order=210,
@@ -55,7 +54,7 @@ class ARRecursive(PoleIdentifier):
         check_recursion(self.forgetting, self.diffuse)
 
     def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Read the decays, and keep the way to each answer."""
+        """Estimate all problems; the recursion is returned as a trace."""
         answers, times = super().fit(regression, rngs), regression.times[0]
         path = self._path(regression.values[0][0], step_of(times), has_offset(regression))[
             ..., groups_order(regression)
@@ -72,6 +71,6 @@ class ARRecursive(PoleIdentifier):
         return np.array(self._path(sets, step, offset)[-1])
 
     def _path(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
-        """k/m and c/m after each sample from the third, (n - 2, sets, 2)."""
+        """Return k/m and c/m after each sample from the third, (n - 2, sets, 2)."""
         path = recursive_least_squares(*equations(sets, offset), self.forgetting, self.diffuse)
         return groups_of(path, step)

@@ -1,20 +1,20 @@
-"""Iterated quadratic maximum likelihood: the difference equation of a free decay, weighed by what its noise is.
+"""Iterated quadratic maximum likelihood (IQML) on the difference equation of a free decay.
 
-White noise e on the samples stands in ``y_j - a₁ y_(j-1) - a₂ y_(j-2)`` as ``A e``, A the banded matrix of the rows
-``(-a₂, -a₁, 1)``. The likelihood of a, amplitudes eliminated, is that of ``Y a = A y`` with covariance ``σ² A Aᵀ``:
-quadratic in a where that matrix is fixed. Least squares with it, the matrix renewed from the answer, and so on until
-the answer stays (Y. Bresler, A. Macovski, IEEE Trans. Acoustics, Speech and Signal Processing 34:1081, 1986; the
-iteration of K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10:461, 1965, for a free decay). It starts at
-``A Aᵀ = I``, which is ``ar``; that estimate's bias is what the weight removes. ``A Aᵀ`` has five diagonals: a round
-costs as many operations as there are samples. An offset is a constant among the unknowns. Since the weight is fixed
-while it minimises, the end is not exactly the maximum of the likelihood.
+White noise e of the samples appears in ``y_j - a₁ y_(j-1) - a₂ y_(j-2)`` as ``A e``, with the banded matrix A of rows
+``(-a₂, -a₁, 1)``. The likelihood of a, with amplitudes eliminated, is that of ``Y a = A y`` of covariance ``σ² A Aᵀ``,
+which is quadratic in a for a fixed matrix. Weighted least squares and an update of the matrix are iterated until
+convergence (Y. Bresler, A. Macovski, IEEE Trans. Acoustics, Speech and Signal Processing 34:1081, 1986; the iteration
+of K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10:461, 1965, for a free decay). The first step with
+``A Aᵀ = I`` is ``ar``, whose bias the weight removes. ``A Aᵀ`` has five diagonals, so the cost of a step is
+proportional to the number of samples. An offset is a constant among the unknowns. Since the weight is fixed in each
+minimisation, the result is not exactly the maximum of the likelihood.
 
-The covariance is the bound at the answer, amplitudes and offset eliminated: ``σ² (X̂ᵀ (A Aᵀ)⁻¹ X̂)⁻¹`` for a, with X̂ the
-columns of the response (first order of ``A x = 0``), σ from the residuals. Where that cannot be inverted, it is that of
-a parametric bootstrap.
+The covariance is the Cramér-Rao bound at the estimate, with amplitudes and offset eliminated:
+``σ² (X̂ᵀ (A Aᵀ)⁻¹ X̂)⁻¹`` for a, with the columns X̂ of the response (to first order in ``A x = 0``) and σ from the
+residuals. Where the matrix is singular, a parametric bootstrap is used.
 
-The initial state is estimated even where it is known: the amplitudes of the exponentials are eliminated as what the
-coefficients leave open, and a known velocity is no condition on samples that is linear in them.
+The initial state is estimated even where it is known: the elimination of the amplitudes cannot use a known velocity,
+which is no linear condition on the samples.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from methods.modal.realisation import step_of
 from methods.regression.equation import solve
 
 SETTLED = 1e-4
-"""The iteration has settled when a round moves it by less than this part of a standard error."""
+"""The iteration has converged when a step is below this fraction of a standard error,"""
 ROUNDING = 1e-11
-"""Or by less than this: where there is no noise, no standard error is."""
+"""or below this value, since without noise the standard error is zero."""
 UNSETTLED = (
-    "its iteration did not settle on the difference equation of an oscillator: "
-    "take a longer record, more samples a cycle or less noise"
+    "its iteration did not converge to the difference equation of an oscillator: "
+    "a longer record, more samples per cycle or less noise are required"
 )
 
 
 @dataclass(frozen=True)
 class IQML(PoleIdentifier):
-    """At most ``rounds`` rounds of reweighting.
+    """IQML with at most ``rounds`` iterations of reweighting.
 
-    ``bootstrap`` records are drawn where the bound cannot be computed; with ``bootstrap=0`` there is no uncertainty.
+    ``bootstrap``: synthetic records for the covariance where the bound is singular; with 0 there is none then.
     """
 
     bootstrap: int = 100
@@ -57,9 +57,9 @@ class IQML(PoleIdentifier):
         start="estimated always",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="inverse Fisher information at the answer, Student t with N - 4 degrees of freedom",
-        settings_source="rounds: more than any development record took that settled",
-        tuning="none; rounds seen on 9 development systems (damping 0.3-80 %, 0.7-40 cycles, 8-300 samples, 40-10 dB)",
+        uncertainty="inverse Fisher information at the estimate, Student t with N - 4 degrees of freedom",
+        settings_source="rounds: more than any converged development record needed",
+        tuning="none; rounds checked on 9 systems (damping 0.3-80 %, 0.7-40 cycles, 8-300 samples, 40-10 dB)",
         title="IQML",
         order=95,
     )
@@ -72,19 +72,26 @@ class IQML(PoleIdentifier):
     def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
         columns, target = equations(sets, offset)
         first = solve(columns, target)
-        settled = [reweighted(x, y, a, self.rounds) for x, y, a in zip(columns, target, first, strict=True)]
-        return groups_of(np.stack(settled), step)
+        converged = [reweighted(x, y, a, self.rounds) for x, y, a in zip(columns, target, first, strict=True)]
+        return groups_of(np.stack(converged), step)
 
     def spread(self, decays: Decays) -> np.ndarray:
         return bound(decays)
 
 
 def reweighted(columns: np.ndarray, target: np.ndarray, start: np.ndarray, rounds: int) -> np.ndarray:
-    """Find coefficients (q,) at which the iteration stays, a₁ and a₂ first; NaN where it does not.
+    """Iterate reweighted least squares to convergence.
 
-    ``columns`` (rows, q), ``target`` (rows,); ``start`` (q,), whose covariance weighs the first of at most ``rounds``.
+    Args:
+        columns: Regressors, (rows, q).
+        target: Target, (rows,).
+        start: Coefficients of the first weight, (q,).
+        rounds: Largest number of iterations.
+
+    Returns:
+        The coefficients (q,), a₁ and a₂ first; NaN without convergence.
     """
-    a, left = start, max(target.size - start.size, 1)
+    a, freedom = start, max(target.size - start.size, 1)
     for _ in range(rounds):
         try:
             weighted = whitened(a, np.column_stack([columns, target]))
@@ -92,7 +99,7 @@ def reweighted(columns: np.ndarray, target: np.ndarray, start: np.ndarray, round
             new = np.linalg.solve(normal, columns.T @ weighted[:, -1])
         except (np.linalg.LinAlgError, ValueError):
             break  # coefficients that are not finite, or a record without motion
-        move, noise = new - a, float((target - columns @ new) @ (weighted @ np.append(-new, 1.0))) / left
+        move, noise = new - a, float((target - columns @ new) @ (weighted @ np.append(-new, 1.0))) / freedom
         a = new
         if move @ normal @ move <= SETTLED**2 * noise or np.max(np.abs(move)) <= ROUNDING:
             return a
@@ -100,7 +107,7 @@ def reweighted(columns: np.ndarray, target: np.ndarray, start: np.ndarray, round
 
 
 def whitened(a: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """``(A Aᵀ)⁻¹ columns``, shape (rows, q), for the A of coefficients that begin with a₁ and a₂.
+    """Compute ``(A Aᵀ)⁻¹ columns``, (rows, q), for A of the coefficients a, which begin with a₁ and a₂.
 
     Raises LinAlgError or ValueError where that matrix is singular or not finite.
     """
@@ -113,7 +120,7 @@ def whitened(a: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def bound(decays: Decays) -> np.ndarray:
-    """Compute covariances (sets, 2, 2) of k/m and c/m by the Fisher information; NaN where it is singular."""
+    """Compute the Cramér-Rao bounds (sets, 2, 2) of k/m and c/m; NaN where the information is singular."""
     step = step_of(decays.times)
     covariances = np.full((len(decays.groups), 2, 2), np.nan)
     columns, _ = equations(decays.centres, decays.offset)
@@ -122,7 +129,7 @@ def bound(decays: Decays) -> np.ndarray:
             inverse = np.linalg.inv(x.T @ whitened(coefficients_of(groups, step), x))[:2, :2]
             back = np.linalg.inv(coefficient_slopes(groups, step))
         except (np.linalg.LinAlgError, ValueError):
-            continue  # numbers that are not finite, or no information
+            continue  # not finite, or no information
         covariance = noise**2 * back @ inverse @ back.T
         if np.all(np.diag(covariance) > 0):
             covariances[i] = covariance

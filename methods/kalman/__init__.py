@@ -1,1 +1,1 @@
-"""State and parameters together, by Kalman filters and smoothers."""
+"""Joint estimation of state and parameters by Kalman filters and smoothers."""

@@ -1,20 +1,20 @@
-"""The Kalman filter, written once for numpy and jax: maps made affine, prediction, update, smoothing, mixtures.
+"""The Kalman filter for NumPy and JAX: linearisation, prediction, update, smoothing and mixtures.
 
-Any number of filters stand side by side along the leading axes of all arrays. A filter of a nonlinear system is a rule
-that replaces each map by an affine one about a distribution N(m, P); for these the Kalman filter is exact.
+Leading axes of all arrays hold independent filters. A filter of a nonlinear system is defined by a rule that replaces
+each map by an affine one about a normal distribution N(m, P); for affine maps the Kalman filter is exact.
 
-- :func:`tangent` makes the extended filter: ``f(s) ~ f(m) + F (s - m)``.
-- :func:`regression` makes the unscented one. The distribution is replaced by points at ``m ± sqrt(d + kappa)`` times
-  each column of a square root of P, and at m (S. J. Julier, J. K. Uhlmann, Proc. SPIE 3068:182, 1997), where d is the
-  size of the state. The straight line through what the map makes of them is the affine map of least mean square error,
-  and what it leaves is that map's error (statistical linear regression; T. Lefebvre et al., IEEE Trans. Automatic
-  Control 47:1406, 2002): mean and covariance are then those of the unscented transform.
+- :func:`tangent` gives the extended filter: ``f(s) ~ f(m) + F (s - m)``.
+- :func:`regression` gives the unscented filter. The distribution is represented by sigma points at m and at
+  ``m ± sqrt(d + kappa)`` times each column of a square root of P (S. J. Julier, J. K. Uhlmann, Proc. SPIE 3068:182,
+  1997), where d is the size of the state. The linear regression of the map's values on these points is the affine map
+  of least mean square error, and its residuals give the error covariance (statistical linear regression; T. Lefebvre et
+  al., IEEE Trans. Automatic Control 47:1406, 2002). Mean and covariance then equal those of the unscented transform.
 
-A distribution is carried by its covariance (:data:`COVARIANCE`) or by a root of it (:data:`ROOT`; P. Kaminski, A.
-Bryson, S. Schmidt, IEEE Trans. Automatic Control 16:727, 1971). Channels have independent noise, so their values are
-taken one by one, and nothing is inverted. The update of a covariance is Joseph's, which keeps it positive. The smoother
-is the modified Bryson-Frazier one (G. J. Bierman, Int. J. Control 18:65, 1973): it needs no inverse either, so a state
-that is known exactly, a singular covariance, does no harm.
+A distribution is represented by its covariance (:data:`COVARIANCE`) or by a square root of it (:data:`ROOT`; P.
+Kaminski, A. Bryson, S. Schmidt, IEEE Trans. Automatic Control 16:727, 1971). Channels have independent noise and are
+processed one by one, without matrix inversion. The covariance update has Joseph's form, which keeps it positive. The
+smoother is the modified Bryson-Frazier form (G. J. Bierman, Int. J. Control 18:65, 1973), which needs no inverse and
+thus allows a singular covariance, as of a known initial state.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Array = Any
-"""Of numpy or of jax."""
+"""An array of NumPy or JAX."""
 Map = Callable[[Array], Array]
-"""Points (L, S, d) to values (L, S, m)."""
+"""A function from points (L, S, d) to values (L, S, m)."""
 SMALL = 1e-5
-"""Step of the differences, in natural units and in log-parameters."""
+"""Step of the central differences, in natural units and in log-parameters."""
 
 
 class Affine(NamedTuple):
@@ -41,15 +41,15 @@ class Affine(NamedTuple):
 
 
 Rule = Callable[[Map, Array, Array], Affine]
-"""How a map becomes affine about distributions: means (L, d) and covariances (L, d, d)."""
+"""A function that linearises a map about distributions with means (L, d) and covariances (L, d, d)."""
 
 
 class Update(NamedTuple):
-    """A distribution after its samples, and what the smoother needs of them.
+    """The distribution after an update, and the quantities that the smoother needs.
 
-    ``spread`` is the covariance. By channel: ``gains`` (..., d); ``innovations`` (...), each over its variance;
-    ``precisions`` (...): 1 over these variances, 0 where a channel gave nothing. ``likelihood`` (...): log-likelihood
-    up to a constant.
+    ``spread`` is the covariance. Per channel: ``gains`` (..., d); ``innovations`` (...), each over its variance;
+    ``precisions`` (...): reciprocals of these variances, 0 where a channel has no value. ``likelihood`` (...):
+    log-likelihood up to a constant.
     """
 
     mean: Array
@@ -64,7 +64,7 @@ class Update(NamedTuple):
 
 
 def tangent(function: Map, means: Array, covariances: Array) -> Affine:
-    """Return the map's value and slopes at the means, by central differences; no error is attributed to it."""
+    """Linearise a map at the means by central differences, with zero error covariance."""
     d = means.shape[1]
     values = function(means[:, None] + SMALL * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)]))
     slopes = transposed(values[:, 1 : d + 1] - values[:, d + 1 :]) / (2 * SMALL)
@@ -74,19 +74,19 @@ def tangent(function: Map, means: Array, covariances: Array) -> Affine:
 def regression(
     function: Map, means: Array, covariances: Array, kappa: float = 0.0, least: float = SMALL, relative: float = 0.0
 ) -> Affine:
-    """Return the line through the map's values at the sigma points, and the scatter of the values about it.
+    """Regress a map on sigma points; the residuals give the scatter.
 
-    The root is that of the eigenvectors. The points lie symmetrically, so the odd part of the values is the line's
-    exactly; the even part is its error.
+    The square root of a covariance uses its eigenvectors. Since the points are symmetric, the odd part of the values is
+    fitted exactly, and the even part gives the error.
 
     Args:
         function: The map.
         means: Means of the distributions, (L, d).
         covariances: Covariances of the distributions, (L, d, d).
-        kappa: Weight of the central point against those about it; 0 is the cubature rule (I. Arasaratnam, S. Haykin,
+        kappa: Relative weight of the central point; 0 is the cubature rule (I. Arasaratnam, S. Haykin,
             IEEE Trans. Automatic Control 54:1254, 2009).
-        least: Least standard deviation of a direction, which makes the line a tangent where a distribution is certain.
-        relative: The same, over the largest one.
+        least: Least standard deviation of a direction, which gives a tangent for a singular covariance.
+        relative: The same relative to the largest standard deviation.
     """
     xp, d = means.__array_namespace__(), means.shape[1]
     values, axes = xp.linalg.eigh(xp.where(xp.isfinite(covariances), covariances, 0.0))
@@ -106,28 +106,28 @@ def regression(
 
 
 def error(affine: Affine, walk: Array) -> Array:
-    """Return the covariance that a distribution gains by an affine map and by random walks of variances (..., d)."""
+    """Return the covariance added by the error of an affine map and by random walks of variances (..., d)."""
     return transposed(affine.scatter) @ affine.scatter + walk[..., None] * np.eye(walk.shape[-1])
 
 
 def predict(slopes: Array, constants: Array, gained: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Carry a distribution through an affine map, by which it gains a covariance (..., d, d)."""
+    """Propagate mean and covariance through an affine map; ``gained``: covariance of the process noise."""
     return apply(slopes, mean) + constants, slopes @ covariance @ transposed(slopes) + gained
 
 
 def update(
     mean: Array, covariance: Array, slopes: Array, constants: Array, variances: Array, values: Array, used: Array
 ) -> Update:
-    """Update a distribution by the values of channels whose noise is independent.
+    """Update a distribution by the values of channels with independent noise.
 
     Args:
-        mean: Of the distribution, (..., d).
-        covariance: Of the distribution, (..., d, d).
-        slopes: Of the measurement, (..., C, d).
-        constants: Of the measurement, (..., C).
-        variances: Of the noise, (..., C).
-        values: What the channels gave, finite, (C,) or (..., C).
-        used: Which of them count, (C,) or (..., C).
+        mean: Predicted mean, (..., d).
+        covariance: Predicted covariance, (..., d, d).
+        slopes: Measurement matrix, (..., C, d).
+        constants: Measurement offsets, (..., C).
+        variances: Noise variances, (..., C).
+        values: Measured values, finite, (C,) or (..., C).
+        used: Which values to use, (C,) or (..., C).
     """
     xp = mean.__array_namespace__()
     gains, innovations, precisions, likelihood = [], [], [], 0.0
@@ -149,7 +149,7 @@ def update(
 
 
 def backward(adjoint: Array, weight: Array, slopes: Array, updated: Update) -> tuple[Array, Array]:
-    """Carry Bierman's adjoint vector (..., d) and matrix (..., d, d) from behind an update to before it."""
+    """Propagate Bierman's adjoint vector (..., d) and matrix (..., d, d) backwards through an update."""
     for i in reversed(range(slopes.shape[-2])):
         h, gain = slopes[..., i, :], updated.gains[i]
         adjoint = adjoint - h * ((gain * adjoint).sum(-1) + updated.innovations[i])[..., None]
@@ -166,7 +166,7 @@ def _predict_covariance(affine: Affine, walk: Array, mean: Array, covariance: Ar
 
 
 def predict_root(affine: Affine, walk: Array, mean: Array, root: Array) -> tuple[Array, Array]:
-    """Carry a covariance root through an affine map; ``walk`` (..., d) are the variances of the added random walk."""
+    """Propagate mean and covariance root through an affine map; ``walk`` (..., d): process noise variances."""
     xp = mean.__array_namespace__()
     noise = xp.sqrt(walk)[..., None] * np.eye(walk.shape[-1])
     wide = xp.concatenate([affine.slopes @ root, transposed(affine.scatter), noise], axis=-1)
@@ -176,7 +176,7 @@ def predict_root(affine: Affine, walk: Array, mean: Array, root: Array) -> tuple
 def update_root(
     mean: Array, root: Array, slopes: Array, constants: Array, variances: Array, values: Array, used: Array
 ) -> tuple[Array, Array, Array]:
-    """Do as :func:`update` with a root of the covariance, in Potter's form; return mean, root and log-likelihood."""
+    """Update as :func:`update`, with a covariance root in Potter's form; return mean, root and log-likelihood."""
     xp, likelihood = mean.__array_namespace__(), 0.0
     for i in range(slopes.shape[-2]):
         h, r, use = slopes[..., i, :], variances[..., i], used[..., i]
@@ -190,7 +190,7 @@ def update_root(
 
 
 class SpreadForm(NamedTuple):
-    """Form in which a distribution carries its spread: prediction, update, and conversion from and to a covariance."""
+    """Representation of a covariance: its prediction, update, and conversion from and to a covariance."""
 
     predict: Callable[..., tuple[Array, Array]]
     update: Callable[..., Any]
@@ -211,7 +211,7 @@ ROOT = SpreadForm(predict_root, update_root, _root, lambda root: root @ transpos
 
 
 def mixture(share: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of mixtures of the same M distributions, with shares (..., M)."""
+    """Return mean and covariance of mixtures of M distributions, with weights ``share`` (..., M)."""
     mean = share @ means
     off = means - mean[..., None, :]
     return mean, (share[..., None, None] * (covariances + outer(off, off))).sum(-3)

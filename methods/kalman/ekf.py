@@ -1,12 +1,12 @@
-"""Extended Kalman filter for state and parameters together, iterated: each map is replaced by its tangent.
+"""Iterated extended Kalman smoother for state and parameters.
 
-``f(s) ~ f(m) + F (s - m)`` about the mean m of the distribution, F by central differences. What is common to it and the
-unscented filter (joint state, starting points, iteration, noise) is in :mod:`methods.kalman.iteration`.
+Each map is linearised about the mean m, ``f(s) ~ f(m) + F (s - m)``, with F by central differences. The parts common
+to it and the unscented filter (joint state, starting points, iteration, noise) are in :mod:`methods.kalman.iteration`.
 
-The extended filter is the oldest way to identify a structure on line (C. B. Yun, M. Shinozuka, J. Structural Mechanics
-8:187, 1980), iterated over the record since M. Hoshiya, E. Saito (J. Engineering Mechanics 110:1757, 1984). A tangent
-taken at a distribution as wide as a factor of two in stiffness may lose the motion, and then no later pass finds it
-again: so the first one is taken about a trajectory that the data's scan suggests.
+The extended filter is the oldest method of online structural identification (C. B. Yun, M. Shinozuka, J. Structural
+Mechanics 8:187, 1980), iterated over the record since M. Hoshiya, E. Saito (J. Engineering Mechanics 110:1757, 1984).
+With a prior as wide as a factor of two in stiffness the linearisation may lose the motion, and later passes do not
+recover it; the first pass is therefore linearised about a trajectory from a scan of the data.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from methods.kalman.iteration import IteratedSmoother
 
 @dataclass(frozen=True)
 class EKF(IteratedSmoother):
-    """The iterated smoother of tangents."""
+    """Iterated extended Kalman smoother."""
 
     version: ClassVar[int] = 3
-    """3: of several ends the most probable is kept, as at 0 dB, where innovations prefer a motion that dies at once."""
+    """3: among several ends the most probable is kept, not the one with the most likely innovations."""
     card: ClassVar[Card] = Card(
-        summary="extended Kalman filter and smoother for state and log-parameters, iterated from starts of a scan",
+        summary="extended Kalman filter and smoother for state and log-parameters, iterated from guesses of a scan",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="covariance of the last smoothing pass, Student t with N - p degrees of freedom",
-        settings_source="starts and screening of multiple shooting; no process noise, since parameters are "
+        settings_source="guesses and screening of multiple shooting; no process noise, since parameters are "
         "constants; passes until they settle",
-        tuning="width of the distribution without a prior: 3; relaxation of the passes; on development systems "
+        tuning="initial standard deviation without a prior: 3; relaxation of the passes; on development systems "
         "at 200 to 0 dB, damping ratio 0.6-135 %, 1-13 cycles, 5-45 samples",
         title="Extended Kalman filter",
         order=170,
@@ -41,5 +41,5 @@ class EKF(IteratedSmoother):
 
     @property
     def rule(self) -> Rule:
-        """Tangents at the means."""
+        """Return the linearisation by tangents at the means."""
         return tangent

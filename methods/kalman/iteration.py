@@ -1,33 +1,31 @@
-"""Joint estimation of state and parameters by Kalman filters: what the extended and the unscented filter share.
+"""Joint estimation of state and parameters by iterated Kalman smoothers.
 
-**Joint state.** Displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors:
-constants that the measurements of the motion tell of, once the equation of motion carries the state from sample to
-sample (R. E. Kopp, R. J. Orford, AIAA J. 1:2300, 1963). Several records are one chain: between two of them the motion
-starts anew and the constants carry over.
+**Joint state.** Displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors (R.
+E. Kopp, R. J. Orford, AIAA J. 1:2300, 1963). Several records form one chain: between them the motion is reset to its
+prior and the constants continue.
 
-**Iteration.** The record is passed again and again, each time from the original distribution, with the maps taken about
-the smoothed trajectory of the pass before: the iterated extended Kalman smoother (B. M. Bell, SIAM J. Optimization
-4:626, 1994), which without process noise is a Gauss-Newton method for the most probable parameters, or its counterpart
-with sigma points (A. F. Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Trans. Automatic Control 62:2056, 2017). Nothing
-is counted twice, as it would be if a pass began at the end of the one before.
+**Iteration.** Every pass over the records starts from the prior and linearises about the smoothed trajectory of the
+previous pass: the iterated extended Kalman smoother (B. M. Bell, SIAM J. Optimization 4:626, 1994), which without
+process noise is a Gauss-Newton method for the posterior mode, or its counterpart with sigma points (A. F.
+Garcia-Fernandez, L. Svensson, S. Sarkka, IEEE Trans. Automatic Control 62:2056, 2017). Starting a pass from the result
+of the previous one would count the data twice.
 
-**Starting points.** The misfit has a minimum for each half-cycle that the phase may slip over the record, and a filter
-from a wrong one stays there. So the first maps are taken about the trajectories of a few separate starting points of
-the scan that multiple shooting has, too, side by side. The distribution that each pass begins with is the prior all the
-same. Of their ends the most probable one is kept, as every search here does. (The likelihood of the innovations, by
-which D. T. Magill weighs a bank of filters, IEEE Trans. Automatic Control 10:434, 1965, adds the volume of what the
-data leave open: at 0 dB it prefers a motion that dies at once, and explains nothing, to the true one.) The ends that
-are nearly as probable widen its covariance, as components of a Gaussian sum do (D. L. Alspach, H. W. Sorenson, IEEE
-Trans. Automatic Control 17:439, 1972), and the answer says so.
+**Initial guesses.** The misfit has a minimum for each half-cycle that the phase may slip over the record, in which a
+filter remains. The first pass is therefore linearised about the trajectories of the few best guesses of the scan that
+multiple shooting also uses, in parallel; the prior is the same for all. The most probable end is kept. (The likelihood
+of the innovations, by which D. T. Magill weights a bank of filters, IEEE Trans. Automatic Control 10:434, 1965, also
+counts the volume of the posterior: at 0 dB it prefers a motion that decays at once, and fits nothing, to the true one.)
+Ends that are nearly as probable increase its covariance, as components of a Gaussian sum (D. L. Alspach, H. W.
+Sorenson, IEEE Trans. Automatic Control 17:439, 1972), with a message.
 
-**Noise.** At first what the trajectory of a starting point leaves; from then on each channel's variance is its residual
-sum of squares over N less the part of them that was fitted, ``sum H P H' / R``: the fixed point of the EM step of R. H.
-Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982).
+**Noise.** The first noise variances are those of the residuals of each guess; afterwards each channel's variance is its
+residual sum of squares over N minus its fitted degrees of freedom, ``sum H P H' / R``: the fixed point of the EM step
+of R. H. Shumway, D. S. Stoffer (J. Time Series Analysis 3:253, 1982).
 
-**First distribution.** Log-parameters: the prior. Without one: ``open_sd``, a factor of ``e``, about the first
-candidate as the data gave it, moved by no search; where the scale is not identifiable the gauge mass is 1 and the
-answer is the groups. An unknown initial state: rest, with a standard deviation of :data:`methods.kalman.joint.START`
-times the largest displacement (times the fastest rate for velocities).
+**Prior.** Without a prior of the problem, log-parameters have the standard deviation ``open_sd`` about the first
+candidate from the data; where the scale is not identifiable, the gauge mass is 1 and the groups are estimated. An
+unknown initial state has zero mean and a standard deviation of :data:`methods.kalman.joint.START` times the largest
+displacement (times the fastest rate for velocities).
 """
 
 from __future__ import annotations
@@ -62,35 +60,35 @@ from methods.starts.long_records import is_long, thinned
 from methods.starts.search_range import is_unresolved
 
 STARTS = 3
-"""Separate starting points at most."""
+"""Largest number of distinct initial guesses."""
 SCREENING = 5
-"""Output-error steps that each candidate is given before the best are taken."""
+"""Output-error iterations of each candidate before the best are selected."""
 MARGIN = 15.0
-"""A starting point is kept if minus twice its log-posterior is within this of the best."""
+"""A guess is kept if minus twice its log-posterior is within this of the best."""
 ROUNDING = 1e-9
-"""Of a noise level, which is at the least that is resolved but for its last bits."""
+"""Relative tolerance within which a noise level equals the least one resolved."""
 APART = 1.0
-"""Ends are two if a log-parameter differs by more than this many standard deviations,"""
+"""Ends are distinct if a log-parameter differs by more than this many standard deviations."""
 RIVAL = 0.05
-"""and the less likely one counts if its odds are above this: a 95 % interval has to hold it."""
+"""Odds above which a less likely end widens the covariance, since a 95 % interval must cover it."""
 ADRIFT = 0.1
-"""Standard deviations by which the last pass may move an answer that is poor."""
+"""Largest change by the last pass, in standard deviations, at which a poor fit is still returned."""
 POOR = 0.5
-"""A response that leaves more than this part of the mean square of the data is said to be poor."""
+"""A fit is poor if its residuals exceed this fraction of the data's mean square."""
 FINEST = 0.02
 """The shortest integration step, in radians of the fastest rate."""
 PART = (0.2, 3.0)
-"""The least and the most of a pass's move that is followed."""
+"""Limits of the relaxation factor of a pass."""
 SPARE = 1.15
-"""Steps are made for a motion so much faster than the one at hand, and serve while it stays so."""
+"""Integration steps are chosen for a motion faster by this factor, and kept while they suffice."""
 
 
 @dataclass(frozen=True)
 class IteratedSmoother(SearchingIdentifier):
-    """At most ``passes`` over the record, until no parameter moves by ``tolerance`` of its standard deviation.
+    """Make at most ``passes``, until no parameter changes by ``tolerance`` of its standard deviation.
 
     ``drift``: standard deviation of the random walk of a log-parameter over the longest record (its process noise).
-    ``open_sd``: that of a log-parameter at first, where no prior is given.
+    ``open_sd``: initial standard deviation of a log-parameter without a prior.
     """
 
     passes: int = 30
@@ -113,7 +111,7 @@ class IteratedSmoother(SearchingIdentifier):
     @property
     @abstractmethod
     def rule(self) -> Rule:
-        """Rule by which the maps become affine."""
+        """Return the rule of linearisation."""
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate all parameters, or the groups where the scale is not identifiable. Uses no randomness."""
@@ -133,10 +131,10 @@ class IteratedSmoother(SearchingIdentifier):
 
 
 def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
-    """The first of the parameter sets that the data suggest, and the vectors (B, size) to start from, best first.
+    """Return the first candidate parameters, and the vectors (B, size) to start from, best first.
 
-    Each candidate takes a few output-error steps, on the thinned samples of a long record of a linear system, on the
-    first samples of another. Raises NoEstimate where no candidate gives a finite response.
+    Each candidate is improved by a few output-error iterations, on decimated long records of a linear system, on the
+    first samples of others. Raises NoEstimate where no candidate gives a finite response.
     """
     short = head(model)
     sets = candidates(short, STARTS + 1)
@@ -149,9 +147,9 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
     values = quick.profile(thetas)
     best = distinct_minima(short, values, thetas)[:STARTS]
     if not best:
-        raise NoEstimate("no start gave a finite response; give a prior nearer to the system")
+        raise NoEstimate("no initial guess gave a finite response; give a prior closer to the system")
     kept = [thetas[i] for i in best if values[i] <= values[best[0]] + MARGIN]
-    if is_unresolved(short.problem):  # a few steps do not yet order the basins of several degrees of freedom
+    if is_unresolved(short.problem):  # a few iterations do not order the basins of several degrees of freedom
         ends = most_probable(short, list(thetas[np.isfinite(values)]) if short.system.n_dof > 1 else kept)
         kept = ends if len(ends) == 1 else kept  # several where no basin has a covariance
     return sets[0], np.stack(kept)
@@ -160,10 +158,10 @@ def starting_points(model: OutputError) -> tuple[dict[str, float], np.ndarray]:
 def first_distribution(
     model: OutputError, candidate: dict[str, float], theta: np.ndarray, drift: float, open_sd: float
 ) -> Joint:
-    """The distribution before any sample: the prior, or ``open_sd`` about a candidate.
+    """Return the joint model with its prior, or ``open_sd`` about a candidate.
 
-    ``theta``: the best starting point, whose fastest rate says how fast an unknown initial state may be. ``drift``:
-    standard deviation of the random walk of a log-parameter over a unit of time, the longest record.
+    ``theta``: the best guess, whose fastest rate scales the prior of an unknown initial velocity. ``drift``: standard
+    deviation of the random walk of a log-parameter over a unit of time, the longest record.
     """
     k = len(model.free)
     if model.prior is not None:
@@ -173,16 +171,16 @@ def first_distribution(
     return Joint(model, logs, sds, drift**2, fastest_rate(model, theta[:k]))
 
 
-# --------------------------------------------------------------------------------------------- filters side by side
+# ------------------------------------------------------------------------------------------------- parallel filters
 
 
 @dataclass(frozen=True, eq=False)
 class FilterBatch:
-    """Filters from B starting points, side by side, after a pass: means (B, K, d), covariances (B, K, d, d).
+    """Filters from B initial guesses after a pass: means (B, K, d), covariances (B, K, d, d).
 
-    ``sigma`` (B, C): noise. ``about``, ``width``: the means and covariances that the maps of the next pass are taken
-    about. ``used`` (B,): degrees of freedom that the data spent; ``shift`` (B, constants): how far the pass took the
-    constants from where its maps were taken, in their standard deviations; ``part`` (B,) of it was followed.
+    ``sigma`` (B, C): noise. ``about``, ``width``: means and covariances about which the next pass is linearised.
+    ``used`` (B,): degrees of freedom used by the data. ``shift`` (B, constants): change of the constants by the pass,
+    in their standard deviations; ``part`` (B,): relaxation factor applied to it.
     """
 
     means: np.ndarray
@@ -196,12 +194,12 @@ class FilterBatch:
 
     @property
     def moved(self) -> np.ndarray:
-        """The largest shift of each, (B,)."""
+        """Return the largest shift of each filter, (B,)."""
         return np.asarray(np.max(np.abs(self.shift), axis=1, initial=0.0))
 
 
 def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> FilterBatch:
-    """The trajectories of starting points (B, size), certain as far as the maps are concerned, and their residuals."""
+    """Return filters about the trajectories of initial guesses (B, size), with the noise of their residuals."""
     model, count = joint.model, len(thetas)
     means = joint.trajectories(thetas, nodes)
     sigma = model.noise(model.data - model.predict(thetas), model.size)
@@ -211,55 +209,55 @@ def started(joint: Joint, nodes: Nodes, thetas: np.ndarray) -> FilterBatch:
 
 
 def passed(joint: Joint, nodes: Nodes, rule: Rule, bank: FilterBatch) -> FilterBatch:
-    """The bank after one more pass; filters that do not stay finite are left out."""
+    """Make one more pass; filters that do not stay finite are left out."""
     new = smooth(joint, nodes, rule, bank.sigma, bank.about, bank.width)
     variances = np.diagonal(new.covariances[:, -1], axis1=1, axis2=2)
     shift = ((new.means - bank.about)[:, -1] / np.sqrt(np.maximum(variances, 1e-24)))[:, joint.states :]
-    part = _part_to_follow(bank, shift)
+    part = _relaxation(bank, shift)
     about = bank.about + part[:, None, None] * (new.means - bank.about)
     width = bank.width + part[:, None, None, None] * (new.covariances - bank.width)
     sigma = bank.sigma * (new.sigma / bank.sigma) ** part[:, None]
     return _alive(FilterBatch(new.means, new.covariances, about, width, sigma, new.used, shift, part))
 
 
-def _part_to_follow(bank: FilterBatch, shift: np.ndarray) -> np.ndarray:
-    """How much of a pass's move to take, (B,): less where the passes go to and fro, more where they creep.
+def _relaxation(bank: FilterBatch, shift: np.ndarray) -> np.ndarray:
+    """Return the relaxation factor of a pass, (B,): small where passes alternate, large where they converge slowly.
 
     Aitken's relaxation in several dimensions (B. M. Irons, R. C. Tuck, Int. J. Numerical Methods in Engineering 1:275,
-    1969): the part under which the move of this pass, after that of the last one, would have been nothing.
+    1969): the factor with which, by the secant of the last two passes, the next change would be zero.
     """
     known = np.isfinite(bank.moved)
     last = np.where(known[:, None], bank.shift, 0.0)
     change = shift - last
     part = -bank.part * np.sum(last * change, axis=1) / np.maximum(np.sum(change**2, axis=1), 1e-300)
-    # a move that grows on its way is far from its end yet, and the formula has nothing to say
+    # the formula does not apply to a change that grows from pass to pass
     return np.where(known & (part > 0), np.clip(part, *PART), 1.0)
 
 
 def _alive(bank: FilterBatch) -> FilterBatch:
-    """Those that are finite. Raises NoEstimate where none is."""
+    """Select the finite filters. Raises NoEstimate where there is none."""
     parts = (bank.means, bank.covariances, bank.sigma)
     alive = np.logical_and.reduce([np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in parts])
     if not np.any(alive):
-        raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior nearer to the system")
+        raise NoEstimate("the filter lost the motion: its state did not stay finite; give a prior closer to the system")
     return FilterBatch(*(getattr(bank, part.name)[alive] for part in fields(bank)))
 
 
 def longest_step(model: OutputError, thetas: np.ndarray, noise_share: np.ndarray) -> float:
-    """The integration step that serves the motions at ``thetas``, in natural units: the longest record is 1.
+    """Return the integration step for the motions at ``thetas``, in natural units: the longest record is 1.
 
-    Its error is ``NOISE_SHARE`` of the standard error that noise of ``noise_share`` (B, C) of the data allows.
+    Its error is ``NOISE_SHARE`` of the data's standard error, for noise of ``noise_share`` (B, C) of the data's size.
     """
     rate = max(fastest_rate(model, theta) for theta in thetas)
     allowed = NOISE_SHARE * float(np.min(noise_share)) / np.sqrt(model.data.size)
     return float(np.clip(radians_a_step(allowed, rate), FINEST, RADIANS_A_STEP)) / max(rate, 1e-9)
 
 
-# ------------------------------------------------------------------------------------------------------- the answer
+# ----------------------------------------------------------------------------------------------------- the estimate
 
 
 def answer(joint: Joint, nodes: Nodes, bank: FilterBatch, passes: int, method: IteratedSmoother) -> Estimate:
-    """The most probable end, with what the others say against it."""
+    """Return the estimate at the most probable end, with messages."""
     model, settled = joint.model, bank.moved <= method.tolerance
     cost = Cost(passes * len(settled) * (2 * joint.size + 1), passes)
     thetas = joint.theta(bank.means, nodes)
@@ -267,33 +265,33 @@ def answer(joint: Joint, nodes: Nodes, bank: FilterBatch, passes: int, method: I
         residuals = model.data - model.predict(thetas)
     logs = -0.5 * np.asarray(model.profile_of(thetas, residuals))
     best = int(np.argmax(logs - np.where(settled, 0.0, 0.5 * MARGIN)))
-    left = float(np.mean((residuals[best] / model.rms[model.channel_of]) ** 2))
+    residual_share = float(np.mean((residuals[best] / model.rms[model.channel_of]) ** 2))
     unsettled = method.passes > 1 and not settled[best]
-    if unsettled and bank.moved[best] > ADRIFT and not left < POOR:
-        lost = f"the filter lost the motion: its passes do not settle, and its response leaves {left:.0%} of the data"
+    if unsettled and bank.moved[best] > ADRIFT and not residual_share < POOR:
+        lost = f"the filter lost the motion: no convergence, residuals {residual_share:.0%} of the data's mean square"
         raise NoEstimate(lost, cost=cost)
-    covariance, said = _combined(joint, bank, logs, best)
-    if not left < POOR:
-        said.append(f"the response leaves {left:.0%} of the data's mean square: motion lost, or noise")
+    covariance, messages = _combined(joint, bank, logs, best)
+    if not residual_share < POOR:
+        messages.append(f"residuals are {residual_share:.0%} of the data's mean square: motion lost, or noise")
     if unsettled:
         moved = f"{bank.moved[best]:.1g} of its standard deviation"
-        said.append(f"the passes had not settled, the last moved the answer by {moved}: raise passes")
+        messages.append(f"no convergence: the last pass moved the estimate by {moved}; raise passes")
     if np.any(bank.sigma[best] <= SIGMA_FLOOR * model.rms * (1.0 + ROUNDING)):
-        said.append(f"the noise is taken to be {SIGMA_FLOOR:g} of the data, the least that the filter resolves")
-    return estimate_at(model, thetas[best], covariance, float(bank.used[best]), cost, "; ".join(said))
+        messages.append(f"the noise is set to {SIGMA_FLOOR:g} of the data, the least that the filter resolves")
+    return estimate_at(model, thetas[best], covariance, float(bank.used[best]), cost, "; ".join(messages))
 
 
 def _combined(joint: Joint, bank: FilterBatch, logs: np.ndarray, best: int) -> tuple[np.ndarray, list[str]]:
-    """Covariance of the log-parameters about the best end, widened by rivals nearly as probable; and what to say.
+    """Return the covariance of the log-parameters about the best end, widened by rivals nearly as probable; messages.
 
     ``logs`` (B,): logarithms of the posterior at the ends.
     """
-    at = joint.log_places
-    means, covariances = bank.means[:, -1, at], bank.covariances[:, -1, at, at]
+    places = joint.log_places
+    means, covariances = bank.means[:, -1, places], bank.covariances[:, -1, places, places]
     away, covariance = means - means[best], covariances[best]
-    apart = np.max(np.abs(away) / np.sqrt(np.maximum(np.diag(covariance), 1e-24)), axis=1) > APART
+    distinct = np.max(np.abs(away) / np.sqrt(np.maximum(np.diag(covariance), 1e-24)), axis=1) > APART
     odds = np.exp(np.minimum(logs - logs[best], 0.0))
-    rivals = apart & (odds > RIVAL)
+    rivals = distinct & (odds > RIVAL)
     if not np.any(rivals):
         return covariance, []
     weights = np.where(rivals, odds, 0.0)
@@ -301,5 +299,5 @@ def _combined(joint: Joint, bank: FilterBatch, logs: np.ndarray, best: int) -> t
     weights /= weights.sum()
     spread = covariances + outer(away, away)
     chance = f"{1.0 - weights[best]:.0%}"
-    said = f"another motion may have made the data (a chance of {chance}); the interval is widened to hold it"
-    return np.einsum("b,bij->ij", weights, spread), [said]
+    message = f"another motion is plausible (probability {chance}); the interval is widened to cover it"
+    return np.einsum("b,bij->ij", weights, spread), [message]

@@ -1,8 +1,8 @@
-"""State and parameters as one: the joint model of the Kalman filters, and the nodes through which it moves.
+"""The joint model of state and parameters for the Kalman filters, and its time grid.
 
 The joint state is displacements, velocities and hidden states, then the log-parameters, then the offsets of sensors.
-Its motion is the system's residual and nothing else (:func:`bench.rk4_step`). :class:`Nodes` are the times at which
-the state is estimated, and the integration steps between them. Everything is in natural units
+It is integrated from the system's equation of motion (:func:`bench.rk4_step`). :class:`Nodes` are the times at which
+the state is estimated, and the integration steps between them. All quantities are in natural units
 (:meth:`bench.Problem.natural_units`).
 """
 
@@ -30,31 +30,31 @@ from bench import (
 )
 
 START = 3.0
-"""Standard deviation of an unknown initial state, in largest displacements of the data (and fastest rates)."""
+"""Standard deviation of an unknown initial state over the largest displacement (and fastest rate)."""
 DIFFERENCE = 1e-5
-"""Step of the differences from which the fastest rate follows, over the size of the data."""
+"""Step of the finite differences for the fastest rate, over the size of the data."""
 MAX_STEPS = 3000
-"""Steps between two samples beyond which a motion counts as too fast to follow,"""
+"""Largest number of integration steps between two samples."""
 MOST_STEPS = 5_000_000
-"""and steps over a record."""
+"""Largest number of integration steps over a record."""
 LONG = 1000
-"""Times of a record above which a node has the samples of several,"""
+"""Largest number of times of a record with one node each."""
 NODES = 250
-"""so that the record has about as many nodes."""
+"""Approximate number of nodes of longer records."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """The nodes of all records, one record behind the other, each with the samples from it to the next.
+    """The nodes of all records in sequence, each with the samples from it to the next node.
 
-    The times are, record by record, 0 and those of its samples; a node stands at each, or at every so many of a long
-    record. T times, J integration steps, K nodes with n times each at most, C channels.
+    The times of a record are 0 and those of its samples; there is a node at each, or at every n-th of a long record.
+    T times, J integration steps, K nodes with at most n times each, C channels.
 
-    ``values`` (T, C): what each channel gave, NaN where nothing; ``forces`` (T, n_dof). ``lengths`` (J,): steps,
-    none above ``longest``; ``pushes`` (J, 3, n_dof): forces at the start, middle and end of each; ``reached`` (T,): how
-    many of them lead to a time. ``bounds`` (records + 1,): the first time of each record, and T. ``samples`` (K, n):
-    the times of a node, the last one repeated; ``there`` (K, n): which count; ``ends`` (K,): steps that lead to the
-    end of a node; ``records`` (K,): its record.
+    ``values`` (T, C): measured values, NaN where missing. ``forces`` (T, n_dof). ``lengths`` (J,): integration steps,
+    none above ``longest``. ``pushes`` (J, 3, n_dof): forces at the start, middle and end of each step. ``reached``
+    (T,): number of steps before each time. ``bounds`` (records + 1,): index of the first time of each record, and T.
+    ``samples`` (K, n): indices of a node's times, the last one repeated. ``there`` (K, n): False for repetitions.
+    ``ends`` (K,): number of steps before the end of each node. ``records`` (K,): record of each node.
     """
 
     values: np.ndarray
@@ -71,13 +71,13 @@ class Nodes:
 
     @staticmethod
     def of(model: OutputError, longest: float) -> Nodes:
-        """Place the nodes, with steps of at most ``longest``; raises NoEstimate where that takes too many."""
+        """Place the nodes, with steps of at most ``longest``; raises NoEstimate where too many are needed."""
         n, values, forces = model.system.n_dof, list[np.ndarray](), list[np.ndarray]()
         paths, reached = list[Steps](), list[np.ndarray]()
         for i, (record, times) in enumerate(zip(model.problem.records, node_times(model), strict=True)):
             rows = np.full((times.size, len(model.channels)), np.nan)
-            for j, (of, channel) in enumerate(model.channels):
-                if of == i:
+            for j, (of_record, channel) in enumerate(model.channels):
+                if of_record == i:
                     rows[np.searchsorted(times, channel.times), j] = channel.values
             values.append(rows)
             forces.append(np.stack(record.force(times, n), axis=1))
@@ -86,7 +86,7 @@ class Nodes:
             upto = np.concatenate([[0], np.cumsum(counts)])[np.searchsorted(grid, times)]
             if np.max(np.diff(upto), initial=0) > MAX_STEPS + grid.size or upto[-1] > MOST_STEPS:
                 raise NoEstimate(
-                    "the motion came out far faster than the samples can show; give a prior nearer to the system"
+                    "the estimated motion is far faster than the samples resolve; give a prior closer to the system"
                 )
             reached.append(upto + sum(path.lengths.size for path in paths))
             paths.append(Steps.over(grid, counts, record.forces, n))
@@ -119,23 +119,23 @@ class Nodes:
 
     @property
     def durations(self) -> np.ndarray:
-        """The time from each node to its end, (K,)."""
+        """Return the duration of each node, (K,)."""
         upto = np.concatenate([[0.0], np.cumsum(self.lengths)])
         return np.asarray(upto[self.ends] - upto[self.reached[self.samples[:, 0]]])
 
     @property
     def firsts(self) -> np.ndarray:
-        """The first node of each record."""
+        """Return the index of the first node of each record."""
         return np.searchsorted(self.records, np.arange(self.records[-1] + 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """The joint state ``[x, v, z, log-parameters, offsets]`` and the distribution in it before any sample.
+    """The joint state ``[x, v, z, log-parameters, offsets]`` and its prior.
 
-    ``logs`` and ``log_sds`` (k,): log-parameters at first; ``log_walk``: variance that they gain a unit of time.
-    ``speed``: the rate (radians a unit of time) by which an unknown velocity is thought to be larger than a
-    displacement.
+    ``logs`` and ``log_sds`` (k,): prior mean and standard deviation of log-parameters. ``log_walk``: variance of their
+    random walk per unit of time. ``speed``: ratio of initial velocity and displacement in the prior (radians per unit
+    of time).
     """
 
     model: OutputError
@@ -154,15 +154,15 @@ class Joint:
 
     @property
     def log_places(self) -> slice:
-        """Where the log-parameters stand; the offsets come behind them."""
+        """Return the slice of the log-parameters, which the offsets follow."""
         return slice(self.states, self.states + len(self.model.free))
 
     def parameters(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """The parameters of joint states (..., d), each of shape (...)."""
+        """Return the parameters of joint states (..., d), each of shape (...)."""
         return self.model.parameters(np.clip(points[..., self.log_places], -LOG_LIMIT, LOG_LIMIT))
 
     def start(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and variances of the motion ``[x, v, z]`` at time 0 of a record; hidden states start at zero."""
+        """Return prior mean and variances of the motion ``[x, v, z]`` at time 0 of a record; hidden states are zero."""
         n, mean, variance = self.model.system.n_dof, np.zeros(self.states), np.zeros(self.states)
         if record.initial_state is not None:
             mean[:n], mean[n : 2 * n] = record.initial_state.displacement, record.initial_state.velocity
@@ -172,24 +172,24 @@ class Joint:
         return mean, variance
 
     def first(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and covariance before the first sample of the first record."""
+        """Return prior mean and covariance of the joint state at the first record."""
         mean, variance = self.start(self.model.problem.records[0])
         offsets = np.array([self.model.rms[i] for i in self.model.offset_channels])
         all_variances = np.concatenate([variance, self.log_sds**2, (START * offsets) ** 2])
         return np.concatenate([mean, self.logs, np.zeros(offsets.size)]), np.diag(all_variances)
 
     def theta(self, means: np.ndarray, nodes: Nodes) -> np.ndarray:
-        """The model's vectors (B, size) at smoothed means (B, K, d): constants at the end, and unknown initial states.
+        """Return the model's vectors (B, size) for smoothed means (B, K, d): final constants and initial states.
 
-        The last mean is the filter's own; those before it, where constants are the same, are known less exactly.
+        The constants are taken at the last node, where rounding errors of the smoother are absent.
         """
-        n, at = self.model.system.n_dof, self.log_places
+        n, places = self.model.system.n_dof, self.log_places
         starts = [means[:, nodes.firsts[i], : 2 * n] for i in self.model.unknown_starts]
-        logs, offsets = means[:, -1, at], means[:, -1, at.stop :]
+        logs, offsets = means[:, -1, places], means[:, -1, places.stop :]
         return np.concatenate([np.clip(logs, -LOG_LIMIT, LOG_LIMIT), *starts, offsets], axis=1)
 
     def trajectories(self, thetas: np.ndarray, nodes: Nodes) -> np.ndarray:
-        """The joint states (B, K, d) that the model's vectors (B, size) give at the nodes."""
+        """Return the joint states (B, K, d) at the nodes for the model's vectors (B, size)."""
         model, parts, p = self.model, list[np.ndarray](), self.model.parameters(thetas)
         k, offsets = len(model.free), len(model.offset_channels)
         constants = np.concatenate([thetas[:, :k], thetas[:, thetas.shape[1] - offsets :]], axis=1)
@@ -203,10 +203,10 @@ class Joint:
         return np.concatenate([path, rest], axis=-1)
 
     def follow(self, points: np.ndarray, nodes: Nodes, which: np.ndarray, rig: System) -> np.ndarray:
-        """Carry joint states (L, S, d) from nodes (L,) to their ends, at which another node may stand.
+        """Integrate joint states (L, S, d) from nodes ``which`` (L,) to their ends.
 
         Returns:
-            What the channels give at the times of the node, then the joint state at its end, (L, S, n C + d).
+            Predicted measurements at the times of the node, then the joint state at its end, (L, S, n C + d).
         """
         p, first = self.parameters(points), nodes.reached[nodes.samples[which, 0]]
         state, steps = [points[..., i] for i in range(self.states)], nodes.ends[which] - first
@@ -220,7 +220,7 @@ class Joint:
             if j == most:
                 break
             step = np.minimum(first + j, nodes.lengths.size - 1)
-            length = np.where(j < steps, nodes.lengths[step], 0.0)[:, None]  # no length: nothing moves any more
+            length = np.where(j < steps, nodes.lengths[step], 0.0)[:, None]  # a zero step leaves the state unchanged
             start, middle, end = ([nodes.pushes[step, k, i, None] for i in range(rig.n_dof)] for k in range(3))
             state = rk4_step(rig, p, state, length, (start, middle, end), numpy_ops)
         readings = self.observe(path, p, points, nodes.forces[nodes.samples[which]], rig)
@@ -229,8 +229,8 @@ class Joint:
     def observe(
         self, path: np.ndarray, p: dict[str, np.ndarray], points: np.ndarray, forces: np.ndarray, rig: System
     ) -> np.ndarray:
-        """Return readings (L, S, n C) of all channels along motions (states, L, S, n) under forces (L, n, n_dof)."""
-        n, at, offsets = rig.n_dof, self.log_places.stop, self.model.offset_channels
+        """Return predicted measurements (L, S, n C) along motions (states, L, S, n) under forces (L, n, n_dof)."""
+        n, first_offset, offsets = rig.n_dof, self.log_places.stop, self.model.offset_channels
         shown = {"displacement": path[:n], "velocity": path[n : 2 * n]}
         if any(c.measures == "acceleration" for _, c in self.model.channels):
             push = [forces[:, None, :, i] for i in range(n)]
@@ -238,25 +238,25 @@ class Joint:
             motion = list(path[:n]), list(path[n : 2 * n])
             shown["acceleration"] = np.stack(acceleration(rig, each, *motion, push, list(path[2 * n :]), numpy_ops))
         rows = [
-            shown[c.measures][c.dof] + (points[..., at + offsets.index(i), None] if i in offsets else 0.0)
+            shown[c.measures][c.dof] + (points[..., first_offset + offsets.index(i), None] if i in offsets else 0.0)
             for i, (_, c) in enumerate(self.model.channels)
         ]
         return np.stack(rows, axis=-1).reshape(*path.shape[1:3], -1)
 
     def nodes_by_rig(self, nodes: Nodes) -> Iterator[tuple[System, np.ndarray]]:
-        """Each rig that moved, and its nodes: rigs differ where masses were added in some records."""
+        """Yield each rig and its nodes; rigs differ where masses were added in some records."""
         moved = [record.rig(self.model.system) for record in self.model.problem.records]
         for rig in dict.fromkeys(moved):
             yield rig, np.flatnonzero([moved[i] == rig for i in nodes.records])
 
 
 def node_times(model: OutputError) -> list[np.ndarray]:
-    """The times of each record: 0 and those of its samples."""
+    """Return the times of each record: 0 and those of its samples."""
     return [np.unique(np.concatenate([[0.0], *[c.times for c in record.channels]])) for record in model.problem.records]
 
 
 def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
-    """Largest rate (radians a unit of time) of the equation of motion linearised at rest and at the data's size.
+    """Return the largest rate (radians per unit of time) of the motion linearised at rest and at the data's size.
 
     Raises NoEstimate where it is not finite.
     """
@@ -271,14 +271,12 @@ def fastest_rate(model: OutputError, logs: np.ndarray) -> float:
     size = amplitude(model, at_rest)
     rate = fastest(size, size * at_rest)
     if not np.isfinite(rate):
-        raise NoEstimate(
-            "the parameters left the range in which the motion is finite; give a prior nearer to the system"
-        )
+        raise NoEstimate("the motion is not finite at the estimated parameters; give a prior closer to the system")
     return rate
 
 
 def amplitude(model: OutputError, rate: float) -> float:
-    """The largest displacement that the sensors show, velocities over the rate and accelerations over its square."""
+    """Return the largest measured displacement, else velocity over the rate or acceleration over its square."""
     order = {"displacement": 0, "velocity": 1, "acceleration": 2}
     least = min(order[c.measures] for _, c in model.channels)
     sizes = [

@@ -1,14 +1,14 @@
-"""One pass of filter and smoother over the nodes of a problem, about given trajectories, several of them at once.
+"""One pass of filter and smoother over the nodes of a problem, linearised about several trajectories at once.
 
-The map of a node (what its samples show, and the state at its end) is made affine about each trajectory by the rule of
-the method (:mod:`methods.kalman.core`); a start of another record is a transition too. The many rows of a node with
-several times are replaced by their triangular factor, which has the same normal equations (G. J. Bierman, Factorization
-Methods for Discrete Sequential Estimation, 1977). The smoother subtracts what the data tell from what was believed
-before, so where the data tell much more than that its covariances lose digits; those of constants are taken at the last
-node, where they are the filter's.
+The map of a node (measurements, and state at its end) is linearised about each trajectory by the rule of the method
+(:mod:`methods.kalman.core`); the change to another record is a transition too. The many rows of a node with several
+times are replaced by their triangular factor, which has the same normal equations (G. J. Bierman, Factorization Methods
+for Discrete Sequential Estimation, 1977). The smoother subtracts information from the prior covariance, which loses
+digits where the data are much more informative than the prior; constants are therefore taken from the last node, where
+the filter's covariance holds.
 
-Arrays have a leading axis B, the trajectories that the maps are taken about; K nodes, joint states of size d, C
-channels, n times a node.
+Arrays have a leading axis B, the trajectories of linearisation; K nodes, joint states of size d, C channels, n times
+per node.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from methods.kalman.core import Affine, Rule, Update, apply, backward, error, pr
 from methods.kalman.joint import Joint, Nodes
 
 ENTRIES = 2**23
-"""Numbers of the motions that are computed at once: 64 MB."""
+"""Largest number of array entries of motions in memory: 64 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Smoothed means (B, K, d) and covariances (B, K, d, d), and what the residuals say of the noise.
+    """Smoothed means (B, K, d) and covariances (B, K, d, d), and the noise estimated from the residuals.
 
-    ``sigma`` (B, C): standard deviation of the noise; ``used`` (B,): degrees of freedom that the data spent.
+    ``sigma`` (B, C): standard deviation of the noise; ``used`` (B,): degrees of freedom used by the data.
     """
 
     means: np.ndarray
@@ -40,9 +40,9 @@ class Smoothed:
 
 
 def smooth(joint: Joint, nodes: Nodes, rule: Rule, sigma: np.ndarray, about: np.ndarray, width: np.ndarray) -> Smoothed:
-    """Pass forth and back at noise ``sigma`` (B, C), always from the distribution before any sample.
+    """Filter and smooth at noise ``sigma`` (B, C) from the prior.
 
-    The affine maps are taken about the means ``about`` (B, K, d) and the covariances ``width`` (B, K, d, d).
+    The maps are linearised about the means ``about`` (B, K, d) and the covariances ``width`` (B, K, d, d).
     """
     values = nodes.readings
     whole, c = _linearised(joint, nodes, rule, about, width), values.shape[1]
@@ -77,7 +77,7 @@ def smooth(joint: Joint, nodes: Nodes, rule: Rule, sigma: np.ndarray, about: np.
 
 
 def _linearised(joint: Joint, nodes: Nodes, rule: Rule, means: np.ndarray, covariances: np.ndarray) -> Affine:
-    """The affine maps of all nodes about all distributions, (K, B, ...); those of a rig in blocks."""
+    """Return the affine maps of all nodes about all trajectories, (K, B, ...); computed in blocks."""
     count, number, d = means.shape
     maps: list[np.ndarray] = []
     for rig, places in joint.nodes_by_rig(nodes):
@@ -97,7 +97,7 @@ def _followed(points: np.ndarray, joint: Joint, nodes: Nodes, which: np.ndarray,
 
 
 def _measurements(observed: Affine, variances: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the arguments of :func:`methods.kalman.core.update` after the distribution; no more rows than unknowns."""
+    """Return the measurements for :func:`methods.kalman.core.update`, with no more rows than unknowns."""
     here, d = np.isfinite(values), observed.slopes.shape[-1]
     values = np.where(here, values, 0.0)[:, None]
     if values.shape[-1] <= d:
@@ -111,7 +111,7 @@ def _measurements(observed: Affine, variances: np.ndarray, values: np.ndarray) -
 
 
 def _smoothed(updates: list[Update], transitions: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed means (K, B, d) and covariances (K, B, d, d), from the last node back."""
+    """Return smoothed means (K, B, d) and covariances (K, B, d, d), computed from the last node back."""
     means, covariances = (np.stack([updated[i] for updated in updates]) for i in range(2))
     vector, weight = np.zeros_like(means[0]), np.zeros_like(covariances[0])
     for k in reversed(range(len(updates))):
@@ -125,5 +125,5 @@ def _smoothed(updates: list[Update], transitions: np.ndarray, slopes: np.ndarray
 
 
 def _by_channel(rows: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """The sums of numbers (K, B, n C) over all nodes and their times, (B, C)."""
+    """Return the sums of numbers (K, B, n C) over all nodes and their times, (B, C)."""
     return np.asarray(rows.reshape(len(rows), *sigma.shape[:1], -1, sigma.shape[1]).sum(axis=(0, 2)))

@@ -1,9 +1,9 @@
-"""What represents x(t): a function of time with coefficients, and the pieces of its Jacobian that optimisers need.
+"""Ansatz functions x(t) with trainable coefficients, and products with their Jacobian for the optimisers.
 
-Every tensor has a leading axis over fits (B). The value and the first and second time derivative of the function are
-its *streams*, (B, 3, n_points, n_paths). A *row* is a scalar ``sum(seeds[:, :, k] * streams[:, :, points[k]])`` of the
-streams at one point; the adjoints of all rows are found in one reverse pass, and from them the Jacobian of the rows by
-the coefficients, its Gram matrix, or its transpose times a vector, without forming what is not asked for.
+Every tensor has a leading axis over fits (B). The value and the first two time derivatives of a function are its
+*streams*, (B, 3, n_points, n_paths). A *row* is a scalar ``sum(seeds[:, :, k] * streams[:, :, points[k]])`` of the
+streams at one point. One reverse pass gives the adjoints of all rows, and these the Jacobian of the rows by the
+coefficients, its Gram matrix, or its transpose times a vector.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from torch import Tensor
 
 @dataclass
 class Tape:
-    """What a forward pass leaves for the adjoint: the streams into each layer, and tanh's slope in each hidden one.
+    """Intermediate results of a forward pass for the adjoint.
 
-    ``inputs[l]`` has shape (B, 3, n_points, n_in of layer l); ``slopes[l]`` is (B, n_points, width); ``output`` is
-    (B, 3, n_points, n_paths).
+    ``inputs[l]`` (B, 3, n_points, n_in): streams into layer l. ``slopes[l]`` (B, n_points, width): derivative of tanh
+    in hidden layer l. ``output`` (B, 3, n_points, n_paths).
     """
 
     inputs: list[Tensor]
@@ -30,10 +30,10 @@ class Tape:
 
 
 RANK = 1e-12
-"""Singular values over the largest below which a combination of functions is taken for rounding."""
+"""Least singular value over the largest; combinations of functions below it are rounding errors."""
 
 Adjoints = list[Tensor]
-"""Adjoints of the linear part of each layer, each of shape (B, 3, n_rows, n_out of the layer)."""
+"""Adjoints of the linear part of each layer, (B, 3, n_rows, n_out) each."""
 
 
 class Ansatz(ABC):
@@ -41,55 +41,55 @@ class Ansatz(ABC):
 
     count: int
     local: bool = False
-    """Whether a row depends on few of the coefficients, and rows that follow each other on nearly the same."""
+    """True where the Jacobian is banded: each row depends on few, neighbouring coefficients."""
 
     @abstractmethod
     def forward(self, theta: Tensor) -> Tape:
-        """Streams at the points, for coefficients (B, count)."""
+        """Compute the streams at the points for coefficients (B, count)."""
 
     @abstractmethod
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
-        """Adjoints of rows with ``seeds`` (B, 3, n_rows, n_paths) at ``points`` (n_rows,); None: one row a point."""
+        """Compute adjoints of rows with seeds (B, 3, n_rows, n_paths) at points (n_rows,); None: a row per point."""
 
     @abstractmethod
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
-        """``Jᵀ dual``, (B, count), for ``dual`` (B, n_rows); None means all ones."""
+        """Compute ``Jᵀ dual``, (B, count), for ``dual`` (B, n_rows); None means all ones."""
 
     @abstractmethod
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
-        """J itself at the given rows, (B, n_rows, count)."""
+        """Compute the given rows of J, (B, n_rows, count)."""
 
     def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        """``J Jᵀ``, (B, n_rows, n_rows)."""
+        """Compute ``J Jᵀ``, (B, n_rows, n_rows)."""
         j = self.jacobian(tape, adjoints, points)
         return j @ j.mT
 
     def mixed(self, theta: Tensor) -> Tensor:
-        """Return the coefficients of a :class:`MixedAnsatz` of this function; of any other its own."""
+        """Return the coefficients of a :class:`MixedAnsatz` for those of its inner ansatz; unchanged for others."""
         return theta
 
     def unmixed(self, theta: Tensor) -> Tensor:
-        """Return the coefficients before they were mixed."""
+        """Return the coefficients of the inner ansatz of a :class:`MixedAnsatz`; unchanged for others."""
         return theta
 
     @abstractmethod
     def take(self, who: Tensor) -> Ansatz:
-        """The same function for some of the fits."""
+        """Return the ansatz of the fits with indices ``who``."""
 
     def head(self, theta: Tensor) -> tuple[Any, Tensor]:
-        """The last, linear layer as an ansatz of its own, with its coefficients; of a linear one the whole."""
+        """Return the last, linear layer as an ansatz, with its coefficients; the whole ansatz where it is linear."""
         return self, theta
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
-        """Coefficients with the last layer replaced."""
+        """Return the coefficients with the last layer replaced."""
         return coefficients
 
 
 @dataclass
 class Basis(Ansatz):
-    """A linear combination of fixed functions, given by their streams at the points: (B, 3, n_points, n_functions).
+    """A linear combination of fixed functions with given streams (B, 3, n_points, n_functions).
 
-    The coefficients are those of the first DOF, then of the second, and so on.
+    The coefficients are ordered by path.
     """
 
     functions: Tensor
@@ -118,13 +118,13 @@ class Basis(Ansatz):
         return replace(self, functions=self.functions[who])
 
     def dense(self) -> Basis:
-        """This basis itself."""
+        """Return this basis."""
         return self
 
 
 @dataclass
 class MixedAnsatz(Ansatz):
-    """A linear ``inner`` whose coefficients are ``mixing @ theta``; ``weights @`` them is theta again."""
+    """A linear ``inner`` ansatz with coefficients ``mixing @ theta``; ``weights`` is the inverse of ``mixing``."""
 
     inner: Ansatz
     mixing: Tensor
@@ -135,9 +135,9 @@ class MixedAnsatz(Ansatz):
 
     @staticmethod
     def of(inner: Ansatz, jacobian: Tensor) -> MixedAnsatz:
-        """Mix the coefficients such that a Jacobian (B, n_rows, count) by them becomes orthonormal.
+        """Mix the coefficients so that a Jacobian (B, n_rows, count) becomes orthonormal.
 
-        Combinations with a singular value below :data:`RANK` of the largest are rounding, and are left out.
+        Combinations with a singular value below :data:`RANK` of the largest are left out.
         """
         _, sizes, axes = torch.linalg.svd(torch.linalg.qr(jacobian, mode="r")[1], full_matrices=False)
         inverse = torch.where(sizes < RANK * sizes[:, :1], 0.0, 1.0 / sizes)
@@ -167,9 +167,9 @@ class MixedAnsatz(Ansatz):
 
 @dataclass
 class Local(Ansatz):
-    """A linear combination of ``n_functions`` fixed functions of which few are not zero at a point, as of a B-spline.
+    """A linear combination of ``n_functions`` fixed functions of local support, such as B-splines.
 
-    ``values`` (B, 3, n_points, n_local) are the streams of those from number ``first`` (B, n_points) on.
+    ``values`` (B, 3, n_points, n_local): streams of the functions from index ``first`` (B, n_points) on.
     """
 
     values: Tensor
@@ -182,14 +182,14 @@ class Local(Ansatz):
         self.count = self.n_paths * self.n_functions
 
     def _places(self, points: Tensor | None) -> Tensor:
-        """Numbers (B, n_rows, n_local) of the functions at points."""
+        """Return the indices (B, n_rows, n_local) of the functions at points."""
         first = self.first if points is None else self.first[:, points]
         return first[..., None] + torch.arange(self.values.shape[-1], device=first.device)
 
     def forward(self, theta: Tensor) -> Tape:
         coefficients, places = theta.unflatten(1, (self.n_paths, -1)), self._places(None)
-        own = [path.gather(1, places.flatten(1)).view(places.shape) for path in coefficients.unbind(1)]
-        return Tape([], [], torch.stack([(self.values * part[:, None]).sum(3) for part in own], 3))
+        by_path = [path.gather(1, places.flatten(1)).view(places.shape) for path in coefficients.unbind(1)]
+        return Tape([], [], torch.stack([(self.values * part[:, None]).sum(3) for part in by_path], 3))
 
     def adjoint(self, theta: Tensor, tape: Tape, seeds: Tensor, points: Tensor | None = None) -> Adjoints:
         return [seeds]
@@ -215,7 +215,7 @@ class Local(Ansatz):
         return replace(self, values=self.values[who], first=self.first[who])
 
     def dense(self) -> Basis:
-        """The same with the zeros written out."""
+        """Return the same functions without the local storage."""
         places = self._places(None)[:, None].expand_as(self.values)
         whole = self.values.new_zeros(*self.values.shape[:3], self.n_functions).scatter_(3, places, self.values)
         return Basis(whole, self.n_paths)
@@ -223,7 +223,7 @@ class Local(Ansatz):
 
 @dataclass
 class SumAnsatz(Ansatz):
-    """A trainable function plus a linear combination of fixed ones; coefficients in that order."""
+    """The sum of a trainable ansatz and a linear combination of fixed functions, with coefficients in that order."""
 
     inner: Ansatz
     fixed: Basis
@@ -235,8 +235,8 @@ class SumAnsatz(Ansatz):
         return theta[:, : self.inner.count], theta[:, self.inner.count :]
 
     def forward(self, theta: Tensor) -> Tape:
-        own, rest = self._split(theta)
-        tape, added = self.inner.forward(own), self.fixed.forward(rest)
+        trainable, rest = self._split(theta)
+        tape, added = self.inner.forward(trainable), self.fixed.forward(rest)
         return Tape([*tape.inputs, *added.inputs], tape.slopes, tape.output + added.output)
 
     @staticmethod
@@ -247,31 +247,31 @@ class SumAnsatz(Ansatz):
         return [*self.inner.adjoint(self._split(theta)[0], self._inner(tape), seeds, points), seeds]
 
     def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        own = self.inner.gram(self._inner(tape), adjoints[:-1], points)
-        return own + self.fixed.gram(tape, adjoints[-1:], points)
+        gram = self.inner.gram(self._inner(tape), adjoints[:-1], points)
+        return gram + self.fixed.gram(tape, adjoints[-1:], points)
 
     def pull_back(self, tape: Tape, adjoints: Adjoints, points: Tensor | None, dual: Tensor | None = None) -> Tensor:
-        own = self.inner.pull_back(self._inner(tape), adjoints[:-1], points, dual)
-        return torch.cat([own, self.fixed.pull_back(tape, adjoints[-1:], points, dual)], 1)
+        trainable = self.inner.pull_back(self._inner(tape), adjoints[:-1], points, dual)
+        return torch.cat([trainable, self.fixed.pull_back(tape, adjoints[-1:], points, dual)], 1)
 
     def jacobian(self, tape: Tape, adjoints: Adjoints, points: Tensor, rows: slice = slice(None)) -> Tensor:
-        own = self.inner.jacobian(self._inner(tape), adjoints[:-1], points, rows)
-        return torch.cat([own, self.fixed.jacobian(tape, adjoints[-1:], points, rows)], 2)
+        trainable = self.inner.jacobian(self._inner(tape), adjoints[:-1], points, rows)
+        return torch.cat([trainable, self.fixed.jacobian(tape, adjoints[-1:], points, rows)], 2)
 
     def take(self, who: Tensor) -> SumAnsatz:
         return SumAnsatz(self.inner.take(who), self.fixed.take(who))
 
     def head(self, theta: Tensor) -> tuple[Basis, Tensor]:
-        own, rest = self._split(theta)
-        whole, coefficients = self.inner.head(own)
+        trainable, rest = self._split(theta)
+        whole, coefficients = self.inner.head(trainable)
         basis = whole.dense()
         both = [part.unflatten(1, (basis.n_paths, -1)) for part in (coefficients, rest)]
         functions = torch.cat([basis.functions, self.fixed.functions], 3)
         return Basis(functions, basis.n_paths), torch.cat(both, 2).flatten(1)
 
     def with_head(self, theta: Tensor, coefficients: Tensor) -> Tensor:
-        own, _ = self._split(theta)
+        trainable, _ = self._split(theta)
         by_dof = coefficients.unflatten(1, (self.fixed.n_paths, -1))
         added = self.fixed.functions.shape[-1]
-        inner = self.inner.with_head(own, by_dof[..., :-added].flatten(1))
+        inner = self.inner.with_head(trainable, by_dof[..., :-added].flatten(1))
         return torch.cat([inner, by_dof[..., -added:].flatten(1)], 1)

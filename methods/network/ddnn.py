@@ -1,18 +1,18 @@
 """Data-driven neural network: a tanh network fitted to displacement alone, then regression on its derivatives.
 
-The network never sees the equation of motion. It is fitted with Bayesian regularisation: Gaussian priors on its
-weights about the random ones that the fit starts from, one precision for each layer, and Gaussian noise, whose sizes
-follow from the evidence (D. J. C. MacKay, Neural Comput. 4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T.
-Hagan, Proc. ICNN 1997, p. 1930). So nothing is stopped by looking at a truth, and no sample is spent on validation. A
-step is solved in the space of the residuals, which are few, with the weights scaled by their prior.
+The training does not use the equation of motion. It has Bayesian regularisation: Gaussian priors on the weights about
+their random initial values, with one precision per layer, and Gaussian noise, both estimated by the evidence (D. J. C.
+MacKay, Neural Comput. 4:448, 1992; with Levenberg-Marquardt: F. D. Foresee and M. T. Hagan, Proc. ICNN 1997, p. 1930).
+Early stopping and validation samples are therefore not needed. A step is solved in residual space, with the weights
+scaled by their prior.
 
-The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of
-motion: all of them where a force or an added mass is known, else its groups, the gauge mass fixed at one. This
-inherits the bias of any regression on noisy regressors, and that of the smoothing: five samples a cycle do not
-determine the curvature between them.
+The exact x, x', x'' of the network on a dense grid then give the parameters by least squares on the equation of motion:
+all of them where a force or an added mass is known, otherwise the groups, with the gauge mass fixed at one. This has
+the bias of any regression on noisy regressors, and that of the smoothing: five samples per cycle do not determine the
+curvature between them.
 
-Uncertainty: draws of the weights from the linearised (Laplace) posterior, the regression repeated on each, and the
-second moment of the results about the estimate: so the bias by noisy derivatives counts as far as the posterior has it.
+The uncertainty is the second moment about the estimate of the regression on draws of the weights from the linearised
+(Laplace) posterior. It includes the bias from noisy derivatives as far as the posterior represents it.
 """
 
 from __future__ import annotations
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
     from methods.network.tanh import Network
 
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.7
-"""Range of the noise over the root mean square of the data: the upper end says that at least half of the data's
-power is motion. Without it the evidence, below 10 dB, calls everything noise."""
+"""Range of the noise over the root mean square of the data. The upper limit assumes that half of the data's power is
+motion; without it, below 10 dB the evidence attributes everything to noise."""
 
 BANDWIDTHS = (1.0, 2.0, 4.0, 6.0)
-"""Slopes of the first layer, times the data's own cycles: the evidence chooses among networks that differ in these."""
-NOT_POSITIVE = "the regression gives a parameter that is not positive; more samples a cycle or less noise are needed"
+"""Slopes of the first layer over the cycles of the data; the evidence selects among networks with these."""
+NOT_POSITIVE = "the regression gives a non-positive parameter; more samples per cycle or less noise are required"
 
 
 @dataclass(frozen=True)
 class DDNN(BandIdentifier):
-    """Settings: ``iterations`` of each fit, ``grid`` points of the regression, ``draws`` of its covariance.
+    """Data-driven network; ``iterations`` of each fit, ``grid`` points of the regression, ``draws`` of its covariance.
 
-    ``edge`` is the share of the record left out of the regression at either end, where derivatives are worst.
+    ``edge``: fraction of the record excluded from the regression at either end, where derivatives are worst.
     """
 
     width: int = 64
@@ -77,9 +77,9 @@ class DDNN(BandIdentifier):
         reconstruction="own",
         uncertainty="spread of the regression over draws of the weights from the Laplace posterior",
         settings_source="64-64 tanh: the paper; regularisation and first-layer slopes by the evidence, among multiples"
-        " of the data's own frequency, which a scan up to half the sampling rate finds (no prior)",
-        tuning="9 ranges of first-layer slopes, 2 starts of the noise, 7 regressions (ends left out, weights), on 9-64"
-        " development records at 5-40 dB, judged by displacement and k/m against the truth",
+        " of the data's own frequency, from a scan up to half the sampling rate (no prior)",
+        tuning="9 ranges of first-layer slopes, 2 initial noise levels, 7 regressions (ends, weights), on 9-64"
+        " development records at 5-40 dB, by the errors of displacement and k/m",
         title="DDNN",
         order=160,
         remarks=True,
@@ -93,16 +93,18 @@ class DDNN(BandIdentifier):
     def objection(self, problem: Problem) -> str | None:
         system = problem.system
         if not system.affine_in_parameters:
-            return f"its regression needs a residual affine in the parameters, which that of {system.name} is not"
+            return (
+                f"its regression requires an equation of motion affine in the parameters; that of {system.name} is not"
+            )
         objection = super().objection(problem)
         if objection is None and any(
             {c.dof for c in record.channels} != set(range(system.n_dof)) for record in problem.records
         ):
-            return "a regression needs the displacement of every DOF in every record: measure them all"
+            return "its regression requires the displacement of every DOF in every record"
         return objection
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Fit the network and regress on it; ``diverged`` where a parameter that is told comes out negative."""
+        """Fit the network and regress on it; raises NoEstimate where an identifiable parameter is negative."""
         import torch
 
         threads = torch.get_num_threads()
@@ -120,8 +122,7 @@ class DDNN(BandIdentifier):
         paths = [s.paths(grid, self.draws, rng) for s, grid in zip(smoothers, grids, strict=True)]
         forces = [r.force(grid, system.n_dof) for r, grid in zip(problem.records, grids, strict=True)]
         values, draws = _regressions(problem, paths, forces)
-        # second moment about the estimate, not about the draws' mean: how far noisy derivatives pull the regression
-        # counts
+        # second moment about the estimate, not about the draws' mean, to include the bias from noisy derivatives
         covariance = (draws - values).T @ (draws - values) / len(draws)
         used = sum(s.used for s in smoothers)
         cost = Cost(sum(s.evaluations for s in smoothers), sum(s.steps for s in smoothers))
@@ -138,24 +139,24 @@ class DDNN(BandIdentifier):
             reconstructions=tuple(s.response() for s in smoothers),
             initial_states=tuple(InitialState(*s.streams(np.zeros(1))[:2, 0]) for s in smoothers),
             cost=cost,
-            message=f"the evidence left the network {used:.1f} effective weights for {problem.n} samples",
+            message=f"effective number of weights: {used:.1f}, for {problem.n} samples",
             traces={"sigma": np.concatenate([s.sigmas for s in smoothers])},
         )
 
     def _smoother(self, record: Record, n_dof: int, omega: float, rng: np.random.Generator) -> Smoother:
-        """The network of a record whose first layer has the most probable slopes."""
+        """Fit networks to a record and return the one with the most probable slopes of the first layer."""
         cycles = omega * record.duration / (2.0 * np.pi)
         trials = [Smoother(record, n_dof, self.width, self.depth, factor * cycles, rng) for factor in BANDWIDTHS]
         for trial in trials:
             trial.fit(self.iterations)
-        # a fit that calls most of the data noise has lost the motion, whatever its evidence
-        return max(trials, key=lambda trial: (trial.left < MOST_NOISE**2, trial.evidence))
+        # a fit that attributes most of the data to noise is rejected, whatever its evidence
+        return max(trials, key=lambda trial: (trial.residual_share < MOST_NOISE**2, trial.evidence))
 
 
 def _regressions(
     problem: Problem, paths: Sequence[np.ndarray], forces: Sequence[list[np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters at the fitted paths, (n,), and at their draws, (n_draws, n); the gauge mass 1 where it is unknown."""
+    """Return parameters of the fitted paths, (n,), and of their draws, (n_draws, n); an unknown gauge mass is 1."""
     system = problem.system
     free = [i for i, name in enumerate(system.names) if problem.scale_known or name != system.gauge]
     full = np.ones((len(paths[0]), len(system.names)))
@@ -171,12 +172,12 @@ def _regressions(
 
 
 def _distribution(problem: Problem, values: np.ndarray, covariance: np.ndarray, dof: float) -> Normal:
-    """The groups, or the log-parameters where the scale is known, with the prior where there is one."""
+    """Return the distribution of groups, or of log-parameters where the scale is known, combined with a prior."""
     system = problem.system
     if not problem.scale_known:
         parameters = dict(zip(system.names, values, strict=True))
         means = np.array([group.value(parameters) for group in system.groups])
-        # every group is linear in each parameter once the gauge is one, to first order: p ∂g/∂p = exponent g
+        # p ∂g/∂p = exponent g
         slopes = np.array([group.vector(system.names) for group in system.groups]) * means[:, None] / values
         names = tuple(group.name for group in system.groups)
         return Normal(names, means, slopes @ covariance @ slopes.T, log=False, dof=dof)
@@ -193,8 +194,8 @@ def _distribution(problem: Problem, values: np.ndarray, covariance: np.ndarray, 
 class Smoother:
     """A network fitted to the displacement of one record by Bayesian regularisation.
 
-    ``sds`` are the prior standard deviations of the weights about their first values, layer by layer; ``sigma`` that
-    of the noise, over the root mean square of each channel.
+    ``sds``: prior standard deviation of the weights of each layer about their initial values. ``sigma``: standard
+    deviation of the noise over the root mean square of each channel.
     """
 
     def __init__(
@@ -222,24 +223,24 @@ class Smoother:
             np.concatenate([np.full(c.n, s) for c, s in zip(record.channels, sizes, strict=True)])
         )
         self.n = int(times.size)
-        self.sigma, self.used, self.left, self.evidence = 0.1, 0.0, np.inf, -np.inf
+        self.sigma, self.used, self.residual_share, self.evidence = 0.1, 0.0, np.inf, -np.inf
         self.evaluations = self.steps = 0
         self.sigmas: list[float] = []
 
     def _at(self, times: np.ndarray) -> Network:
-        """The network at other times."""
+        """Return the network at given times."""
         tau = self.torch.as_tensor(2.0 * times / self.duration - 1.0)[None]
         return self.tanh.Network(self.widths, tau, self.torch.full((1,), 2.0 / self.duration, dtype=tau.dtype))
 
     def errors(self, theta: Tensor) -> tuple[Tape, Tensor]:
-        """The forward pass and the residuals over each channel's size, (n_samples,)."""
+        """Return the forward pass and the residuals over each channel's size, (n_samples,)."""
         self.evaluations += 1
         tape = self.ansatz.forward(theta[None])
         index = self.torch.arange(self.n)
         return tape, (tape.output[0, 0, index, self.dof] - self.values) / self.scale
 
     def jacobian(self, tape: Tape) -> Tensor:
-        """Of the residuals by the weights, (n_samples, n_weights)."""
+        """Return the Jacobian of the residuals, (n_samples, n_weights)."""
         seeds = self.torch.zeros_like(tape.output)
         index = self.torch.arange(self.n)
         seeds[0, 0, index, self.dof] = 1.0 / self.scale
@@ -247,16 +248,16 @@ class Smoother:
         return self.ansatz.jacobian(tape, adjoints, index)[0]
 
     def spread(self) -> Tensor:
-        """Prior standard deviation of every weight, (n_weights,)."""
+        """Return the prior standard deviation of every weight, (n_weights,)."""
         return self.torch.as_tensor(self.sds[self.layer])
 
     def objective(self, theta: Tensor, errors: Tensor) -> float:
-        """Minus the log posterior of the weights at the present noise and precisions, up to a constant."""
+        """Return minus the log posterior of the weights at the current noise and precisions, up to a constant."""
         u = (theta - self.first) / self.spread()
         return 0.5 * float(errors @ errors) / self.sigma**2 + 0.5 * float(u @ u)
 
     def fit(self, iterations: int) -> None:
-        """Levenberg-Marquardt steps in the dual, the noise and the precisions estimated anew after each."""
+        """Make Levenberg-Marquardt steps in residual space, updating noise and precisions after each."""
         torch, damping = self.torch, 1e-2
         tape, errors = self.errors(self.theta)
         jacobian = self.jacobian(tape)
@@ -286,7 +287,7 @@ class Smoother:
                 break
 
     def update(self, jacobian: Tensor, errors: Tensor) -> float:
-        """MacKay's fixed point for noise and precisions; sets the evidence too. Returns the largest relative change."""
+        """Update noise, precisions and evidence by MacKay's fixed point; return the largest relative change."""
         torch = self.torch
         scaled = jacobian * self.spread() / self.sigma
         shares = [scaled[:, self.layer == i] @ scaled[:, self.layer == i].T for i in range(self.sds.size)]
@@ -301,19 +302,18 @@ class Smoother:
         squares = np.array([moved[self.layer == i].sum() for i in range(self.sds.size)])
         sds = np.clip(np.sqrt(squares / np.maximum(gammas, 1e-3)), 1e-4, 1e2)
         self.used = float(gammas.sum())
-        self.left = float(errors @ errors) / self.n
+        self.residual_share = float(errors @ errors) / self.n
         sigma = float(np.sqrt(float(errors @ errors) / max(self.n - self.used, 0.5)))
         sigma = min(max(sigma, LEAST_NOISE), MOST_NOISE)
         change = max(abs(np.log(sigma / self.sigma)), float(np.max(np.abs(np.log(sds / self.sds)))))
-        # half way in the logarithm: the full step can run from one extreme to the other
+        # half a step in the logarithm, since full steps may oscillate between extremes
         self.sigma = float(np.sqrt(sigma * self.sigma))
         self.sds = np.sqrt(sds * self.sds)
         self.sigmas.append(self.sigma)
         return change
 
     def paths(self, times: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
-        """x, x', x'' at the times: first the fit, then draws from the linearised posterior, (1 + draws, 3, n_times,
-        n_dof).
+        """Return x, x', x'' of the fit and of draws from the linearised posterior, (1 + draws, 3, n_times, n_dof).
 
         A draw is a prior draw corrected by the data (Matheron's rule), through the network's derivative by its weights.
         """
@@ -331,7 +331,7 @@ class Smoother:
         return np.stack([centre, *[centre + path for path in paths]])
 
     def streams(self, times: np.ndarray, move: Tensor | float = 0.0) -> np.ndarray:
-        """x, x', x'' of the fit, or with its weights moved, (3, n_times, n_dof)."""
+        """Return x, x', x'' of the fit, with its weights displaced by ``move``, (3, n_times, n_dof)."""
         return np.asarray(self._at(times).forward((self.theta + move)[None]).output[0])
 
     def response(self) -> NetworkResponse:

@@ -1,10 +1,10 @@
-"""A tanh network of time that returns x, x', x'' together, with the pieces of its Jacobian in closed form.
+"""A tanh network of time that computes x, x', x'' together, with a Jacobian in closed form.
 
-The three streams are carried forward through the layers as a truncated Taylor series (Taylor-mode differentiation:
+The three streams are propagated through the layers as a truncated Taylor series (Taylor-mode differentiation:
 Griewank and Walther, Evaluating Derivatives, 2nd edition, chapter 13), so no derivative needs a second backward pass.
 
 For ``z = W h + b`` all streams are mapped by W, and b adds to the first. For ``h = tanh(z)``, with ``s = 1 - h²``
-and ``q = -2 h h'``: ``h' = s z'`` and ``h'' = s z'' + q z'``. The adjoint is the transpose of the same maps; it takes
+and ``q = -2 h h'``: ``h' = s z'`` and ``h'' = s z'' + q z'``. The adjoint is the transpose of these maps; it maps
 a row's adjoints (a, a', a'') to ``(s a + q a' - 2 (h h'' + h'²) a'', s a' + 2 q a'', s a'')``.
 """
 
@@ -22,18 +22,18 @@ from torch import Tensor
 from methods.network.ansatz import Adjoints, Ansatz, Basis, Tape
 
 EXPLICIT = 2
-"""Layers no wider than this on one side enter J Jᵀ through explicit columns."""
+"""Layers with at most this number of inputs or outputs contribute to J Jᵀ by explicit columns."""
 
 
 def initial_layers(
     widths: Sequence[int], cycles: float, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Random weights for a function of time on [-1, 1] with about ``cycles`` oscillations; numpy, float64.
+    """Return random weights for a function of time on [-1, 1] with about ``cycles`` oscillations.
 
-    First layer: slopes near ``gain = 1 + cycles / 2`` of either sign, and biases that put the centres of the tanh
+    First layer: slopes near ``gain = 1 + cycles / 2`` of either sign, and biases that distribute the centres of tanh
     evenly over the interval. Hidden layers: normal with variance 4/n_in, biases of variance 1. Last layer: zero, so
-    that the first response is the state of rest. With these sizes a linear combination of the last hidden layer alone
-    already solves an oscillator's equation; with larger slopes it oscillates between the collocation points instead.
+    that the initial response is zero. With these sizes a linear combination of the last hidden layer already solves an
+    oscillator's equation; with larger slopes it oscillates between the collocation points.
     """
     layers = []
     gain = 1.0 + 0.5 * cycles
@@ -52,12 +52,12 @@ def initial_layers(
 
 
 def flat(layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """All weights and biases as one vector, layer by layer, weights (row by row) before biases."""
+    """Return all weights and biases as one vector, ordered by layer, weights (by row) before biases."""
     return np.concatenate([part.ravel() for layer in layers for part in layer])
 
 
 def layers_of(theta: Any, widths: Sequence[int]) -> list[tuple[Any, Any]]:
-    """Views of coefficients (..., count) as layers: weights (..., n_out, n_in) and biases (..., n_out)."""
+    """Return views of coefficients (..., count) as layers: weights (..., n_out, n_in), biases (..., n_out)."""
     layers, place = [], 0
     for n_in, n_out in itertools.pairwise(widths):
         end = place + n_in * n_out
@@ -69,7 +69,7 @@ def layers_of(theta: Any, widths: Sequence[int]) -> list[tuple[Any, Any]]:
 
 @dataclass
 class Network(Ansatz):
-    """The network at the points ``tau`` (B, n_points), scaled times whose derivative by time is ``rate`` (B,)."""
+    """The network at points ``tau`` (B, n_points), scaled times with the time derivative ``rate`` (B,)."""
 
     widths: tuple[int, ...]
     tau: Tensor
@@ -121,7 +121,7 @@ class Network(Ansatz):
         return adjoints[::-1]
 
     def gram(self, tape: Tape, adjoints: Adjoints, points: Tensor) -> Tensor:
-        """``J Jᵀ`` as a sum over layers of Gram products; J is never formed.
+        """Compute ``J Jᵀ`` as a sum over layers of Gram products, without forming J.
 
         For one layer, ``(J Jᵀ)[i, j] = sum over streams s, t of (a_s[i]·a_t[j]) (h_s[i]·h_t[j])``, with a the adjoints
         and h the inputs, the biases adding 1 to the inputs' product at s = t = 0.
@@ -176,5 +176,5 @@ def _linear(h: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 
 
 def _outer(a: Tensor, h: Tensor) -> Tensor:
-    """Rows of the Jacobian by one layer's weights and biases, (B, n_rows, n_out (n_in + 1))."""
+    """Return the Jacobian by one layer's weights and biases, (B, n_rows, n_out (n_in + 1))."""
     return torch.cat([torch.einsum("bsko,bski->bkoi", a, h).flatten(2), a[:, 0]], 2)

@@ -1,1 +1,1 @@
-"""Methods that follow parameters while the samples arrive."""
+"""Trackers: methods that update their estimates with every sample."""

@@ -1,20 +1,20 @@
-"""Recursive prediction-error identification of a discrete model with forgetting; its poles are the oscillator's.
+"""Recursive prediction-error identification of a discrete-time model with forgetting.
 
-A sampled oscillator obeys ``y_k + a1 y_(k-1) + a2 y_(k-2) = b1 f_(k-1) + b2 f_(k-2) + e_k + c1 e_(k-1) + c2 e_(k-2)``
-exactly: ``f`` a known force held between samples, ``e`` the innovations. An autoregression by least squares leaves the
-moving average out, and is biased by the noise in its columns. Here
+A sampled oscillator satisfies ``y_k + a1 y_(k-1) + a2 y_(k-2) = b1 f_(k-1) + b2 f_(k-2) + e_k + c1 e_(k-1) +
+c2 e_(k-2)`` exactly, with a known force ``f`` held between samples and innovations ``e``. A least-squares
+autoregression omits the moving average and is biased by the noise in its regressors. Two cases avoid this bias:
 
-- an unknown white force and the sensor's noise together are an autoregression with a moving average (ARMA);
-- under a known force the sensor's white noise makes the moving average equal to the autoregression (output error), so
-  that what stands in the columns is the model's own answer, which has no noise.
+- with an unknown white force, force and sensor noise together give an autoregression with a moving average (ARMA);
+- under a known force, white sensor noise makes the moving average equal to the autoregression (output error), and the
+  regressors are the model's simulated outputs, which contain no noise.
 
-All coefficients follow a Gauss-Newton step a sample on the squared prediction error (recursive maximum likelihood: T.
-Söderström, L. Ljung, I. Gustavsson, Automatica 14:231, 1978; L. Ljung, T. Söderström, Theory and Practice of Recursive
-Identification, 1983, section 3.7). Poles ``z`` give ``s = ln z / h``, hence ``k/m = s1 s2`` and
-``c/m = -(s1 + s2)``; the gain at rest gives ``1/k``.
+All coefficients are updated by one Gauss-Newton step per sample on the squared prediction error (recursive maximum
+likelihood: T. Söderström, L. Ljung, I. Gustavsson, Automatica 14:231, 1978; L. Ljung, T. Söderström, Theory and
+Practice of Recursive Identification, 1983, section 3.7). Poles ``z`` give ``s = ln z / h``, hence ``k/m = s1 s2`` and
+``c/m = -(s1 + s2)``; the static gain gives ``1/k``.
 
-It begins at the least squared prediction error of the first samples, found by a batch search from several starts; the
-motion before them is then free.
+The recursion starts from the minimum of the squared prediction error of the first samples, found by a batch search from
+several initial guesses, with a free initial state.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from methods.discrete.ar import coefficient_slopes, coefficients_of
 from methods.online.least_squares import LeastSquaresTracker
 
 RADII = (0.5, 0.9, 0.98)
-"""Starts of the moving average under an unknown force: the poles of the autoregression, drawn in to this."""
+"""Initial guesses of the moving average under an unknown force: pole radii relative to the autoregression's."""
 RATIOS = (0.01, 0.05, 0.2)
-"""Starts of the damping ratio."""
+"""Initial guesses of the damping ratio."""
 GATE = 6.0
 IN_A_ROW = 5
 ZEROED = 400
-"""Samples behind a jump of the sensor's zero over which it is estimated."""
+"""Samples after a jump of the sensor's zero over which the new zero is estimated."""
 FADED = 0.02
-"""Behind a gap nothing is learned until what was there before has faded to this in the innovations."""
+"""After a gap, updates wait until the unknown initial state has decayed to this fraction in the innovations."""
 MOST = 4
-"""Times as many first samples as asked for are kept, where some of them are missing."""
+"""Largest number of first samples kept, in multiples of ``warm_up``, where some are missing."""
 LEAST_MOVE = 1e-3
 
 
 @dataclass(frozen=True)
 class OnlineAR(OnlineIdentifier):
-    """``factor``: what is kept of what was learned, a sample; ``warm_up`` samples are kept to begin."""
+    """``factor``: forgetting factor per sample; ``warm_up``: samples of the initial batch search."""
 
     factor: Annotated[float, Interval(gt=0.5, le=1.0)] = 0.995
     warm_up: Annotated[int, Interval(ge=30)] = 150
@@ -60,24 +60,24 @@ class OnlineAR(OnlineIdentifier):
     )
 
     def objection(self, layout: Layout) -> str | None:
-        """It needs one linear mass with one sensor, and the force of a known force's answer as a displacement."""
+        """Require one linear mass with one sensor, of displacement under a known force."""
         if layout.system.n_dof > 1 or not layout.system.linear or len(layout.system.names) != 3:
-            return "its two poles are those of one mass, spring and damper"
+            return "it supports one mass, spring and damper only, whose two poles it estimates"
         if len(layout.sensors) != 1 or (layout.forced and layout.sensors[0].measures != "displacement"):
-            return "it takes one sensor, under a known force of the displacement"
+            return "it requires one sensor, of displacement under a known force"
         if layout.forced and layout.ambient:
-            return "a known and an unknown force at once have one moving average too few"
+            return "it supports a known or an unknown force, not both at once"
         return None
 
     def start(self, layout: Layout) -> LeastSquaresTracker:
-        """A tracker before its first sample."""
+        """Return a tracker before its first sample."""
         return _ARTracker(layout, self)
 
 
 class _ARTracker(LeastSquaresTracker):
-    """Coefficients in units of the first samples' sizes: ``theta`` is a1, a2, then b1, b2 where forced, else c1, c2.
+    """Tracker of the coefficients ``theta``: a1, a2, then b1, b2 where forced, else c1, c2, for scaled samples.
 
-    ``recent``: what they multiply in the next prediction; ``slopes``: its last two derivatives by ``theta``.
+    ``recent``: regressors of the next prediction; ``slopes``: the last two gradients of the prediction.
     """
 
     holds = (
@@ -98,7 +98,7 @@ class _ARTracker(LeastSquaresTracker):
         self.information, self.recent, self.slopes = np.zeros((4, 4)), np.zeros(4), np.zeros((2, 4))
 
     def step(self, sample: Sample, steps: int) -> TrackerOutput:
-        """Collect the first samples; then one Gauss-Newton step a sample."""
+        """Collect the first samples; then make one Gauss-Newton step per sample."""
         value, force = float(sample.values[0]), float(sample.forces[0]) if self.forced else 0.0
         if not self.begun:
             return self._collected(sample, value, force, steps)
@@ -122,34 +122,41 @@ class _ARTracker(LeastSquaresTracker):
             status, message = self._outlying(y - predicted, np.sqrt(level))
             self._pass_by(predicted, f)
         else:
-            self.far = self.far if (y - predicted) ** 2 > GATE**2 * level else 0  # all of a row count, from then on
+            self.far = (
+                self.far if (y - predicted) ** 2 > GATE**2 * level else 0
+            )  # after IN_A_ROW outliers no value is left out
             self._rezero(y - predicted)
             self._learn(y, f, self.settings.factor)
         if not np.all(np.isfinite(self.theta)):
             self.begun = False
             self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
-            return TrackerOutput(sample.time, SampleStatus.FAILED, message="the recursion is lost; it begins again")
+            return TrackerOutput(sample.time, SampleStatus.FAILED, message="the recursion diverged and is restarted")
         distribution = self._distribution()
         if distribution is None:
-            return TrackerOutput(sample.time, SampleStatus.FAILED, message="its poles are not those of an oscillator")
+            return TrackerOutput(
+                sample.time, SampleStatus.FAILED, message="the estimated poles are not those of an oscillator"
+            )
         sd = self.sizes[0] * np.sqrt(np.array([level]))
         return TrackerOutput(
             sample.time, status, distribution, self.sizes[0] * np.array([predicted]), sd, message=message
         )
 
     def _outlying(self, left: float, sd: float) -> tuple[SampleStatus, str]:
-        """Leave a value out; several in a row on one side are a jump of the sensor's zero, which is taken off."""
+        """Omit an outlier; several in a row with one sign are a jump of the sensor's zero, which is subtracted."""
         self.off, self.far = (self.off if self.far else 0.0) + left, self.far + 1
         if self.far < IN_A_ROW or abs(self.off) < IN_A_ROW * GATE * sd:
-            return SampleStatus.OUTLIER, f"a value is more than {GATE:g} standard deviations off; left out"
+            return (
+                SampleStatus.OUTLIER,
+                f"a value is more than {GATE:g} standard deviations from its prediction; omitted",
+            )
         self.zero, self.zeroed, self.far = self.zero + self.off / IN_A_ROW, IN_A_ROW, 0
         return (
             SampleStatus.SENSOR_JUMP,
-            "several samples in a row are far off on one side: the sensor's zero has jumped",
+            "several successive samples are outliers of one sign: the sensor's zero has jumped",
         )
 
     def _rezero(self, left: float) -> None:
-        """Know the zero better, for a while behind a jump: the average of what it leaves."""
+        """Refine the zero for ``ZEROED`` samples after a jump, by averaging the innovations."""
         if self.zeroed >= ZEROED:
             return
         self.zeroed += 1
@@ -160,7 +167,7 @@ class _ARTracker(LeastSquaresTracker):
         if steps > 1 or self.head_values.size >= MOST * self.settings.warm_up:
             self.head_values, self.head_forces = np.zeros(0), np.zeros(0)
         self.head_values, self.head_forces = np.append(self.head_values, value), np.append(self.head_forces, force)
-        waiting = TrackerOutput(sample.time, SampleStatus.WARMING_UP, message="the first samples are kept")
+        waiting = TrackerOutput(sample.time, SampleStatus.WARMING_UP, message="collecting the first samples")
         there = np.isfinite(self.head_values)
         if np.sum(there) < self.settings.warm_up or not there[-1]:
             return waiting
@@ -174,7 +181,7 @@ class _ARTracker(LeastSquaresTracker):
         return TrackerOutput(sample.time, SampleStatus.OK, self._distribution())
 
     def _begin(self, y: np.ndarray, f: np.ndarray) -> bool:
-        """Hold the best model of the first samples, and what they tell of it; False where there is none."""
+        """Initialise the recursion by the best model of the first samples; False where there is none."""
         from scipy.optimize import least_squares  # slow to import
 
         errors = _output_errors if self.forced else _innovations
@@ -189,7 +196,7 @@ class _ARTracker(LeastSquaresTracker):
                 ends.append((end.cost, end.x))
         if not ends:
             return False
-        cost, eta = min(ends, key=lambda each: each[0])
+        cost, eta = min(ends, key=lambda end: end[0])
         left, self.theta = errors(eta, y, f)
         self._forget_everything()
         for value, force in zip(y.tolist(), f.tolist(), strict=True):
@@ -197,18 +204,18 @@ class _ARTracker(LeastSquaresTracker):
             self.information = self.information + np.outer(slope, slope)
             self._shift(slope, value, force)
         shown = y - left
-        if self.forced:  # with the free motion from before the first sample
+        if self.forced:  # including the free motion from the initial state
             self.recent = np.array([-shown[-1], -shown[-2], f[-1], f[-2]])
         self.inverse = np.asarray(np.linalg.pinv(self.information, hermitian=True), float)
         self.power, self.weight = 2.0 * cost, float(y.size - (2 if self.forced else 0))
         return self._distribution() is not None
 
     def _starts(self, values: np.ndarray) -> list[np.ndarray]:
-        """Logarithms of frequency (a sample) and damping ratio, and under an unknown force the moving average."""
+        """Return initial guesses: log frequency per sample, log damping ratio, and c1, c2 under an unknown force."""
         power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
         peaks = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:]))
         strongest = sorted(peaks.tolist() or [1], key=lambda i: -power[i])[:3]
-        if self.forced:  # the strongest may be the force's
+        if self.forced:  # the strongest peak may belong to the force
             strongest = np.geomspace(1.0, values.size / 3.0, 12).tolist()
         poles = [np.log([2.0 * np.pi * i / values.size, ratio]) for i in strongest for ratio in RATIOS]
         if self.forced:
@@ -217,16 +224,16 @@ class _ARTracker(LeastSquaresTracker):
 
     @property
     def _average(self) -> np.ndarray:
-        """The moving average: that of its own, or the autoregression."""
+        """Return the moving average, under a known force the autoregression."""
         return self.theta[:2] if self.forced else self.theta[2:]
 
     def _slope(self) -> np.ndarray:
-        """Derivative of the next prediction by the coefficients."""
+        """Return the gradient of the next prediction."""
         c = self._average
         return np.asarray(self.recent - c[0] * self.slopes[0] - c[1] * self.slopes[1])
 
     def _learn(self, y: float, f: float, keep: float) -> None:
-        """A Gauss-Newton step; the moving average stays invertible."""
+        """Make a Gauss-Newton step, shortened so that the moving average stays invertible."""
         before, slope, move = self.theta, self._slope(), 1.0
         left = y - float(self.recent @ before)
         self.forget(keep)
@@ -239,17 +246,17 @@ class _ARTracker(LeastSquaresTracker):
         self._shift(slope, y, f)
 
     def _pass_by(self, y: float, f: float) -> None:
-        """A sample that nothing is learned from; one that says nothing is as predicted."""
+        """Advance past a sample without an update; for a missing one, ``y`` is its prediction."""
         self._shift(self._slope(), y, f)
 
     def _shift(self, slope: np.ndarray, y: float, f: float) -> None:
-        """Go on to the next sample."""
+        """Advance the regressors and gradients by one sample."""
         expected, old = float(self.recent @ self.theta), self.recent
         self.slopes = np.stack([slope, self.slopes[0]])
         self.recent = np.array([-expected, old[0], f, old[2]] if self.forced else [-y, old[0], y - expected, old[2]])
 
     def _distribution(self) -> Normal | None:
-        """Normal in the logarithms by the delta method; None where the poles are no oscillator's."""
+        """Return the distribution of the log-parameters, by the delta method; None without an oscillator's poles."""
         groups, variance = self._groups(), self.variance
         if groups is None or variance is None:
             return None
@@ -266,12 +273,12 @@ class _ARTracker(LeastSquaresTracker):
         else:
             jacobian = np.array([[0.0, c2, 0.0, 0.0], [k1, k2, 0.0, 0.0]])
             logs = np.log([c_over_m, k_over_m])
-        # weights that fall off as keep^n: the sum of their squares stands between two inverses of their sum
+        # with exponential weights the covariance is a sandwich with the sum of squared weights in the middle
         spread = self.inverse @ self.information @ self.inverse * variance
         return Normal(self.layout.free, logs, jacobian @ spread @ jacobian.T, log=True)
 
     def _groups(self) -> tuple[float, float] | None:
-        """k/m and c/m; None where the poles, or the gain at rest, are no oscillator's."""
+        """Return k/m and c/m; None where poles or static gain are not those of an oscillator."""
         (a1, a2, b1, b2), h = self.theta.tolist(), self.layout.interval
         inside = a2 - 0.25 * a1**2
         large = -0.5 * a1 + math.sqrt(max(-inside, 0.0))  # the larger real root
@@ -286,29 +293,29 @@ class _ARTracker(LeastSquaresTracker):
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
-    """Values with those that are missing in between by a cubic spline; few, since a search takes all for measured."""
+    """Interpolate missing values by a cubic spline, for the batch search."""
     from scipy.interpolate import CubicSpline  # slow to import
 
-    there = np.isfinite(values)
-    if there.all():
+    measured = np.isfinite(values)
+    if measured.all():
         return values
-    at = np.arange(values.size)
-    return np.where(there, values, CubicSpline(at[there], values[there])(at))
+    index = np.arange(values.size)
+    return np.where(measured, values, CubicSpline(index[measured], values[measured])(index))
 
 
 def _invertible(c: np.ndarray) -> bool:
-    """Whether the roots of ``z² + c1 z + c2`` lie within the unit circle (Jury's conditions)."""
+    """Return True where the roots of ``z² + c1 z + c2`` lie within the unit circle (Jury's conditions)."""
     return bool(abs(c[1]) < 0.9995 and abs(c[0]) < 1.0 + c[1])
 
 
 def _coefficients(eta: np.ndarray) -> np.ndarray:
-    """a1, a2 of a logarithm of frequency (radians a sample) and of damping ratio."""
+    """Return a1, a2 for the logarithms of frequency (radians per sample) and of damping ratio."""
     omega, ratio = np.exp(np.clip(eta[:2], -12.0, 3.0))
     return -coefficients_of(np.array([omega**2, 2.0 * ratio * omega]), 1.0)
 
 
 def _innovations(eta: np.ndarray, y: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One-step prediction errors of an autoregression with a moving average, and its coefficients."""
+    """Return the one-step prediction errors of an ARMA model, and its coefficients."""
     from scipy.signal import lfilter
 
     a, c = _coefficients(eta), eta[2:4]
@@ -318,12 +325,12 @@ def _innovations(eta: np.ndarray, y: np.ndarray, f: np.ndarray) -> tuple[np.ndar
 
 
 def _output_errors(eta: np.ndarray, y: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the model's answer to the force and a free motion leave, and its coefficients; these by least squares."""
+    """Return the output errors with b1, b2 and the initial state by least squares, and the coefficients."""
     from scipy.signal import lfilter
 
     a, n = _coefficients(eta), y.size
-    given = np.zeros((n, 4))
-    given[1:, 0], given[2:, 1], given[0, 2], given[1, 3] = f[:-1], f[:-2], 1.0, 1.0
-    columns = lfilter([1.0], [1.0, *a], given, axis=0)
-    found = np.linalg.lstsq(columns, y, rcond=None)[0]
-    return y - columns @ found, np.concatenate([a, found[:2]])
+    inputs = np.zeros((n, 4))
+    inputs[1:, 0], inputs[2:, 1], inputs[0, 2], inputs[1, 3] = f[:-1], f[:-2], 1.0, 1.0
+    columns = lfilter([1.0], [1.0, *a], inputs, axis=0)
+    linear = np.linalg.lstsq(columns, y, rcond=None)[0]
+    return y - columns @ linear, np.concatenate([a, linear[:2]])

@@ -1,8 +1,8 @@
-"""Kalman filters of the joint state, several side by side, compiled: weights and their mixture.
+"""A compiled bank of Kalman filters of the joint state, with weights and their mixture.
 
-The joint state is that of :class:`bench.DiscreteModel`; each member of a bank is a filter with its own distribution, by
-one of three rules (:mod:`methods.kalman.core`): ``extended``, its tangents by automatic differentiation; ``unscented``;
-and ``square_root``, the extended filter that carries a root of the covariance.
+The joint state is that of :class:`bench.DiscreteModel`. The members of a bank are filters by one of three rules
+(:mod:`methods.kalman.core`): ``extended``, with Jacobians by automatic differentiation; ``unscented``; and
+``square_root``, the extended filter that propagates a square root of the covariance.
 
 Weights follow the likelihood of the innovations, with forgetting (A. E. Raftery, M. Karny, P. Ettler, Technometrics
 52:52, 2010), or a Markov chain between members whose distributions are mixed before each prediction (interacting
@@ -21,26 +21,27 @@ from bench import DiscreteModel, Layout
 from methods.kalman.core import COVARIANCE, ROOT, Affine, SpreadForm, apply, mixture, regression
 
 Rule = Literal["extended", "unscented", "square_root"]
-HELD = 0.99
+MIXTURE_SHARE = 0.99
+"""Total weight of the members that make the mixture's mean and covariance."""
 LEAST_SHARE = 1e-3
-"""Least weight of a member of the mixture; a normal cannot represent a component that is wide and this improbable."""
+"""Weight below which a member is left out of a mixed distribution, whose variance it would dominate."""
 GATE = 6.0
-"""Standard deviations from its prediction beyond which a value is an outlier."""
+"""A value further from its prediction than this many standard deviations is an outlier."""
 FLOOR = -600.0
-"""Least log-weight of a member: a number that can still be summed."""
+"""Least log-weight of a member, above underflow."""
 LEAST_SPREAD = 1e-6
-"""Of a distribution's largest standard deviation: a direction of the unscented filter's points has at least this."""
+"""Least spread of the sigma points in any direction, relative to the largest standard deviation."""
 WIDE = 4.0
-"""A member that expects a value with so many times the variance of the surest may not explain it."""
+"""Members whose predicted variance exceeds the least one by this factor do not decide on outliers."""
 Outcome = np.void
-"""Results of a step beside the new state, by the names of :attr:`Bank.outcome`."""
+"""Results of a step except the new state, a record with the fields of :attr:`Bank.outcome`."""
 
 
 @dataclass(frozen=True)
 class Bank:
-    """Filters of a layout by one rule. ``mixes``: whether members interact by a Markov chain.
+    """Filters of a layout by one rule; ``mixes``: members interact by a Markov chain.
 
-    Members lead in all arrays: means (M, d), spreads (covariances, or roots) (M, d, d), log-weights (M,).
+    The first axis of all arrays is the member: means (M, d), spreads (covariances or roots, M, d, d), log-weights (M,).
     """
 
     layout: Layout
@@ -49,7 +50,7 @@ class Bank:
     mixes: bool = False
 
     def functions(self) -> tuple[Any, Any]:
-        """(step, coast), compiled: the one takes a sample, the other an interval without one."""
+        """Return the compiled functions :meth:`step` (a sample) and :meth:`coast` (an interval without a sample)."""
         return _compiled(self)
 
     @cached_property
@@ -58,12 +59,13 @@ class Bank:
 
     @cached_property
     def outcome(self) -> np.dtype[np.void]:
-        """The row that a step gives.
+        """Return the record type of a step's results.
 
-        Mean and covariance of the mixture; by sensor prediction, its standard deviation, and how many of them a value
-        is from it that was used; whether (1 or 0) some value was taken for an outlier and whether all numbers are
-        finite; by how much the mean of the squared normalised innovations is above 1; log-likelihood of each member;
-        the likeliest member's normalised moves of the log-parameters.
+        ``mean``, ``covariance``: of the mixture. ``expected``, ``sd``: prediction of each sensor and its standard
+        deviation. ``surprise``: normalised innovation of each value used. ``outlier``, ``finite``: 1 where some value
+        is an outlier, and where all numbers are finite. ``excess``: mean squared normalised innovation minus 1.
+        ``gained``: log-likelihood of each member. ``moves``: normalised updates of the log-parameters of the most
+        likely member.
         """
         d, c, m = self.model.size, len(self.layout.sensors), self.members
         shapes = {
@@ -74,11 +76,11 @@ class Bank:
 
     @property
     def form(self) -> SpreadForm:
-        """Return the form of the spread: a covariance or a root of it."""
+        """Return the form of the spread: a covariance or a square root of it."""
         return ROOT if self.rule == "square_root" else COVARIANCE
 
     def _affine(self, function: Any, means: Any, spreads: Any) -> Affine:
-        """A map of one joint state made affine about each member's distribution, by the rule."""
+        """Approximate a map of the joint state by an affine one about each member's distribution."""
         import jax
         import jax.numpy as jnp
 
@@ -88,26 +90,26 @@ class Bank:
         return Affine(slopes, values - apply(slopes, means), jnp.zeros_like(values)[:, None])
 
     def coast(self, means: Any, spreads: Any, force: Any, interval: Any, noise: Any) -> tuple[Any, Any]:
-        """Carry distributions an interval (s) on, to before the next sample.
+        """Predict over an interval (s) without a sample.
 
-        ``noise``: variances of the process noise of each member (M, d), and what the unknown force keeps of itself.
+        ``noise``: variances of the process noise of each member (M, d), and the autocorrelation of the unknown force.
         """
         walk, memory = noise
         affine = self._affine(lambda point: self.model.advance(point, force, interval, memory), means, spreads)
         return self.form.predict(affine, walk, means, spreads)
 
     def step(self, state: tuple[Any, Any, Any], sample: Any, constants: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Go from one sample to the next.
+        """Predict to a sample and update by it.
 
         Args:
-            state: means, spreads, log-weights.
-            sample: values, which of them say something (1 or 0), known forces from now on, known forces since the
-                sample before, one behind the other.
-            constants: sampling interval (s), process noise (see :meth:`coast`), and the levels: variances of the
-                sensors, forgetting or transition matrix, gate (squared standard deviations).
+            state: Means, spreads, log-weights.
+            sample: Concatenated values, their validity (1 or 0), known forces from this sample on, and known forces
+                since the previous sample.
+            constants: Sampling interval (s), process noise (see :meth:`coast`), and a triple of the variances of the
+                sensors, the forgetting factor or transition matrix, and the gate (squared standard deviations).
 
         Returns:
-            The state after the sample, and the row of :attr:`outcome`.
+            The state after the sample, and the record of :attr:`outcome`.
         """
         import jax
         import jax.numpy as jnp
@@ -127,7 +129,7 @@ class Bank:
         share = jax.nn.softmax(weights)
         expected = share @ shown
         variance = share @ (diagonal + (shown - expected) ** 2)
-        sure = (diagonal <= WIDE * jnp.min(diagonal, axis=0)) | self.mixes  # a fast rate is no hypothesis just opened
+        sure = (diagonal <= WIDE * jnp.min(diagonal, axis=0)) | self.mixes  # mixed members are wide by their rate
         off = jnp.min(jnp.where(sure, (values - shown) ** 2 / diagonal, jnp.inf), axis=0)
         outlier = there & (off > gate)
         used = there & ~outlier
@@ -139,7 +141,7 @@ class Bank:
         weights = jnp.maximum(weights - total, FLOOR)
         best = jnp.argmax(weights)
         moves = (means - start)[best, logs] / jnp.sqrt(jnp.maximum(learned[best], 1e-300))
-        mean, cov = mixture(_weighty(jax.nn.softmax(weights)), means, after)
+        mean, cov = mixture(_dominant(jax.nn.softmax(weights)), means, after)
         sd = jnp.sqrt(variance)
         off = jnp.abs(values - expected) / sd
         excess = jnp.mean(jnp.where(there, jnp.minimum(off, GATE) ** 2 - 1.0, 0.0))
@@ -149,10 +151,10 @@ class Bank:
         return (means, spreads, weights), jnp.concatenate(row)
 
     def _mixed(self, means: Any, spreads: Any, weights: Any, chain: Any) -> tuple[Any, Any, Any]:
-        """Distributions of each member given where the chain may have come from; ``chain[i, j]`` from i to j.
+        """Mix the distributions of the members by the transition matrix ``chain[i, j]`` from i to j.
 
-        A member's share below :data:`LEAST_SHARE` is left out: the variance of a fast rate, however rare, would else
-        be process noise of the constant parameters.
+        Weights below :data:`LEAST_SHARE` are set to zero, so that the variance of a fast rate does not become process
+        noise of constant parameters.
         """
         import jax
         import jax.numpy as jnp
@@ -170,17 +172,17 @@ def _compiled(bank: Bank) -> tuple[Any, Any]:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_cpu_enable_async_dispatch", False)  # a step is over sooner than a thread has taken it on
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # a step is shorter than the dispatch to a thread
     return jax.jit(bank.step), jax.jit(bank.coast)
 
 
-def _weighty(share: Any) -> Any:
-    """The shares of the fewest members that hold :data:`HELD` of the weight, which sum to 1.
+def _dominant(share: Any) -> Any:
+    """Return the weights of the fewest members with :data:`MIXTURE_SHARE` of the total, normalised to 1.
 
-    A 95 % interval of a mixture does not show what has a hundredth of the weight; a variance is made of it.
+    Members with a hundredth of the weight hardly change a 95 % interval of the mixture, but may dominate its variance.
     """
     import jax.numpy as jnp
 
     larger = jnp.sum(jnp.where(share > share[:, None], share, 0.0), axis=1)
-    kept = jnp.where(larger < HELD, share, 0.0)
+    kept = jnp.where(larger < MIXTURE_SHARE, share, 0.0)
     return kept / jnp.sum(kept)

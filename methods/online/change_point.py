@@ -1,13 +1,13 @@
-"""Bayesian online change-point detection: filters that each assume one last change, weighted by what they predicted.
+"""Bayesian online change-point detection: filters that each assume the time of the last change, weighted by likelihood.
 
-A hypothesis is a filter of constant parameters that began, at some sample, from the distribution of then with one
-parameter opened (R. P. Adams, D. J. C. MacKay, arXiv:0710.3742, with the Kalman filter's predictive density in place of
-a conjugate one; P. Fearnhead, Z. Liu, J. Royal Statistical Society B 69:589, 2007, for bounding their number). Every
-few samples, and as soon as a value surprises, one begins for each parameter; the least likely of those that have had
-their time make room. The answer is the mixture, so between changes it is nearly that of a filter of constants, and
-behind one that of a filter that knew.
+A hypothesis is a filter of constant parameters that starts at some sample from the estimated distribution, with the
+variance of one parameter increased (R. P. Adams, D. J. C. MacKay, arXiv:0710.3742, with the Kalman filter's predictive
+density in place of a conjugate one; P. Fearnhead, Z. Liu, J. Royal Statistical Society B 69:589, 2007, for bounding
+their number). Every few samples, and after a large innovation, a hypothesis starts for each parameter and replaces the
+least likely one beyond a minimum age. The estimate is the mixture: between changes nearly that of a filter of constant
+parameters, after a change that of a filter that started at the change.
 
-Alarm: the logarithm (base 10) of the odds that something has changed within the samples that the bank remembers.
+The alarm is the logarithm (base 10) of the odds of a change within the samples that the hypotheses cover.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from methods.online.bank import FLOOR, Outcome
 from methods.online.filtering import FilterIdentifier, FilterTracker, Probability
 
 CHANGE = 0.3
-"""Standard deviation of a jump of a log-parameter: a factor of 1.35."""
+"""Standard deviation of the jump of a log-parameter: a factor of 1.35."""
 SURPRISE = 3.0
-"""Standard deviations of a value, at which hypotheses begin out of turn: the change is a few samples old."""
+"""Normalised innovation above which new hypotheses start at once, since the change is a few samples old."""
 LOOSER = 10.0
-"""Times the motion's covariance in a new hypothesis: what was filtered since the change was filtered wrongly."""
+"""Factor of the motion's covariance in a new hypothesis: samples since the change were misinterpreted."""
 ASKED = 10
-"""Samples behind a jump, of which none is left out: the hypotheses decide what has jumped."""
+"""Samples after a jump without outlier rejection, in which the hypotheses decide what has jumped."""
 OLD = 1_000_000
-"""Age (samples) of a hypothesis that was there from the beginning."""
+"""Age (samples) of a hypothesis present from the beginning."""
 
 
 class HypothesisTracker(FilterTracker):
-    """A bank of filters that each assume one last change; ``born`` samples between new ones, one a parameter."""
+    """Filters that each assume a time of the last change; ``born``: samples between new ones, one per parameter."""
 
     holds = (*FilterTracker.holds, "ages", "since")
 
@@ -45,28 +45,32 @@ class HypothesisTracker(FilterTracker):
         self.afresh()
 
     def afresh(self) -> None:
-        """Leave no hypothesis but the first, which knows of no change."""
+        """Remove all hypotheses but the first, which assumes no change."""
         self.ages, self.since = np.full(len(self.walk), OLD), 0
 
     def first_weights(self) -> np.ndarray:
-        """Return all weight on the first."""
+        """Return weights with all weight on the first hypothesis."""
         return np.where(np.arange(len(self.walk)) == 0, 1.0, 1e-300)
 
     @property
     def remembered(self) -> int:
-        """Samples in which as many hypotheses begin as there are members; for half of them each is spared."""
+        """Return the samples that the hypotheses cover; in the first half of them, none is replaced."""
         return self.born * len(self.walk) // self.kinds
 
     def due(self, outcome: Outcome) -> bool:
-        """Decide whether hypotheses are to begin: every so often, and as soon as a value surprises."""
+        """Return True where new hypotheses are due: every ``born`` samples, and after a large innovation."""
         if self.far or outcome["outlier"]:
-            return False  # a new one would explain all
+            return False  # a new hypothesis would explain any outlier
         return self.since >= self.born or (self.since > 1 and bool(np.any(outcome["surprise"] > SURPRISE)))
 
     def begin(self, mean: np.ndarray, spread: np.ndarray, places: np.ndarray, kinds: np.ndarray) -> None:
-        """Begin hypotheses in some places: from a distribution, a parameter of each kind opened, and the motion looser.
+        """Start hypotheses from a distribution, each with larger variances of one parameter and of the motion.
 
-        What was filtered since the parameter changed was filtered wrongly.
+        Args:
+            mean: Mean of the joint state, (d,).
+            spread: Covariance of the joint state, (d, d).
+            places: Indices of the members to replace.
+            kinds: Index of the log-parameter that each hypothesis assumes to have changed.
         """
         means, spreads, motion = np.array(self.means), np.array(self.spreads), slice(0, self.model.n_motion)
         means[places], spreads[places] = mean, spread
@@ -77,40 +81,36 @@ class HypothesisTracker(FilterTracker):
         self.means, self.spreads = means, spreads
 
     def jumped(self) -> None:
-        """Ask whether a sensor's zero or a parameter has jumped.
-
-        The first hypothesis has the zero open, one a parameter that and the motion: it was filtered with what was
-        wrong. A few samples tell them apart.
-        """
+        """Start hypotheses of a jump of the sensors' zeros, and of each parameter together with the motion."""
         self.far = 0
         best = self.answering()
         added = [self.variances(offsets=self.zero_variance())]
         added += [self.variances(motion=self.square, logs=CHANGE**2 * row) for row in np.eye(self.kinds)]
-        added += added[:1] * (len(self.walk) - len(added))  # who was here before expects what no longer is
+        added += added[:1] * (len(self.walk) - len(added))  # earlier hypotheses no longer apply
         self.spreads = np.asarray(self.spreads)[best] + np.array([np.diag(variances) for variances in added])
         self.means = np.tile(np.asarray(self.means)[best], (len(self.walk), 1))
         self.since, self.asking = 0, ASKED
         self.compete(1 + self.kinds)
 
     def answering(self) -> int:
-        """Return the member that the answer is most like."""
+        """Return the index of the member with the largest weight."""
         return int(np.argmax(self.weights))
 
     def compete(self, number: int) -> None:
-        """Weigh the first ``number`` members, the new hypotheses, alike, and nothing else."""
+        """Give the first ``number`` members equal weights and the others none."""
         new = np.arange(len(self.walk)) < number
         self.ages, self.weights = np.where(new, 0, OLD), np.where(new, -np.log(number), FLOOR)
 
 
 class ChangePointTracker(HypothesisTracker):
-    """``hazard``: probability of a change, a sample."""
+    """Tracker of change points; ``hazard``: probability of a change per sample."""
 
     def __init__(self, layout: Layout, method: ChangePoint) -> None:
         super().__init__(layout, method.warm_up, max(method.members, 4 * len(layout.free)), method.born)
         self.hazard = method.hazard
 
     def judged(self, outcome: Outcome) -> float:
-        """Begin hypotheses when it is time; the odds of a recent change."""
+        """Start hypotheses when due; return the log-odds of a recent change."""
         self.since, self.ages = self.since + 1, self.ages + 1
         share = np.exp(np.asarray(self.weights) - np.max(self.weights))
         share = share / share.sum()
@@ -128,7 +128,7 @@ class ChangePointTracker(HypothesisTracker):
 
 @dataclass(frozen=True)
 class ChangePoint(FilterIdentifier):
-    """``members`` hypotheses, born every ``born`` samples; ``hazard``: probability of a change, a sample."""
+    """``members`` hypotheses, new ones every ``born`` samples; ``hazard``: probability of a change per sample."""
 
     members: Annotated[int, Interval(ge=4)] = 36
     born: Annotated[int, Interval(ge=1)] = 8
@@ -142,5 +142,5 @@ class ChangePoint(FilterIdentifier):
     )
 
     def start(self, layout: Layout) -> ChangePointTracker:
-        """A bank before its first sample."""
+        """Return a bank before its first sample."""
         return ChangePointTracker(layout, self)

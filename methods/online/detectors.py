@@ -1,19 +1,19 @@
-"""Detectors of a change: a filter of constant parameters that is replaced by another where the data support a change.
+"""Change detectors: a filter of constant parameters is replaced by another when the data support a change.
 
-Beside the filter that answers run others, each opened at an earlier sample in one log-parameter, and in the motion. The
-ratio of what such a filter has predicted since then to what the first has exceeds ``exp(h)`` at any time with
-probability ``exp(-h)`` at most while nothing changes (J. Ville, Étude critique de la notion de collectif, 1939). Behind
-an alarm the filter of the largest ratio answers: it has been estimated from the samples behind the change.
+In parallel with the main filter run hypotheses: filters whose variances of one log-parameter and of the motion were
+increased at an earlier sample. While nothing changes, the likelihood ratio of a hypothesis to the main filter exceeds
+``exp(h)`` at any time with probability at most ``exp(-h)`` (J. Ville, Étude critique de la notion de collectif, 1939).
+After an alarm the hypothesis with the largest ratio becomes the main filter; it used the samples after the change.
 
-**Generalised likelihood ratio** (A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21:108, 1976): filters are
-opened every few samples; the alarm is the logarithm of the largest ratio.
+**Generalised likelihood ratio** (A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21:108, 1976): hypotheses
+start every few samples; the alarm is the logarithm of the largest ratio.
 
-**CUSUM** (E. S. Page, Biometrika 41:100, 1954): the filter's moves of each log-parameter, over the standard deviation
-that they should have, are white noise of unit variance while nothing changes, and have a mean afterwards. Two sums a
-parameter, one each way, each less an allowance, are compared with a threshold. The change is taken to be where a
-parameter's ratio was last below 1 (M. Basseville, I. Nikiforov, Detection of Abrupt Changes, 1993, section 2.2): there
-its filter is opened. Beyond the threshold the answer is the mixture of all, weighted by their ratios, until one is
-nearly certain or none is supported: a sum alone changes nothing.
+**CUSUM** (E. S. Page, Biometrika 41:100, 1954): the filter's normalised updates of each log-parameter are white noise
+of unit variance while nothing changes, and have a non-zero mean afterwards. Two cumulative sums per parameter, one per
+sign, each less an allowance, are compared with a threshold. The time of the change is estimated as the last sample at
+which a parameter's ratio was below 1 (M. Basseville, I. Nikiforov, Detection of Abrupt Changes, 1993, section 2.2);
+there its hypothesis starts. Above the threshold the estimate is the mixture weighted by the ratios, until one
+hypothesis is nearly certain or none is supported. A sum alone does not change the estimate.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from methods.online.change_point import HypothesisTracker
 from methods.online.filtering import FilterIdentifier, FilterTracker
 
 LARGEST_MOVE = 5.0
-"""Standard deviations of a sample's move that count at most."""
+"""Limit of the normalised updates in the sums."""
 LARGEST_GAIN = 8.0
-"""Largest contribution of one sample to the alarm, a log-likelihood ratio: a spike alone raises none."""
+"""Largest contribution of one sample to the log-likelihood ratio of the alarm, so that a spike raises none."""
 DECIDED = 0.99
-"""Share of the weight with which a hypothesis is the only one."""
+"""Weight above which a hypothesis replaces all others."""
 OLDEST = 999_999
-"""Age of a place that no hypothesis holds."""
+"""Age of a member without a hypothesis."""
 
 
 class _Ratio(HypothesisTracker):
-    """The answer is that of member 0, the one without a change; the others only count."""
+    """Likelihood-ratio detector; member 0 is the main filter and gives the estimate."""
 
     holds = (*HypothesisTracker.holds, "ratios", "bounded")
 
     threshold = float("inf")
-    """Logarithm of a ratio from which on the filter of the largest answers."""
+    """Log-likelihood ratio above which the hypothesis of the largest ratio becomes the main filter."""
 
     def afresh(self) -> None:
-        """No hypothesis but the first, and no ratio."""
+        """Remove all hypotheses and ratios."""
         super().afresh()
         self.ratios, self.bounded = np.zeros(len(self.walk)), np.zeros(len(self.walk))
 
@@ -61,26 +61,26 @@ class _Ratio(HypothesisTracker):
             alive = self.ages < OLDEST
             worth = np.where(alive & (self.ages < self.remembered // 2), np.inf, self.ratios)
             worth[~alive], worth[0] = -np.inf, np.inf
-            self.bear(np.argsort(worth)[: self.kinds], np.arange(self.kinds))
+            self.start_hypotheses(np.argsort(worth)[: self.kinds], np.arange(self.kinds))
         self.weights = np.log(self.first_weights())
         return alarm
 
     def evidence(self, outcome: Outcome) -> np.ndarray:
-        """Return the logarithm of the ratio of each hypothesis after a sample, -inf where there is none."""
+        """Update and return the log-likelihood ratio of each hypothesis, -inf where there is none."""
         gained = outcome["gained"] - outcome["gained"][0]
         self.ratios, self.bounded = self.ratios + gained, self.bounded + np.clip(gained, -LARGEST_GAIN, LARGEST_GAIN)
         self.since, self.ages = self.since + 1, self.ages + 1
         return np.where(self.ages < OLDEST, np.minimum(self.ratios, self.bounded), -np.inf)
 
     def replace(self, winner: int) -> None:
-        """Let a hypothesis be the only one: the losers expect what is not so, and none may gate a value."""
+        """Replace all members by one, since the others would reject valid values as outliers."""
         self.means, self.spreads = (
             np.repeat(np.asarray(part)[[winner]], len(self.walk), 0) for part in (self.means, self.spreads)
         )
         self.compete(1)
 
-    def bear(self, places: np.ndarray, kinds: np.ndarray) -> None:
-        """Begin hypotheses in some places, from the first."""
+    def start_hypotheses(self, places: np.ndarray, kinds: np.ndarray) -> None:
+        """Start hypotheses at ``places`` from the main filter."""
         self.begin(np.asarray(self.means)[0], np.asarray(self.spreads)[0], places, kinds)
         self.ratios[places], self.bounded[places] = 0.0, 0.0
 
@@ -88,7 +88,7 @@ class _Ratio(HypothesisTracker):
         return 0
 
     def compete(self, number: int) -> None:
-        """Let the first ``number`` members count from now on, of which the first answers meanwhile."""
+        """Restart the ratios for the first ``number`` members; the first gives the estimate."""
         self.afresh()
         self.ages = np.where(np.arange(len(self.walk)) < number, 0, OLDEST)
         self.weights = np.log(self.first_weights())
@@ -96,13 +96,13 @@ class _Ratio(HypothesisTracker):
 
 @dataclass(frozen=True)
 class OnlineGLR(FilterIdentifier):
-    """``threshold``: natural logarithm of the likelihood ratio that rings."""
+    """``threshold``: natural logarithm of the likelihood ratio at which an alarm is raised."""
 
     members: Annotated[int, Interval(ge=4)] = 36
     born: Annotated[int, Interval(ge=1)] = 8
     threshold: Annotated[float, Interval(gt=0.0)] = 13.0
     card: ClassVar[OnlineCard] = OnlineCard(
-        "extended Kalman filter of constants, replaced when a generalised likelihood ratio of a change rings",
+        "extended Kalman filter of constants, replaced when a generalised likelihood ratio raises an alarm",
         "A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21:108, 1976",
         "at most one false alarm in a million samples (Ville's inequality); chosen of two on 104 other streams",
         "likelihood ratio",
@@ -110,14 +110,14 @@ class OnlineGLR(FilterIdentifier):
     )
 
     def start(self, layout: Layout) -> FilterTracker:
-        """A bank before its first sample."""
+        """Return a bank before its first sample."""
         tracker = _Ratio(layout, self.warm_up, max(self.members, 4 * len(layout.free)), self.born)
         tracker.threshold = self.threshold
         return tracker
 
 
 class _Cusum(_Ratio):
-    """Member ``i + 1`` is opened in parameter i, and anew while its ratio is below 1, by Page's rule for a ratio."""
+    """CUSUM detector; member ``i + 1`` assumes a change of parameter i and restarts while its ratio is below 1."""
 
     holds = (*_Ratio.holds, "sums", "ringing")
 
@@ -126,7 +126,7 @@ class _Cusum(_Ratio):
         self.method = method
 
     def afresh(self) -> None:
-        """Both sums of every parameter at zero."""
+        """Reset both sums of every parameter to zero."""
         super().afresh()
         self.sums, self.ringing = np.zeros((2, self.kinds)), False
 
@@ -144,20 +144,20 @@ class _Cusum(_Ratio):
             self.replace(int(np.argmax(share)))
         elif not self.ringing and self.due(outcome):
             kinds = np.flatnonzero(~supported[1:])
-            self.bear(1 + kinds, kinds)
+            self.start_hypotheses(1 + kinds, kinds)
         return alarm if share[0] < 0.5 else min(alarm, self.method.threshold)
 
     def jumped(self) -> None:
-        """Open the sensors' zeros; parameters and motion too where that was not enough."""
+        """Increase the variances of the sensors' zeros, at a second jump those of parameters and motion too."""
         FilterTracker.jumped(self)
         self.compete(1)
 
 
 @dataclass(frozen=True)
 class OnlineCUSUM(FilterIdentifier):
-    """``allowance`` a sample and ``threshold`` of the sums, in standard deviations of a sample's move.
+    """``allowance`` per sample and ``threshold`` of the sums, in standard deviations of a sample's update.
 
-    ``support``: natural logarithm of the likelihood ratio from which on a change is more likely than none; ``born``:
+    ``support``: natural logarithm of the likelihood ratio above which a change is more likely than none; ``born``:
     samples between hypotheses.
     """
 
@@ -166,13 +166,13 @@ class OnlineCUSUM(FilterIdentifier):
     support: Annotated[float, Interval(gt=0.0)] = 13.0
     born: Annotated[int, Interval(ge=1)] = 8
     card: ClassVar[OnlineCard] = OnlineCard(
-        "extended Kalman filter of constants; a two-sided CUSUM of its moves lets filters of a change compete with it",
+        "extended Kalman filter of constants; a two-sided CUSUM of its updates admits competing filters of a change",
         "E. S. Page, Biometrika 41:100, 1954",
-        "allowance: half of a mean of half a standard deviation; support as of the likelihood ratio",
+        "allowance: half of a mean of half a standard deviation; support: as for the likelihood ratio",
         "CUSUM",
         60,
     )
 
     def start(self, layout: Layout) -> FilterTracker:
-        """A filter before its first sample."""
+        """Return a filter before its first sample."""
         return _Cusum(layout, self)

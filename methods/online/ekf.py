@@ -1,9 +1,8 @@
-"""Kalman filters on line: state and log-parameters together, parameters as random walks of unknown rate.
+"""Online joint Kalman filters of state and log-parameters, with parameters as random walks of unknown rate.
 
-The rate is not set by hand. Filters of several rates run side by side, from none to a fast one, and the likelihood of
-what each predicted decides what counts: the rate is a Markov chain that seldom changes, and the distributions are mixed
-accordingly before each prediction (interacting multiple models: H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic
-Control 33:780, 1988), so a filter that has been wrong for long takes over from those that were right.
+Filters of several rates run in parallel, from zero to a fast one, weighted by likelihood. The rate is a Markov chain
+with rare transitions, by which the distributions are mixed before each prediction (interacting multiple models: H. A.
+P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988), so that a filter of low weight can regain it fast.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ from methods.online.bank import Outcome, Rule
 from methods.online.filtering import FilterIdentifier, FilterTracker, Probability
 
 RATES = (0.0, 3e-4, 2e-3, 1e-2)
-"""Standard deviations of the random walk of a log-parameter, a sample."""
+"""Standard deviations per sample of the random walk of a log-parameter."""
 
 LIKELIER = -np.log(2.0)
-"""Log-weight above which a mode is likelier than all others together."""
+"""Log-weight above which a mode is more likely than all others together."""
 WORTH = 1000.0
-"""Samples that the settings of the chain are worth beside the changes that are seen."""
+"""Samples to which the prior transition probabilities are equivalent when they are updated."""
 
 
 class Rates(FilterTracker):
     """Filters of several rates, mixed by a Markov chain.
 
-    Its first mode is left with probability ``changes``, for each of the others alike, and returned to with ``settles``;
-    both are learned as the mean of a beta distribution from how often the likeliest mode does so (``switches``) in the
-    samples that it lasted (``lasted``), each the first mode's and the others'.
+    The first mode (constant parameters) is left with probability ``changes``, with equal probability to each other
+    mode, and re-entered with probability ``settles``. Both are posterior means of beta distributions, given the
+    observed ``switches`` of the most likely mode and the samples it ``lasted`` in the first and in other modes.
     """
 
     mixes = True
@@ -51,7 +50,7 @@ class Rates(FilterTracker):
         return chain
 
     def judged(self, outcome: Outcome) -> float:
-        """Count how long the chain stays in its first mode and in the others; learn its probabilities."""
+        """Count the samples in the first and in other modes, and update the transition probabilities."""
         still = bool(np.asarray(self.weights)[0] > LIKELIER)
         self.lasted[int(not still)] += 1
         if still != self.still:
@@ -61,7 +60,7 @@ class Rates(FilterTracker):
         return float("nan")
 
     def first_weights(self) -> np.ndarray:
-        """Those that the chain has in the long run."""
+        """Return the stationary distribution of the chain."""
         changing = self.prior[0] / self.prior.sum()
         others = len(self.walk) - 1
         return np.array([1.0 - changing] + [changing / others] * others)
@@ -69,7 +68,7 @@ class Rates(FilterTracker):
 
 @dataclass(frozen=True)
 class OnlineEKF(FilterIdentifier):
-    """``changes``: probability a sample that the rate changes; ``settles``: that it ends; both before any was seen."""
+    """``changes``: prior probability per sample that parameters begin to change; ``settles``: that they stop."""
 
     changes: Probability = 1e-5
     settles: Probability = 1e-2
@@ -83,11 +82,11 @@ class OnlineEKF(FilterIdentifier):
     )
 
     def walks(self, parameters: int) -> np.ndarray:
-        """Variances that the log-parameters of each member gain a sample, (M, parameters); those of the first none."""
+        """Return the process noise of each member's log-parameters per sample, a variance, (M, parameters)."""
         return np.repeat(np.square(RATES)[:, None], parameters, axis=1)
 
     def start(self, layout: Layout) -> Rates:
-        """A bank before its first sample."""
+        """Return a bank before its first sample."""
         return Rates(layout, self)
 
 

@@ -1,7 +1,7 @@
-"""Interacting multiple models: at any time nothing changes, or one parameter does, slowly or fast.
+"""Interacting multiple models: all parameters are constant, or one of them changes, slowly or fast.
 
-The modes form a Markov chain, and the distribution of each is mixed from all before a prediction (H. A. P. Blom, Y.
-Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988). A mode lasts some samples, since no single one shows a change.
+The modes form a Markov chain, by which their distributions are mixed before each prediction (H. A. P. Blom, Y.
+Bar-Shalom, IEEE Trans. Automatic Control 33:780, 1988). A mode lasts several samples, since one cannot show a change.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from methods.online.ekf import OnlineEKF
 from methods.online.filtering import Probability
 
 RATES = (2e-3, 2e-2)
-"""Standard deviations of the random walk of the log-parameter that changes, a sample."""
+"""Standard deviations per sample of the random walk of the log-parameter that changes."""
 
 
 @dataclass(frozen=True)
 class OnlineIMM(OnlineEKF):
-    """``changes``: probability a sample that something begins to change; ``settles``: that it ends."""
+    """``changes``: prior probability per sample that a parameter begins to change; ``settles``: that it stops."""
 
     changes: Probability = 1e-4
     settles: Probability = 0.05
@@ -34,5 +34,5 @@ class OnlineIMM(OnlineEKF):
     )
 
     def walks(self, parameters: int) -> np.ndarray:
-        """Nothing changes, or one parameter at one of the rates."""
+        """Return the process noise of each mode: none, or of one parameter at one of the rates."""
         return np.concatenate([np.zeros((1, parameters)), *(np.eye(parameters) * rate**2 for rate in RATES)])

@@ -1,8 +1,8 @@
-"""Recursive least squares: the Kalman filter of constants, in units of the noise, that forgets.
+"""Recursive least squares with forgetting.
 
-``y = phi' theta + e``: an equation is the Kalman update by one channel of unit variance, written out because it comes
-with every sample; what was learned is forgotten by dividing its covariance (L. Ljung, System Identification, 2nd ed.
-1999, section 11.2). The variance of the noise follows from the residuals.
+Each equation ``y = phi' theta + e`` is a Kalman update of constant parameters in units of the noise; dividing the
+covariance by a forgetting factor discounts earlier equations (L. Ljung, System Identification, 2nd ed. 1999, section
+11.2). The variance of the noise follows from the residuals.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from bench import Layout, Tracker
 
 
 class LeastSquaresTracker(Tracker):
-    """``theta`` (q,) and its covariance over the noise's variance, ``inverse`` (q, q).
+    """Tracker of ``theta`` (q,) with covariance over the noise variance ``inverse`` (q, q).
 
-    ``power``: weighted sum of squared residuals; ``weight``: of the equations, the sum of what is left of each.
+    ``power``: weighted sum of squared residuals; ``weight``: sum of the weights of all equations.
     """
 
     holds: ClassVar[tuple[str, ...]] = ("theta", "inverse", "power", "weight")
@@ -28,23 +28,23 @@ class LeastSquaresTracker(Tracker):
         self.power = self.weight = 0.0
 
     def forget(self, keep: float) -> None:
-        """Keep a part of what was learned of the noise, and in every direction of the parameters."""
+        """Discount earlier equations by a forgetting factor, for the parameters and for the noise variance."""
         self.inverse = self.inverse / keep
         self.forget_noise(keep)
 
     def forget_noise(self, keep: float) -> None:
-        """Keep a part of what was learned of the noise."""
+        """Discount earlier residuals by a forgetting factor, for the noise variance alone."""
         self.power, self.weight = keep * self.power, keep * self.weight
 
     def learn(self, phi: np.ndarray, left: float) -> None:
-        """Learn from an equation with slopes (q,) that the parameters so far leave a residual."""
-        along = self.inverse @ phi
-        total = 1.0 + float(phi @ along)
-        self.theta = self.theta + along * (left / total)
-        inverse = self.inverse - np.outer(along / total, along)
+        """Update by an equation with regressors ``phi`` (q,) and prediction error ``left``."""
+        gain_direction = self.inverse @ phi
+        total = 1.0 + float(phi @ gain_direction)
+        self.theta = self.theta + gain_direction * (left / total)
+        inverse = self.inverse - np.outer(gain_direction / total, gain_direction)
         self.inverse = 0.5 * (inverse + inverse.T)
         self.weight += 1.0
-        if self.weight > self.theta.size + 1:  # a residual of the first equations is the diffuse start's
+        if self.weight > self.theta.size + 1:  # the first residuals come from the diffuse prior
             self.power += left**2 / total
 
     @property

@@ -1,16 +1,15 @@
-"""The likelihood of the first samples: what a filter needs to begin, found from the data alone.
+"""Initialisation of a filter by maximum likelihood of the first samples.
 
 Given log-parameters, the motion of a linear system under a held force is linear and Gaussian, so the Kalman filter's
 innovations give the exact likelihood of parameters, noise and unknown force (F. C. Schweppe, IEEE Trans. Information
-Theory 11:61, 1965); for a nonlinear system the extended filter's are its approximation. It is maximised over
+Theory 11:61, 1965); for a nonlinear system the extended filter gives an approximation. It is maximised over
 
 - the log-parameters of the layout,
 - the logarithm of each sensor's noise,
-- of each unknown force the logarithm of its standard deviation and what it keeps of itself over an interval,
+- the logarithm of each unknown force's standard deviation, and the logit of its autocorrelation over an interval.
 
-from a scan: every frequency that the record resolves, several damping ratios and masses, of which the most likely few
-are followed. The motion at first is unknown, and so are the
-sensors' zeros. Nothing here knows a true value, and no level is set by hand.
+The initial guesses come from a scan over every resolved frequency and several damping ratios and masses, the best few
+of which are optimised. The initial state and the sensors' zeros are unknown.
 """
 
 from __future__ import annotations
@@ -27,27 +26,27 @@ from methods.kalman.core import predict, update
 RATIOS = (0.01, 0.05, 0.25)
 """Damping ratios of the scan."""
 MASSES = (0.1, 0.4, 1.0, 2.5, 10.0)
-"""Masses of the scan, over the one at which the known force alone would move the mass as far as it is seen to move."""
+"""Masses of the scan, over the mass at which the known force alone causes the measured displacement."""
 PUSHES = (0.05, 0.3)
-"""Unknown forces of the scan, over the one that would move the mass that far within one radian."""
+"""Unknown forces of the scan, over the force that causes that displacement within one radian."""
 FOLLOWED = 4
-"""Ends of the scan that are followed."""
+"""Number of guesses that are optimised."""
 ITERATIONS = 80
 DRAWN = 600
-"""Sets of parameters of the scan where there are several degrees of freedom."""
+"""Random guesses of the scan for several degrees of freedom."""
 UNSETTLED = 2
-"""First samples whose predictions say nothing of the parameters, for each unknown of the state at first."""
+"""First samples without a prediction, per unknown of the initial state."""
 OPEN_LOG = 3.0
-"""Standard deviation of a log-parameter before any sample: a factor of 20."""
+"""Prior standard deviation of a log-parameter: a factor of 20."""
 OPEN = 10.0
-"""Standard deviation of the motion at first, over what is seen of it."""
+"""Prior standard deviation of the initial state, over the size of the measured motion."""
 SPIKE = 8.0
-"""Robust standard deviations of a sample off its neighbours, beyond which it is left out."""
+"""A sample further from its neighbours' mean than this many robust standard deviations is omitted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """The first samples: values (n, n_sensors), NaN where one is missing, and told forces (n, n_forced)."""
+    """The first samples: values (n, n_sensors), NaN where missing, and known forces (n, n_forced)."""
 
     layout: Layout
     values: np.ndarray
@@ -55,37 +54,36 @@ class Head:
 
     @property
     def size(self) -> float:
-        """Root mean square of the values about their means over all sensors."""
+        """Return the root mean square over all sensors of the values about their means."""
         return float(np.sqrt(np.mean(np.nanvar(self.values, axis=0)))) or 1.0
 
     def swing(self, omega: float) -> float:
-        """Root mean square of the displacement, where it swings at ``omega``; the first sensor's kind is all's."""
+        """Return the root mean square displacement of a motion at ``omega`` (rad/s), by the first sensor's kind."""
         power = {"displacement": 0, "velocity": 1, "acceleration": 2}[self.layout.sensors[0].measures]
         return self.size / omega**power
 
     def frequency(self) -> float:
-        """Where the periodogram of the first sensor is largest (rad/s)."""
+        """Return the angular frequency (rad/s) at which the first sensor's periodogram is largest."""
         y = np.nan_to_num(self.values[:, 0] - np.nanmean(self.values[:, 0]))
         power = np.abs(np.fft.rfft(y * np.hanning(y.size))) ** 2
         top = 1 + int(np.argmax(power[1:]))
         return float(2 * np.pi * np.fft.rfftfreq(y.size, self.layout.interval)[top])
 
     def first(self, omega: float) -> np.ndarray:
-        """Standard deviations before any sample of the motion and of the sensors' zeros, (n_motion + n_sensors,).
+        """Return the prior standard deviations of the motion and of the sensors' zeros, (n_motion + n_sensors,).
 
-        The zero of a displacement under a known force is taken to be right: its mean may be that force's.
+        A displacement sensor's zero is taken as exact under a known force, which may cause the mean of its values.
         """
-        system, x, told = self.layout.system, OPEN * self.swing(omega), self.layout.scale_known
-        zeros = np.sqrt(np.nanmean(self.values**2, axis=0)).tolist()
-        shown = [
-            0.0 if told and s.measures == "displacement" else z for s, z in zip(self.layout.sensors, zeros, strict=True)
-        ]
-        return np.array([x] * system.n_dof + [x * omega] * system.n_dof + [x] * system.n_hidden + shown)
+        system, x = self.layout.system, OPEN * self.swing(omega)
+        sizes = np.sqrt(np.nanmean(self.values**2, axis=0)).tolist()
+        exact = [self.layout.scale_known and sensor.measures == "displacement" for sensor in self.layout.sensors]
+        zeros = [0.0 if is_exact else size for is_exact, size in zip(exact, sizes, strict=True)]
+        return np.array([x] * system.n_dof + [x * omega] * system.n_dof + [x] * system.n_hidden + zeros)
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Noise of each sensor, and of each unknown force its standard deviation (N) and what it keeps of itself."""
+    """Noise of each sensor, and standard deviation (N) and autocorrelation of each unknown force."""
 
     sigma: np.ndarray
     push: np.ndarray
@@ -94,9 +92,9 @@ class Levels:
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """What the first samples tell: mean and covariance of the joint state at the last of them, and the levels.
+    """Mean and covariance of the joint state at the last of the first samples, and the noise levels.
 
-    ``expected``, (n, n_sensors): each sample as it was expected before it was seen; NaN for the first ones.
+    ``expected``, (n, n_sensors): one-step predictions of the samples; NaN for the first ones.
     """
 
     mean: np.ndarray
@@ -106,15 +104,15 @@ class Beginning:
 
 
 def beginning(head: Head) -> Beginning:
-    """Find the most likely parameters and levels of the first samples, and the distribution after the last of them.
+    """Maximise the likelihood of the first samples; return the distribution after the last of them.
 
-    Not finite where no start of the scan leads anywhere. Methods that follow the same stream share the answer.
+    It is not finite where every search fails. The result is cached, for several trackers of the same stream.
     """
     return _beginning(head.layout, head.values.shape, head.values.tobytes(), head.forces.tobytes())
 
 
 def without_spikes(values: np.ndarray) -> np.ndarray:
-    """The first samples without single values far beyond both of their neighbours, by the spread of such distances."""
+    """Replace spikes, single values far from the mean of their neighbours, by NaN."""
     values = values.copy()
     for column in values.T:
         middle = 0.5 * (column[:-2] + column[2:])
@@ -139,7 +137,7 @@ def _searched(head: Head) -> Beginning:
     starts = _scan(head)
     values = np.asarray(like.many(starts, head.values, head.forces, first))
     values = np.where(np.isfinite(values), values, np.inf)
-    best, found = np.inf, starts[0]
+    best, best_eta = np.inf, starts[0]
     for i in _apart(starts, values, len(head.layout.free)):
 
         def objective(eta: np.ndarray) -> tuple[float, np.ndarray]:
@@ -158,15 +156,15 @@ def _searched(head: Head) -> Beginning:
             options={"maxiter": ITERATIONS, "ftol": 1e-7},
         )
         if end.fun < best:
-            best, found = float(end.fun), end.x
-    mean, covariance, expected = map(np.array, like.distribution(found, head.values, head.forces, first))
-    return Beginning(mean, covariance, Likelihood(head.layout).parts(found)[1], expected)
+            best, best_eta = float(end.fun), end.x
+    mean, covariance, expected = map(np.array, like.distribution(best_eta, head.values, head.forces, first))
+    return Beginning(mean, covariance, Likelihood(head.layout).parts(best_eta)[1], expected)
 
 
 def _limits(head: Head, start: np.ndarray) -> list[tuple[float, float]]:
-    """Of each entry: a factor of 1e4 either way; noise between a part in 1e5 and three times what is seen.
+    """Return the bounds of each entry: a factor of ``exp(9)`` either way; noise from 1e-5 to 3 times the values' size.
 
-    A force that keeps more than 95 % of itself over an interval would be a drift of the zero.
+    An unknown force with an autocorrelation above 95 % would be a drift of the zero.
     """
     limits = [(s - 9.0, s + 9.0) for s in start]
     n, c, a = (len(part) for part in (head.layout.free, head.layout.sensors, head.layout.ambient))
@@ -176,7 +174,7 @@ def _limits(head: Head, start: np.ndarray) -> list[tuple[float, float]]:
 
 
 def _apart(starts: np.ndarray, values: np.ndarray, n_free: int) -> list[int]:
-    """The best starts that differ from each other by 5 % in some parameter."""
+    """Return the indices of the best guesses that differ from each other by 5 % in some parameter."""
     kept: list[int] = []
     for i in map(int, np.argsort(values)):
         if not np.isfinite(values[i]) or len(kept) == FOLLOWED:
@@ -187,13 +185,13 @@ def _apart(starts: np.ndarray, values: np.ndarray, n_free: int) -> list[int]:
 
 
 def _scan(head: Head) -> np.ndarray:
-    """Starts (n, n_eta): parameters of every frequency that the record resolves, and levels."""
+    """Return initial guesses (n, n_eta): parameters for every resolved frequency, and noise levels."""
     layout = head.layout
     n, interval = len(head.values), layout.interval
     omegas = np.pi * np.arange(1, n) / (n * interval)
     masses = MASSES if layout.scale_known else (1.0,)
     pushes = PUSHES if layout.ambient else (0.0,)
-    found = []
+    guesses = []
     rng = np.random.default_rng(0)
     grid = [(w, z, m, u) for w in omegas for z in RATIOS for m in masses for u in pushes]
     if layout.system.n_dof > 1 or len(layout.free) > 3:
@@ -208,12 +206,12 @@ def _scan(head: Head) -> np.ndarray:
         logs = np.log(_sizes(layout, mass, size, omega, ratio)) + jitter
         force = push * mass * size * omega**2
         levels = [np.log(0.3 * head.size)] * len(layout.sensors) + [np.log(max(force, 1e-300))] * len(layout.ambient)
-        found.append(np.concatenate([logs, levels, [-1.0] * len(layout.ambient)]))
-    return np.array(found)
+        guesses.append(np.concatenate([logs, levels, [-1.0] * len(layout.ambient)]))
+    return np.array(guesses)
 
 
 def _sizes(layout: Layout, mass: float, length: float, omega: float, ratio: float) -> np.ndarray:
-    """The size of each free parameter by its dimension, for a mass that swings at ``omega`` with a damping ratio."""
+    """Return the size of each free parameter, for a mass oscillating at ``omega`` with a damping ratio."""
     by_name = {p.name: p for p in layout.system.parameters}
     sizes = []
     for name in layout.free:
@@ -225,7 +223,7 @@ def _sizes(layout: Layout, mass: float, length: float, omega: float, ratio: floa
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The negative log-likelihood of a layout: of one vector with its slope, and of many."""
+    """The negative log-likelihood of a layout."""
 
     layout: Layout
 
@@ -234,7 +232,7 @@ class Likelihood:
         return DiscreteModel(self.layout)
 
     def parts(self, eta: Any) -> tuple[Any, Levels]:
-        """Log-parameters and levels of a vector."""
+        """Split a vector into log-parameters and noise levels."""
         import jax.numpy as jnp
 
         xp: Any = np if isinstance(eta, np.ndarray) else jnp
@@ -243,11 +241,11 @@ class Likelihood:
         return eta[:n], Levels(sigma, push, 1.0 / (1.0 + xp.exp(-eta[n + c + a :])))
 
     def negative(self, eta: Any, values: Any, forces: Any, first: Any) -> Any:
-        """The negative log-likelihood, of motions with standard deviations ``first`` before any sample."""
+        """Return the negative log-likelihood; ``first``: prior standard deviations (:meth:`Head.first`)."""
         return self._path(eta, values, forces, first)[0]
 
     def _path(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any]:
-        """The negative log-likelihood, and the filtered states but for the log-parameters, (n, d - n_free)."""
+        """Return the negative log-likelihood, and the filtered states without log-parameters, (n, d - n_free)."""
         import jax
         import jax.numpy as jnp
 
@@ -271,11 +269,11 @@ class Likelihood:
         return -total, means
 
     def distribution(self, eta: Any, values: Any, forces: Any, first: Any) -> tuple[Any, Any, Any]:
-        """Mean and covariance of the joint state at the last sample, with no prior of the log-parameters.
+        """Return mean and covariance of the joint state at the last sample, and one-step predictions (n, n_sensors).
 
-        The joint filter about the path that the filter given ``eta`` has taken: one Gauss-Newton step from there. The
-        last is what each sample was expected to be before it was seen, (n, n_sensors), by the filter given ``eta``; NaN
-        for the first, whose errors are those of a motion that nobody knows yet.
+        The joint filter is linearised about the path of the filter at ``eta``, which makes one Gauss-Newton step from
+        there. The predictions are those of the filter at ``eta``; NaN for the first samples, whose errors come from
+        the unknown initial state.
         """
         import jax
         import jax.numpy as jnp
@@ -299,7 +297,7 @@ class Likelihood:
         return means[-1], covs[-1], expected
 
     def _first(self, first: Any, levels: Levels) -> Any:
-        """Variances of the joint state before any sample, (d,)."""
+        """Return the prior variances of the joint state, (d,)."""
         import jax.numpy as jnp
 
         n = self.model.n_motion
@@ -314,13 +312,13 @@ def _filtered(
     """Run an extended Kalman filter over rows of values (NaN: missing), forces and the states to linearise about.
 
     Args:
-        observe: what the sensors give of a state, under forces.
-        advance: the state after an interval, under forces.
-        distribution: mean and covariance before the first row.
-        fresh: variances that the state gains an interval.
-        levels: noise of the sensors.
-        rows: values (n, n_sensors), forces (n, n_forced), states (n, d), or None: about the filter's own mean.
-        fixed: slopes of both maps where they are the same for all rows.
+        observe: Measurement function of state and forces.
+        advance: State transition over an interval, of state and forces.
+        distribution: Mean and covariance before the first row.
+        fresh: Variances of the process noise per interval.
+        levels: Noise of the sensors.
+        rows: Values (n, n_sensors), forces (n, n_forced), states (n, d) to linearise about, or None for the mean.
+        fixed: Jacobians of both functions where they are the same for all rows.
 
     Returns:
         The log-likelihood, and means (n, d) and covariances (n, d, d) after each row.
@@ -335,9 +333,9 @@ def _filtered(
     def step(carry: Any, row: Any) -> Any:
         (mean, cov), total = carry
         y, force, point = row
-        there = jnp.isfinite(y)
+        measured = jnp.isfinite(y)
         line = straight(observe, mean if point is None else point, force, fixed[0])
-        mean, cov, *_, gained = update(mean, cov, *line, levels.sigma**2, jnp.where(there, y, 0.0), there)
+        mean, cov, *_, gained = update(mean, cov, *line, levels.sigma**2, jnp.where(measured, y, 0.0), measured)
         line = straight(advance, mean if point is None else point, force, fixed[1])
         return (predict(*line, jnp.diag(fresh), mean, cov), total + gained), (mean, cov)
 
@@ -346,7 +344,7 @@ def _filtered(
 
 
 class CompiledLikelihood(NamedTuple):
-    """A likelihood compiled: of one vector with its slope, of many, and the distribution at one."""
+    """Compiled functions: negative log-likelihood with gradient, the same of many vectors, and the distribution."""
 
     slope: Any
     many: Any
@@ -355,7 +353,7 @@ class CompiledLikelihood(NamedTuple):
 
 @lru_cache(maxsize=32)
 def compiled(layout: Layout) -> CompiledLikelihood:
-    """Compile the likelihood of a layout once a process, at the first call of each function."""
+    """Return the likelihood functions of a layout, compiled at the first call of each."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -1,22 +1,22 @@
-"""Recursive least squares on the equation of motion, with forgetting.
+"""Recursive least squares on the weak form of the equation of motion, with forgetting.
 
-**Equation.** Samples are not differentiated. Over the last ``span`` samples the equation of motion of a linear system
-is multiplied with a bump that is zero at both ends, and integrated by parts (M. Shinbrot, Trans. ASME 79:547, 1957):
-the same residual, with the integrals of ``w x``, ``-w' x``, ``w'' x`` and ``w f`` for displacement, velocity,
-acceleration and force. One equation a degree of freedom every quarter of a span, so that neighbours share little noise.
+**Equation.** The equation of motion of a linear system is multiplied by a modulating function over the last ``span``
+samples and integrated by parts, which avoids differentiation (M. Shinbrot, Trans. ASME 79:547, 1957): the integrals of
+``w x``, ``-w' x``, ``w'' x`` and ``w f`` replace displacement, velocity, acceleration and force. There is one equation
+per degree of freedom every quarter of a span, so that successive equations share little noise.
 
-**Forgetting** of what was learned, a sample:
+**Forgetting**, per sample:
 
 - ``exponential``: by ``factor`` (L. Ljung, System Identification, 2nd ed. 1999, section 11.2);
-- ``variable``: as much as keeps the weighted sum of squared residuals constant (T. R. Fortescue, L. S. Kershenbaum,
-  B. E. Ydstie, Automatica 17:831, 1981): little while nothing surprises;
-- ``directional``: only in the direction that the new equation tells of (R. Kulhavy, Kybernetika 23:465, 1987).
+- ``variable``: keeps the weighted sum of squared residuals constant (T. R. Fortescue, L. S. Kershenbaum, B. E. Ydstie,
+  Automatica 17:831, 1981), so little is forgotten while residuals are small;
+- ``directional``: only in the direction of the new equation's regressors (R. Kulhavy, Kybernetika 23:465, 1987).
 
-**Zero.** Each equation has an unknown constant beside the parameters: a sensor whose zero is off. Where it jumps
-(:mod:`bench.contract.zero`), the jump is taken off, the constants are open again, and no equation reaches across it.
+**Zero.** Each equation has an unknown constant, for the zero of the sensor. Where the zero jumps
+(:mod:`bench.contract.zero`), the jump is subtracted, the variance of the constants is reset, and no equation spans it.
 
-What is left of the noise in the columns biases the answer towards too soft and too heavily damped; the interval, from
-the residuals of the equations, knows nothing of that.
+The remaining noise in the regressors biases stiffness downwards and damping upwards; the interval, computed from the
+residuals of the equations, does not include this bias.
 """
 
 from __future__ import annotations
@@ -42,27 +42,27 @@ from methods.online.least_squares import LeastSquaresTracker
 
 Forgetting = Literal["exponential", "variable", "directional"]
 DIFFUSE = 1e8
-"""Variance of what is not known yet, over the square of what an equation's size suggests."""
+"""Prior variance, over the square of the size suggested by the first equation."""
 BUMP = 4
-"""Power of the bump ``(1 - s²)^4``: its first three derivatives are zero at both ends."""
+"""Power of the modulating function ``(1 - s²)^4``, whose first three derivatives are zero at both ends."""
 SIDE = 3
-"""Samples that an equation waits for: as many behind a jump show it (:mod:`bench.contract.zero`)."""
-JUMPED = "the sensor's zero has jumped; the jump is taken off"
+"""Samples by which an equation is delayed, as many as the detection of a jump takes (:mod:`bench.contract.zero`)."""
+JUMPED = "the sensor's zero has jumped; the jump is subtracted"
 LEAST = 0.8
-"""Least factor of variable forgetting."""
+"""Least forgetting factor of variable forgetting."""
 
 
 @dataclass(frozen=True)
 class OnlineRLS(OnlineIdentifier):
-    """``span`` samples an equation; ``factor``: what is kept a sample, for the two kinds that use it."""
+    """``span``: samples per equation; ``factor``: forgetting factor per sample (exponential and directional)."""
 
     forgetting: Forgetting = "exponential"
     factor: Annotated[float, Interval(gt=0.5, le=1.0)] = 0.995
     span: Annotated[int, Interval(ge=8)] = 40
     version: ClassVar[int] = 2
-    """2: no equation reaches across a jump of a sensor's zero."""
+    """2: no equation spans a jump of a sensor's zero."""
     card: ClassVar[OnlineCard] = OnlineCard(
-        "recursive least squares with forgetting, on the equation of motion integrated against a bump",
+        "recursive least squares with forgetting, on the weak form of the equation of motion",
         "M. Shinbrot, Trans. ASME 79:547, 1957; L. Ljung, System Identification, 1999, section 11.2",
         "factor: Ljung, System Identification Toolbox user's guide (0.97 to 0.995)",
         "RLS",
@@ -70,18 +70,18 @@ class OnlineRLS(OnlineIdentifier):
     )
 
     def objection(self, layout: Layout) -> str | None:
-        """It needs the displacement of every DOF, a linear system, and to be told the force."""
+        """Require the displacement of every DOF, a linear system and a known force."""
         if layout.ambient:
-            return "it takes what the force does not explain for noise of the equation, and here the force is not known"
+            return "it requires a known force, and here a force is not measured"
         if not (layout.system.linear and layout.system.affine_in_parameters):
-            return "it needs a linear system whose equation is affine in the parameters"
-        told = {sensor.dof for sensor in layout.sensors if sensor.measures == "displacement"}
-        if told != set(range(layout.system.n_dof)):
-            return "it needs the displacement of every degree of freedom"
+            return "it requires a linear system whose equation of motion is affine in the parameters"
+        measured = {sensor.dof for sensor in layout.sensors if sensor.measures == "displacement"}
+        if measured != set(range(layout.system.n_dof)):
+            return "it requires the displacement of every degree of freedom"
         return None
 
     def start(self, layout: Layout) -> LeastSquaresTracker:
-        """A tracker before its first sample."""
+        """Return a tracker before its first sample."""
         return _RLSTracker(layout, self)
 
 
@@ -98,9 +98,9 @@ class _RLSTracker(LeastSquaresTracker):
         self._weights = h * np.stack([bump.deriv(i)(s) / half**i if i else bump(s) for i in range(3)])
 
     def step(self, sample: Sample, steps: int) -> TrackerOutput:
-        """Take the sample in; an equation every quarter of a span."""
+        """Store a sample; update by an equation every quarter of a span."""
         span = self.settings.span
-        if steps > 1 or not np.all(np.isfinite(sample.values)):  # no bump may reach across what is not there
+        if steps > 1 or not np.all(np.isfinite(sample.values)):  # no equation spans missing samples
             self.values, self.pushes = self.values[:0], self.pushes[:0]
             if steps <= 1:
                 return TrackerOutput(sample.time, SampleStatus.OK, self._distribution())
@@ -109,17 +109,17 @@ class _RLSTracker(LeastSquaresTracker):
         self.waits += 1
         if len(self.values) == span + SIDE and self.waits >= span // 4:
             self.waits = 0
-            if self._levelled():
+            if self._remove_jump():
                 return TrackerOutput(sample.time, SampleStatus.SENSOR_JUMP, self._distribution(), message=JUMPED)
             self._learn(*self._equation(self.values[:span], self.pushes[:span]))
         distribution = self._distribution()
         status = SampleStatus.OK if distribution is not None else SampleStatus.WARMING_UP
         return TrackerOutput(
-            sample.time, status, distribution, message="" if distribution else "the equations do not tell enough yet"
+            sample.time, status, distribution, message="" if distribution else "the parameters are not determined yet"
         )
 
     def _equation(self, values: np.ndarray, pushes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (n_dof, n_free + n_dof) and target (n_dof,) of the newest equations; the last are of the zeros."""
+        """Return regressors (n_dof, n_free + n_dof), the zeros last, and target (n_dof,) of the newest equations."""
         system, w = self.layout.system, self._weights
         by_dof = {sensor.dof: column for sensor, column in zip(self.layout.sensors, values.T, strict=True)}
         x = [np.array([w[0] @ by_dof[i]]) for i in range(system.n_dof)]
@@ -145,12 +145,14 @@ class _RLSTracker(LeastSquaresTracker):
             self.learn(phi, left)
 
     def _forget(self, phi: np.ndarray, left: float) -> None:
-        """Forget for the samples since the last equation, before the one with slopes (q,) that leaves a residual."""
+        """Forget for the samples since the last equation, given regressors (q,) and error of the new one."""
         keep = self.settings.factor ** (self.settings.span // 4)
-        along = self.inverse @ phi
-        size = float(phi @ along)
+        gain_direction = self.inverse @ phi
+        size = float(phi @ gain_direction)
         if self.settings.forgetting == "directional":
-            self.inverse = self.inverse + (1.0 - keep) / keep * np.outer(along, along) / max(size, 1e-300)
+            self.inverse = self.inverse + (1.0 - keep) / keep * np.outer(gain_direction, gain_direction) / max(
+                size, 1e-300
+            )
             self.forget_noise(keep)
             return
         if self.settings.forgetting == "variable":
@@ -160,8 +162,8 @@ class _RLSTracker(LeastSquaresTracker):
             keep = float(np.clip(1.0 - surprise, LEAST, 1.0))
         self.forget(keep)
 
-    def _levelled(self) -> bool:
-        """Look for a jump of a sensor's zero; leave out what was before it, and open the constants."""
+    def _remove_jump(self) -> bool:
+        """Detect a jump of a sensor's zero; discard the samples before it and reset the variance of the constants."""
         jump = remove_jumps(self.values, self.zero)
         if jump is None:
             return False
@@ -172,7 +174,7 @@ class _RLSTracker(LeastSquaresTracker):
         return True
 
     def _distribution(self) -> Normal | None:
-        """Normal in the logarithms, by the delta method; None where an estimate is not positive."""
+        """Return the distribution of the log-parameters, by the delta method; None for a non-positive estimate."""
         q, variance = len(self.layout.free), self.variance
         theta = self.theta[:q]
         if variance is None or np.any(theta <= 0):

@@ -1,12 +1,12 @@
-"""Stochastic subspace identification in windows, as the health of structures is monitored under ambient force.
+"""Covariance-driven stochastic subspace identification in windows, for ambient excitation.
 
-Correlations of the samples at lags of one and more (at lag zero stands the sensor's noise) fill a block Hankel matrix,
-which is the product of what can be observed and what can be reached; its strongest two directions are those of one
-mass, and the shift that maps an observation on the next has the oscillator's poles (P. Van Overschee, B. De Moor,
-Subspace Identification for Linear Systems, 1996; B. Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999).
-``k/m = s1 s2`` and ``c/m = -(s1 + s2)`` of ``s = ln z / h``, as for a free decay.
+Correlations of the samples at lags of one and more (lag zero contains the sensor noise) fill a block Hankel matrix, the
+product of observability and controllability matrices. Its two largest singular values belong to one mass, and the
+shift invariance of the observability matrix gives the poles (P. Van Overschee, B. De Moor, Subspace Identification for
+Linear Systems, 1996; B. Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999). ``k/m = s1 s2`` and
+``c/m = -(s1 + s2)`` with ``s = ln z / h``, as for a free decay.
 
-Interval: the window is cut into blocks, and the estimate made once without each (jackknife). A known force is not used.
+The interval is a jackknife over blocks of the window. A known force is not used.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from methods.online.likelihood import without_spikes
 
 BLOCKS = 12
 FEWEST_ROWS, MOST_ROWS = 4, 120
-"""Of the Hankel matrix: two cycles, within these."""
+"""Limits of the Hankel matrix's block rows, which span :data:`CYCLES` cycles."""
 CYCLES = 2.0
 
 
 @dataclass(frozen=True)
 class OnlineSSI(OnlineIdentifier):
-    """Windows of ``length`` samples, every ``every``."""
+    """An estimate from the last ``length`` samples, every ``every`` samples."""
 
     length: Annotated[int, Interval(ge=200)] = 1500
     every: Annotated[int, Interval(ge=1)] = 25
@@ -43,15 +43,15 @@ class OnlineSSI(OnlineIdentifier):
     )
 
     def objection(self, layout: Layout) -> str | None:
-        """It needs an unknown force, and one linear mass."""
+        """Require an unknown force and one linear mass."""
         if layout.system.n_dof > 1 or not layout.system.linear or len(layout.system.names) != 3:
-            return "it finds the poles of one mass, spring and damper"
+            return "it supports one mass, spring and damper only"
         if not layout.ambient:
-            return "it needs an unknown force that is white; it cannot use a known one"
+            return "it requires an unknown white force; it cannot use a known one"
         return None
 
     def start(self, layout: Layout) -> Tracker:
-        """A tracker before its first sample."""
+        """Return a tracker before its first sample."""
         return _SSITracker(layout, self)
 
 
@@ -65,7 +65,7 @@ class _SSITracker(Tracker):
         self.mean, self.covariance = np.zeros(0), np.zeros((0, 0))
 
     def step(self, sample: Sample, steps: int) -> TrackerOutput:
-        """Fit the window where it is time. Missing samples are left out of the correlations."""
+        """Store a sample; estimate when due. Missing samples are left out of the correlations."""
         missing = np.full((min(max(steps - 1, 0), self.settings.length), len(self.layout.sensors)), np.nan)
         self.values = np.concatenate([self.values, missing, [sample.values]])[-self.settings.length :]
         self.unseen += 1
@@ -78,7 +78,7 @@ class _SSITracker(Tracker):
         self.unseen = 0
         answer = self._fitted()
         if answer is None:
-            message = "the strongest two directions of the window are no oscillator's"
+            message = "the dominant poles of the window are not those of an oscillator"
             return TrackerOutput(sample.time, SampleStatus.FAILED, self._distribution(), message=message)
         self.mean, self.covariance = answer
         return TrackerOutput(sample.time, SampleStatus.OK, self._distribution())
@@ -87,7 +87,7 @@ class _SSITracker(Tracker):
         return Normal(self.layout.free, self.mean, self.covariance, log=True) if self.mean.size else None
 
     def _fitted(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Mean and covariance of log c/m and log k/m."""
+        """Return mean and covariance of log c/m and log k/m; None where a block gives no oscillator."""
         values = without_spikes(self.values - np.nanmean(self.values, axis=0))
         rows = self._rows(values)
         by_block = _products(values, 2 * rows)
@@ -99,28 +99,28 @@ class _SSITracker(Tracker):
         return logs[0], (BLOCKS - 1) / BLOCKS * off.T @ off
 
     def _rows(self, values: np.ndarray) -> int:
-        """As many lags as :data:`CYCLES` cycles of the strongest frequency have samples."""
+        """Return the number of block rows: the samples of :data:`CYCLES` cycles of the strongest frequency."""
         n = len(values)
         power = np.sum(np.abs(np.fft.rfft(np.nan_to_num(values) * np.hanning(n)[:, None], axis=0)) ** 2, axis=1)
         top = 1 + int(np.argmax(power[1:]))
         return int(np.clip(round(CYCLES * n / top), FEWEST_ROWS, MOST_ROWS))
 
     def _logs(self, products: np.ndarray, rows: int) -> np.ndarray:
-        """Logarithms of c/m and k/m, not finite where the poles are no oscillator's."""
+        """Return the logarithms of c/m and k/m, not finite where the poles are not those of an oscillator."""
         c = products.shape[1]
         lags = np.arange(rows)[:, None] + np.arange(rows)[None] + 1
         hankel = products[lags - 1].transpose(0, 2, 1, 3).reshape(rows * c, rows * c)
         left, sizes, _ = np.linalg.svd(hankel)
-        shown = left[:, :2] * np.sqrt(sizes[:2])
-        poles = np.linalg.eigvals(np.linalg.lstsq(shown[:-c], shown[c:], rcond=None)[0])
+        observability = left[:, :2] * np.sqrt(sizes[:2])
+        poles = np.linalg.eigvals(np.linalg.lstsq(observability[:-c], observability[c:], rcond=None)[0])
         with np.errstate(all="ignore"):
             return np.asarray(np.log(groups_from_poles(poles[None].astype(complex), self.layout.interval)[0, ::-1]))
 
 
 def _products(values: np.ndarray, lags: int) -> np.ndarray:
-    """Sums of products of samples ``1 ... lags`` apart, by block, (BLOCKS, lags, c, c), as if none were missing."""
-    there = np.isfinite(values)
-    filled, counted = np.where(there, values, 0.0), there.astype(float)
+    """Return sums of products at lags 1 to ``lags`` by block, (BLOCKS, lags, c, c), scaled for missing samples."""
+    measured = np.isfinite(values)
+    filled, counted = np.where(measured, values, 0.0), measured.astype(float)
     edges = np.linspace(0, len(values) - lags, BLOCKS + 1).round().astype(int)
     sums = np.empty((BLOCKS, lags, values.shape[1], values.shape[1]))
     for lag in range(1, lags + 1):

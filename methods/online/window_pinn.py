@@ -1,9 +1,9 @@
-"""The PINN in a sliding window with a warm start: a window's training begins where that of the window before ended.
+"""The PINN in a sliding window with a warm start from the parameters of the previous window.
 
-This is the digital twin that the paper outlines (Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002). The log-parameters
-are handed on; the network's weights are not, since the response of another window is another function of its time. A
-window that leaves more than :data:`SUSPECT` times the share of the data that the one before left is trained again from
-a cold start, and the better of the two counts.
+This is the digital twin outlined in the paper (Karkadakattil 2026, doi:10.25082/RIMA.2026.02.002). The log-parameters
+initialise the next window; the network's weights do not, since the response of another window is another function of
+time. Where the residual share of a window exceeds :data:`SUSPECT` times that of the previous one, it is trained again
+from a cold start, and the better estimate is kept.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from methods.pinn.task import SUSPECT, Task
 
 @dataclass(frozen=True)
 class ContinuedPINN(PINN):
-    """The PINN, also from the end of an earlier fit."""
+    """The PINN, optionally started from the parameters of an earlier fit."""
 
     def continued(self, problem: Problem, rng: np.random.Generator, values: np.ndarray) -> Estimate:
-        """Answer a problem from the parameters of an earlier fit, in the problem's units, by name of the system."""
+        """Estimate from the parameters ``values`` of an earlier fit, in the problem's units and the system's order."""
         units = problem.natural_units()
         scales = units.scales(problem.system)
         logs = np.log(values / np.array([scales[name] for name in problem.system.names]))
@@ -46,7 +46,7 @@ class ContinuedPINN(PINN):
 
 @dataclass(frozen=True)
 class OnlinePINN(OnlineIdentifier):
-    """Windows of ``length`` samples, every ``every``; ``arrival``: with what was learned before (see the window)."""
+    """Windows of ``length`` samples, every ``every`` samples; ``arrival``: add an arrival cost."""
 
     length: Annotated[int, Interval(ge=20)] = 150
     every: Annotated[int, Interval(ge=1)] = 10
@@ -62,13 +62,13 @@ class OnlinePINN(OnlineIdentifier):
     extra: ClassVar[str] = "torch"
 
     def objection(self, layout: Layout) -> str | None:
-        """It needs to be told the force."""
+        """Require a known force."""
         if layout.ambient:
-            return "it takes what moves the system for known, and here a force is not"
+            return "it requires a known force, and here a force is not measured"
         return None
 
     def start(self, layout: Layout) -> Tracker:
-        """A tracker before its first sample."""
+        """Return a tracker before its first sample."""
         return _PINNTracker(layout, self)
 
 
@@ -81,13 +81,13 @@ class _PINNTracker(WindowTracker):
         self.end, self.left = np.zeros(0), float("inf")
 
     def answer(self, problem: Problem) -> Estimate:
-        """From where the window before ended, else, or where that leads nowhere, from a scan of the data."""
-        found = []
+        """Estimate from the previous window's parameters, or from a scan where there are none or they fail."""
+        estimates = []
         if self.end.size:
-            found.append(self.method.continued(problem, np.random.default_rng(0), self.end))
-        if not found or not share_left(problem, found[0]) <= SUSPECT * self.left:
-            found.append(self.method.identify(problem, np.random.default_rng(0)))
-        best = min(found, key=lambda estimate: share_left(problem, estimate))
+            estimates.append(self.method.continued(problem, np.random.default_rng(0), self.end))
+        if not estimates or not share_left(problem, estimates[0]) <= SUSPECT * self.left:
+            estimates.append(self.method.identify(problem, np.random.default_rng(0)))
+        best = min(estimates, key=lambda estimate: share_left(problem, estimate))
         values = _values(best)
         if values is not None:
             self.end, self.left = values, share_left(problem, best)
@@ -95,7 +95,7 @@ class _PINNTracker(WindowTracker):
 
 
 def share_left(problem: Problem, estimate: Estimate) -> float:
-    """Sum of squares that the reconstruction of the displacements leaves, over theirs; infinite without one."""
+    """Return the residual sum of squares of the displacements over theirs; infinite without a reconstruction."""
     if estimate.status is not Status.OK or not estimate.reconstructions:
         return float("inf")
     channels = [c for c in problem.records[0].channels if c.measures == "displacement"]
@@ -104,17 +104,17 @@ def share_left(problem: Problem, estimate: Estimate) -> float:
 
 
 def _values(estimate: Estimate) -> np.ndarray | None:
-    """The parameters in the system's order; with the gauge one unit where the data tell groups only."""
+    """Return the parameters in the system's order; from groups, those with a gauge mass of one unit."""
     distribution: Any = estimate.distribution
     if estimate.status is not Status.OK or distribution is None:
         return None
-    told, system = distribution.values(), estimate.system
-    if set(system.names) <= set(told):
-        return np.array([told[name] for name in system.names])
+    values, system = distribution.values(), estimate.system
+    if set(system.names) <= set(values):
+        return np.array([values[name] for name in system.names])
     ratios = {system.gauge: 1.0}
     for group in system.groups:
-        if group.name in told and sorted(group.exponents.values()) == [-1.0, 1.0]:
-            ratios[next(name for name, power in group.exponents.items() if power == 1.0)] = told[group.name]
+        if group.name in values and sorted(group.exponents.values()) == [-1.0, 1.0]:
+            ratios[next(name for name, power in group.exponents.items() if power == 1.0)] = values[group.name]
     if set(ratios) != set(system.names) or min(ratios.values()) <= 0:
         return None
     return np.array([ratios[name] for name in system.names])

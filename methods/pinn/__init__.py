@@ -1,4 +1,4 @@
-"""The physics-informed neural network: see :mod:`methods.pinn.method`, its card. Loads no torch by itself."""
+"""The physics-informed neural network (:mod:`methods.pinn.method`); importing this package does not import torch."""
 
 from methods.pinn.method import PINN
 

@@ -1,4 +1,4 @@
-"""The rows of one record in the residual vector: at which points its response is looked at, and how exactly.
+"""The rows of one record in the residual vector: evaluation points and standard deviations.
 
 Every tensor has a leading axis over fits, B (see :mod:`methods.pinn.residuals`).
 """
@@ -20,7 +20,7 @@ from methods.starts.waves import ORDER
 
 
 def structure(problem: Problem) -> tuple[object, ...]:
-    """Return what problems of one batch have in common."""
+    """Return the properties that problems of one batch must share."""
     records = tuple(
         (
             tuple((c.n, c.measures, c.dof, c.offset) for c in r.channels),
@@ -35,9 +35,10 @@ def structure(problem: Problem) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of the rows, fit by fit, in natural units: of the channels (B, n_channels), record by record;
-    of the equation of motion and of the hidden states' (accelerations), and of the known initial displacement
-    and velocity, (B,) each.
+    """Standard deviations of the rows of each fit, in natural units.
+
+    Of the channels of all records, (B, n_channels); of the equations of motion and of the hidden states
+    (accelerations), and of the known initial displacement and velocity, (B,) each.
     """
 
     channels: np.ndarray
@@ -48,9 +49,7 @@ class Spread:
 
 
 class Block:
-    """One record of every fit: the ``rig`` that moved, the points at which its response is evaluated, and which row
-    looks at which point.
-    """
+    """One record of every fit: its ``rig``, evaluation points of the response, and the point of each row."""
 
     def __init__(
         self,
@@ -76,7 +75,7 @@ class Block:
         )
         self.values = tensor([np.concatenate([c.values for c in r.channels]) for r in records])
         forces = [r.force(grid, system.n_dof) for r, grid in zip(records, grids, strict=True)]
-        self.force = [tensor([own[dof] for own in forces]) for dof in range(system.n_dof)]
+        self.force = [tensor([force[dof] for force in forces]) for dof in range(system.n_dof)]
         stream = np.concatenate([np.full(c.n, ORDER[c.measures]) for c in first.channels])
         dof = np.concatenate([np.full(c.n, c.dof) for c in first.channels])
         self.channel = np.concatenate([np.full(c.n, i) for i, c in enumerate(first.channels)])
@@ -87,7 +86,7 @@ class Block:
             states = [r.initial_state for r in records if r.initial_state is not None]
             known = np.stack([np.stack([s.displacement, s.velocity]) for s in states])
         self.lift = self.shape = None
-        # rows of the start: displacements, then velocities, then the hidden states, which are zero
+        # rows of the initial state: displacements, then velocities, then the hidden states, which are zero
         n_known = 2 * self.n_dof if known is not None and not exact else 0
         n_start = n_known + system.n_hidden
         self.start = torch.zeros(len(records), n_start, dtype=torch.float64, device=device)
@@ -98,7 +97,7 @@ class Block:
         if known is not None and exact:
             lift, shape = exact_start(self.times, known, omega)
             self.lift, self.shape = tensor(lift), tensor(shape)
-        # rows: data, physics (path by path), start; time 0 is the first collocation point
+        # rows: data, physics of each path, initial state; time 0 is the first collocation point
         physics = torch.arange(collocation, device=device).repeat(self.n_paths)
         self.points = torch.cat([self.data_points, physics, torch.zeros(n_start, dtype=torch.long, device=device)])
         self.n_rows = self.points.shape[0]
@@ -109,13 +108,13 @@ class Block:
         }
 
     def response(self, output: Tensor) -> Tensor:
-        """Return the response's streams from those of the trainable function."""
+        """Return the derivatives of the response from those of the trainable function."""
         if self.lift is None or self.shape is None:
             return output
         return self.lift + torch.einsum("bnst,btno->bsno", self.shape, output)
 
     def response_adjoint(self, seeds: Tensor, points: Tensor | None = None) -> Tensor:
-        """Return seeds by the trainable function's streams from those by the response's."""
+        """Transform adjoint seeds of the response to those of the trainable function."""
         if self.shape is None:
             return seeds
         shape = self.shape if points is None else self.shape[:, points]
@@ -124,9 +123,10 @@ class Block:
     def local_ansatz(
         self, functions: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], count: int
     ) -> Local:
-        """Return a combination of ``count`` functions of which few are not zero at a time.
+        """Return an ansatz linear in ``count`` functions of local support.
 
-        ``functions`` gives those for times and duration: values and derivatives (3, n, n_local), first ones (n,).
+        ``functions`` evaluates those that are non-zero, for times and a duration: values and derivatives
+        (3, n, n_local), and the index of the first one, (n,).
         """
         pairs = [functions(times, float(duration)) for times, duration in zip(self.times, self.duration, strict=True)]
         values, first = (torch.as_tensor(np.stack(p), device=self.values.device) for p in zip(*pairs, strict=True))
@@ -146,8 +146,8 @@ class Block:
 def exact_start(times: np.ndarray, known: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Build a known initial state into an ansatz: ``x(t) = (x0 + v0 t) g + (1 - g) n(t)``.
 
-    ``g = exp(-(omega t)²)`` and n is the trainable function. Returns the streams of the first part, (B, 3, n_points,
-    n_dof), and the matrices that take those of n to the second's, (B, n_points, 3, 3), by the product rule.
+    ``g = exp(-(omega t)²)`` and n is the trainable function. Returns the derivatives 0 to 2 of the first term,
+    (B, 3, n_points, n_dof), and the matrices that map those of n to those of the second term, (B, n_points, 3, 3).
     """
     t, w2 = times, omega[:, None] ** 2
     g = np.exp(-w2 * t**2)

@@ -1,10 +1,10 @@
 """Spline collocation: the PINN's residual vector and optimiser with a quintic B-spline in place of the network.
 
-The ablation of the network: data, equation of motion at the same points, start and prior are those of
-:mod:`methods.pinn.physics`, and so are noise, stages, restarts and uncertainty. The response is linear in its
-coefficients, so for a linear system an iteration differs from linear least squares by the parameters alone.
-Collocation with splines for parameter estimation is older than the PINN by decades (J. M. Varah, SIAM J. Sci. Stat.
-Comput. 3:28, 1982; J. O. Ramsay et al., J. R. Stat. Soc. B 69:741, 2007).
+An ablation of the network: data, equation of motion at the same points, initial state, prior, noise, stages, restarts
+and uncertainty are those of :mod:`methods.pinn.physics`. The response is linear in its coefficients, so for a linear
+system the problem is nonlinear only in the parameters. Spline collocation for parameter estimation is decades older
+than the PINN (J. M. Varah, SIAM J. Sci. Stat. Comput. 3:28, 1982; J. O. Ramsay et al., J. R. Stat. Soc. B 69:741,
+2007).
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Collocation(PhysicsInformed):
-    """The settings: ``degree`` of the spline, and collocation points for each of its intervals."""
+    """Spline collocation; ``degree`` of the spline, and collocation points per knot interval."""
 
     version: ClassVar[int] = 4
     degree: int = 5
     points_an_interval: int = 3
 
     card: ClassVar[Card] = Card(
-        summary="quintic B-spline fitted to data, equation of motion, start and prior together (the PINN's residuals)",
+        summary="quintic B-spline fitted to data, equation of motion, initial state and prior (the PINN's residuals)",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="Gauss-Newton covariance of the log-parameters, spline coefficients profiled out, Student's t",
         settings_source="those of the PINN; degree and intervals from the spline's resolution",
-        tuning="none of its own; rival starts and reach beyond half the sampling rate: together with the PINN",
+        tuning="as the PINN: rival initial guesses and frequencies above half the sampling rate",
         title="Spline collocation",
         order=70,
         remarks=True,
@@ -57,7 +57,7 @@ class Collocation(PhysicsInformed):
         self._at_least({"degree": 3, "points_an_interval": 1})
 
     def _knots(self, resolution: int, duration: float) -> np.ndarray:
-        """Uniform, the ends repeated ``degree`` times more."""
+        """Return uniform knots, with the end knots repeated ``degree`` more times."""
         inner = np.linspace(0.0, duration, self.points(resolution) // self.points_an_interval + 1)
         return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, duration)])
 
@@ -80,13 +80,13 @@ class Collocation(PhysicsInformed):
 
 
 def local_functions(knots: np.ndarray, degree: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The B-splines that are not zero at the times: values and two derivatives (3, n, degree + 1), first ones (n,)."""
+    """Evaluate the non-zero B-splines: values and two derivatives (3, n, degree + 1), index of the first one (n,)."""
     count = knots.size - degree - 1
     first = np.clip(np.searchsorted(knots, times, "right") - 1 - degree, 0, count - degree - 1)
     values = np.empty((3, times.size, degree + 1))
     for phase in range(degree + 1):
-        # of functions that are degree + 1 apart no two meet, so that one curve has each at its own times
+        # functions degree + 1 apart do not overlap, so one curve evaluates all of them
         spline = BSpline(knots, (np.arange(count) % (degree + 1) == phase).astype(float), degree)
-        at = (phase - first) % (degree + 1)
-        values[:, np.arange(times.size), at] = [spline(times, order) for order in range(3)]
+        column = (phase - first) % (degree + 1)
+        values[:, np.arange(times.size), column] = [spline(times, order) for order in range(3)]
     return values, first

@@ -1,4 +1,4 @@
-"""One fit of an inverse PINN, or a batch of them, from the data to the minimum. Works in natural units."""
+"""Training of a batch of inverse PINNs, in natural units."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from methods.starts.forced_motion import ForcedMotion, forced_dofs
 from methods.starts.waves import ORDER, Guess
 
 FIRST_NOISE = 0.1
-"""The noise of a channel over its root mean square, before anything is known of it."""
+"""Initial noise of a channel over its root mean square."""
 LEAST_NOISE = 1e-6
-"""The least noise of a channel over its root mean square: what the ansatz and its collocation can resolve."""
+"""Least noise of a channel over its root mean square, the resolution of ansatz and collocation."""
 START = 0.1
-"""Standard deviation of a known initial state, over the noise: it is known exactly, so this is small."""
+"""Standard deviation of a known initial state over the noise; small, since the state is known exactly."""
 DAMPING = (1e-3, 1e-6, 1e-7, 1e-8)
-"""First damping of the four stages, relative to the largest squared row of J. The later ones start near the
-minimum; with more damping than this a stage ends early, for the little that a damped step promises."""
+"""Initial damping of the four stages, relative to the largest squared row of J. The later stages start near the
+minimum, where larger damping would end a stage early by the small predicted decrease of a damped step."""
 BEFORE_HARDENING = 1e-7
-"""Promised decrease of minus the log posterior at which splines and windows are near enough for multipliers."""
+"""Predicted decrease of minus the log posterior below which splines and windows are ready for multipliers."""
 HARDENING = 6
-"""Iterations that follow the multipliers, at most: where no response obeys the physics at all points, they creep."""
+"""Largest number of iterations with multipliers; they converge slowly if no response satisfies all equations."""
 ROUNDS = 6
-"""How often the noise may be estimated anew and the fit polished with it."""
+"""Largest number of alternations of noise estimation and fit."""
 SETTLED = 0.03
-"""Relative change of the noise below which it needs no further round."""
+"""Relative change of the noise below which the alternation ends."""
 
 
 Watch = Callable[[Callable[[], list[Fit]]], None]
 
 
 class Attempt:
-    """Residual vectors, unknown noises, and the places reached so far, of problems of one structure."""
+    """The training of problems of one structure: residual vectors, noise estimates and current iterates."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class Attempt:
         self._measure(degrees_of_freedom(first), guesses)
 
     def _forced_motions(self, k: int, guesses: Sequence[Guess]) -> list[ForcedMotion]:
-        """Return the motions under the forces of record k alone, fit by fit; empty where there are none."""
+        """Return each fit's motion under the forces of record k from rest; empty without forces."""
         if not forced_dofs(self.problems[0].records[k].forces):
             return []
         records = [problem.records[k] for problem in self.problems]
@@ -90,42 +90,44 @@ class Attempt:
         ]
 
     def _ansatz(self, k: int, block: Block) -> Ansatz:
-        """Return what represents the response in record k, with the motion under its forces alone."""
+        """Return the ansatz of the response in record k, including the motion under its forces from rest."""
         inner = self.settings.ansatz(block, self.resolution)
         if not self.forced[k]:
             return inner
-        streams = np.stack([own.streams(times) for own, times in zip(self.forced[k], block.times, strict=True)])
+        streams = np.stack([motion.streams(times) for motion, times in zip(self.forced[k], block.times, strict=True)])
         return SumAnsatz(inner, Basis(torch.as_tensor(streams, device=block.values.device), block.n_paths))
 
     def _first_coefficients(self, k: int, rngs: Sequence[np.random.Generator]) -> np.ndarray:
-        own = self.settings.first_coefficients(self.n_paths, self.resolution, self.cycles, rngs)
-        return np.concatenate([own, np.zeros((len(own), self.n_paths * self._n_forced(k)))], 1)
+        inner = self.settings.first_coefficients(self.n_paths, self.resolution, self.cycles, rngs)
+        return np.concatenate([inner, np.zeros((len(inner), self.n_paths * self._n_forced(k)))], 1)
 
     def _n_forced(self, k: int) -> int:
-        """Count the functions that the forces of record k add for each path."""
+        """Return the number of functions per path added by the forces of record k."""
         return self.forced[k][0].sizes.size if self.forced[k] else 0
 
     def _measure(self, dof: float, guesses: Sequence[Guess]) -> None:
-        """Set the sizes of the channels, (B, n_channels), and the first noise."""
+        """Set the sizes of the channels, (B, n_channels), and the initial noise."""
         channels = [channels_of(problem) for problem in self.problems]
         self.n = np.array([c.n for c in channels[0]])
-        # a measured quantity is of the displacement's size times this power of the frequency
+        # a measured quantity has the size of the displacement times this power of the frequency
         power = np.array([ORDER[c.measures] for c in channels[0]], float)
         self.to_displacement = self.omega[:, None] ** -power
-        self.rms = np.array([[np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in own] for own in channels])
+        self.rms = np.array(
+            [[np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in of_problem] for of_problem in channels]
+        )
         largest = np.max(self.rms * self.to_displacement, axis=1, keepdims=True)
         self.rms = np.maximum(self.rms, 1e-3 * largest / self.to_displacement)
         self.share = dof / self.problems[0].n
-        left = np.array([guess.left if guess.firm else 0.0 for guess in guesses])
-        self.sigmas = np.clip(np.sqrt(left), FIRST_NOISE, 1.0)[:, None] * self.rms
+        residual_share = np.array([guess.left if guess.firm else 0.0 for guess in guesses])
+        self.sigmas = np.clip(np.sqrt(residual_share), FIRST_NOISE, 1.0)[:, None] * self.rms
 
     def spread(self, softness: float = 1.0) -> Spread:
-        """Return the standard deviations of the rows at the present noise.
+        """Return the standard deviations of the rows at the current noise.
 
-        The physics is a nearly hard constraint: the equation of motion may be off by a white acceleration of standard
-        deviation a at each of n collocation points. Over a record of duration T this moves an undamped mode of
-        frequency w by a standard deviation of ``a T / (w sqrt(2 n))``; a is such that this is ``slack`` noises,
-        ``softness`` times as many at first. Hidden states are never soft: no data hold them.
+        The physics is a nearly hard constraint: the equation of motion has a white acceleration error of standard
+        deviation a at each of n collocation points. Over a record of duration T this displaces an undamped mode of
+        frequency w by a standard deviation of ``a T / (w sqrt(2 n))``; a is chosen so that this equals ``slack`` times
+        the noise, in the first stage ``softness`` times more. Hidden states, which are not measured, are never soft.
         """
         noise = np.min(self.sigmas * self.to_displacement, axis=1)
         soft, hard = (
@@ -135,13 +137,13 @@ class Attempt:
         return Spread(self.sigmas, soft, hard, START * noise, START * noise * self.omega)
 
     def errors(self, rows: Tensor, deviations: Tensor) -> np.ndarray:
-        """Sum the squared data residuals of each channel, (B, n_channels), in natural units."""
+        """Return the sum of squared data residuals of each channel, (B, n_channels), in natural units."""
         squares = np.asarray((rows * deviations).cpu()) ** 2
         kinds = self.residuals.kinds
         return np.stack([squares[:, kinds == i].sum(1) for i in range(self.residuals.n_channels)], 1)
 
     def estimate_noise(self, residuals: Residuals, deviations: Tensor, who: np.ndarray) -> np.ndarray:
-        """Set the noise of the fits ``who`` from their data residuals; returns its largest relative change in each."""
+        """Set the noise of the fits ``who`` from their data residuals; return its largest relative change in each."""
         state = residuals.evaluate(self.walk.z, deviations)
         sigmas = np.sqrt(self.errors(state.rows, deviations) / np.maximum(self.n * self.share, 1e-300))
         sigmas = np.clip(np.nan_to_num(sigmas, nan=np.inf), LEAST_NOISE * self.rms, self.rms)
@@ -158,38 +160,38 @@ class Attempt:
         tolerance: float,
         who: np.ndarray,
     ) -> np.ndarray:
-        """Minimise at the present noise, then estimate the noise; returns its change."""
+        """Minimise at the current noise, then estimate the noise; return its change."""
         deviations = residuals.deviations(self.spread(softness))
         self.walk.damping[who] = damping
         levenberg.minimise(residuals, self.walk, deviations, iterations, tolerance, who)
         return self.estimate_noise(residuals, deviations, who) if softness == 1.0 else np.zeros(who.size)
 
     def respond(self, heads: Residuals, iterations: int, damping: float, who: np.ndarray) -> None:
-        """Fit the response of the fits ``who`` with their parameters held where they are."""
+        """Fit the response of the fits ``who`` with fixed parameters."""
         self.walk.damping[who] = damping
         deviations = heads.deviations(self.spread())
         levenberg.minimise(heads.hold(), self.walk, deviations, iterations, self.settings.tolerance, who)
 
     def train(self) -> None:
-        """Minimise in the way of the settings."""
+        """Minimise by the optimiser of the settings."""
         if first_order := self.settings.first_order:
             self.adam_lbfgs(*first_order)
         else:
             self.levenberg()
 
     def levenberg(self) -> None:
-        """Minimise with soft physics, then nearly hard, on the output layer alone; then over all coefficients.
+        """Minimise over the output layer with soft and then nearly hard physics, then over all coefficients.
 
-        With soft physics the loss has one basin where the hard one has many; with the hidden layers fixed an iteration
-        is cheap, and their spread features already resolve the motion. The next stage frees all weights, which gains
-        where the features do not resolve the motion to the noise. The last is of the output layer and the parameters
-        again, with a step of the method of multipliers (M. Hestenes, J. Optim. Theory Appl. 4:303, 1969): what physics
-        and initial state are off is asked for with the opposite sign, so that in the end they are hard. A motion with
-        kinks cannot obey its equation so closely, and goes without.
+        With soft physics the loss has one basin, with hard physics many. With fixed hidden layers an iteration is
+        cheap, and the features already resolve the motion. The next stage trains all weights, which matters where the
+        features do not resolve the motion to the noise. The last stage trains output layer and parameters again, with a
+        step of the method of multipliers (M. Hestenes, J. Optim. Theory Appl. 4:303, 1969), which makes physics and
+        initial state hard constraints. A non-smooth motion cannot satisfy its equation so closely and has no
+        multipliers.
 
-        Where noise is as large as the motion, soft physics follows the noise, and where samples are fewer than two a
-        cycle the smoothest curve through them. A ``firm`` fit keeps to the scan's wave instead: it begins with hard
-        physics, from the response of that wave's parameters.
+        With noise as large as the motion, a fit with soft physics follows the noise, and with fewer than two samples
+        per cycle the smoothest curve through the samples. A ``firm`` fit therefore starts with hard physics, from the
+        response at the parameters of the scan's wave.
         """
         s = self.settings
         far, near, close, hard = DAMPING
@@ -216,20 +218,20 @@ class Attempt:
             self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
 
     def _multipliers(self, residuals: Residuals) -> Tensor:
-        """Return what physics and initial state are off, in natural units, (B, n_rows)."""
+        """Return the violations of physics and initial state, in natural units, (B, n_rows)."""
         deviations = residuals.deviations(self.spread())
         rows = residuals.plain(residuals.evaluate(self.walk.z, deviations), deviations)
         return rows * (residuals.term_rows[:, 1] + residuals.term_rows[:, 2])
 
     def _heads(self) -> tuple[Residuals, Tensor]:
-        """Go over to the coefficients of the output layers, mixed to weigh alike; returns also all that there were."""
+        """Restrict z to the output layers, in orthonormal combinations; return the residuals and the full z."""
         whole = self.walk.z
         heads, z = self.residuals.heads(whole)
         mixed, self.walk.z = heads.mixed(z, heads.deviations(self.spread()))
         return mixed, whole
 
     def rounds(self, residuals: Residuals, iterations: int, damping: float, tolerance: float) -> None:
-        """Minimise with hard physics, again where the noise has changed by it."""
+        """Minimise with hard physics, repeatedly where the estimated noise changes."""
         who = np.arange(len(self.problems))
         for _ in range(ROUNDS):
             change = self.run(residuals, 1.0, iterations, damping, tolerance, who)
@@ -239,7 +241,7 @@ class Attempt:
                 break
 
     def adam_lbfgs(self, adam_steps: int, adam_rate: float, lbfgs_steps: int) -> None:
-        """Train as the paper does, by Adam and then L-BFGS; the noise is estimated in between."""
+        """Train as in the paper, by Adam and then L-BFGS; the noise is estimated in between."""
         everyone = np.arange(len(self.problems))
         deviations = self.residuals.deviations(self.spread())
         descent.adam(self.residuals, self.walk, deviations, adam_steps, adam_rate)
@@ -251,41 +253,40 @@ class Attempt:
         self.estimate_noise(self.residuals, deviations, everyone)
 
     def record(self) -> None:
-        """Note where the fits stand."""
+        """Append the current residual vectors to the history."""
         deviations = self.residuals.deviations(self.spread())
         state = self.residuals.evaluate(self.walk.z, deviations)
         self.walk.record(np.arange(len(self.problems)), state.rows * deviations)
 
     def results(self) -> list[Fit]:
-        """Return the fits as they stand."""
+        """Return the current fits."""
         residuals, walk = self.residuals, self.walk
         deviations = residuals.deviations(self.spread())
         state = residuals.evaluate(walk.z, deviations)
         posterior = equations(residuals, state, deviations).posterior()
         n = len(residuals.free)
         covariance = np.asarray(posterior.covariance[:, :n, :n].cpu())
-        bands = [own.reshape(len(own), self.problems[0].system.n_dof, -1) for own in posterior.deviations]
+        bands = [sd.reshape(len(sd), self.problems[0].system.n_dof, -1) for sd in posterior.deviations]
         parts, logs, offsets = residuals.split(walk.z)
         coefficients = [np.asarray(part.cpu()) for part in parts]
         n_dof = self.problems[0].system.n_dof
         starts = [np.asarray(out[:, :2, 0, :n_dof].cpu()) for out in state.outputs]
         errors, terms = self.errors(state.rows, deviations), np.asarray(state.terms.cpu())
-        # minus the log likelihood at the estimated noise: its determinant counts when fits of different noise are
-        # compared
+        # minus the log likelihood at the estimated noise, with the determinant that a comparison of fits requires
         counts = np.maximum(self.n, 1)
         loss = 0.5 * np.sum(self.n * np.log(np.maximum(errors / counts, 1e-300)), 1) + 0.5 * terms[:, 1:].sum(1)
-        left = np.mean(errors / np.maximum(self.n * self.rms**2, 1e-300), 1)
+        residual_share = np.mean(errors / np.maximum(self.n * self.rms**2, 1e-300), 1)
         return [
             Fit(
                 logs=np.asarray(logs[i].cpu()),
                 covariance=covariance[i],
-                responses=tuple(self._response(i, k, own[i]) for k, own in enumerate(coefficients)),
+                responses=tuple(self._response(i, k, part[i]) for k, part in enumerate(coefficients)),
                 bands=tuple(
-                    Band(b.times[i, : b.collocation], own[i]) for b, own in zip(residuals.blocks, bands, strict=True)
+                    Band(b.times[i, : b.collocation], sd[i]) for b, sd in zip(residuals.blocks, bands, strict=True)
                 ),
-                starts=[own[i] for own in starts],
+                starts=[start[i] for start in starts],
                 offsets=np.asarray(offsets[i].cpu()),
-                left=float(left[i]),
+                left=float(residual_share[i]),
                 loss=float(loss[i]),
                 sigmas=self.sigmas[i],
                 evaluations=int(walk.evaluations[i]),
@@ -302,10 +303,10 @@ class Attempt:
         """Return the response of fit i in record k."""
         block = self.residuals.blocks[k]
         duration, system = float(block.duration[i]), self.problems[i].system
-        own = coefficients.size - self.n_paths * self._n_forced(k)
-        inner = self.settings.response(coefficients[:own], self.n_paths, self.resolution, duration)
+        n_inner = coefficients.size - self.n_paths * self._n_forced(k)
+        inner = self.settings.response(coefficients[:n_inner], self.n_paths, self.resolution, duration)
         if self.forced[k]:
-            inner = Assisted(inner, self.forced[k][i], coefficients[own:].reshape(self.n_paths, -1))
+            inner = Assisted(inner, self.forced[k][i], coefficients[n_inner:].reshape(self.n_paths, -1))
         if system.n_hidden:
             inner = Displacements(inner, system.n_dof)
         known = self.problems[i].records[k].initial_state
@@ -315,13 +316,13 @@ class Attempt:
 
 
 def _history(records: list[np.ndarray], deviations: np.ndarray, terms: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the path to the minimum: evaluations, the loss at the weights of the end, mean squares in natural units.
+    """Return the traces of a fit: evaluations, loss at the final weights, mean squares in natural units.
 
-    ``deviations`` (n_rows,) are those of the end; ``terms`` (n_rows, 4) says which row belongs to which term.
+    ``deviations`` (n_rows,): final standard deviations; ``terms`` (n_rows, 4): indicators of each row's term.
     """
     evaluations, rows = np.array(records)[:, 0], np.array(records)[:, 1:]
     squares = rows**2 @ (terms / np.maximum(terms.sum(0), 1.0))
-    named = {f"mean_square_{term}": own for term, own in zip(TERMS, squares.T, strict=True)}
+    named = {f"mean_square_{term}": square for term, square in zip(TERMS, squares.T, strict=True)}
     return {"evaluations": evaluations, "loss": 0.5 * np.sum((rows / deviations) ** 2, 1), **named}
 
 
@@ -343,9 +344,9 @@ def fit(
     rngs: Sequence[np.random.Generator],
     watch: Watch = lambda results: None,
 ) -> list[Fit]:
-    """Fit each problem once from its starting guess; all are of one structure and one resolution.
+    """Fit each problem once from its initial guess; all have the same structure and resolution.
 
-    ``watch`` is called between stages, with a function that gives the fits as they stand.
+    ``watch`` is called between stages, with a function that returns the current fits.
     """
     with torch_threads(settings.threads), torch.no_grad():
         attempt = Attempt(problems, guesses, settings, rngs, watch)

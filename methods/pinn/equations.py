@@ -1,11 +1,11 @@
-"""The damped normal equations ``(JᵀJ + μI) h = Jᵀ r`` of a residual vector, in the space where they are smallest.
+"""The damped normal equations ``(JᵀJ + μI) h = Jᵀ r`` of a residual vector, in the space of smaller dimension.
 
 A network has 4,400 weights and some 230 residuals, so its equations are solved in residual space, where ``h = Jᵀ (JJᵀ
 + μI)⁻¹ r`` (push-through identity). Where residuals outnumber unknowns (the output layer alone, thousands of samples)
-they are solved in the space of the unknowns; those of splines and windows are a band, bordered by parameters and
-offsets. Each form also gives the Gauss-Newton approximation of the posterior (Laplace's method): the coefficients have
-next to no prior of their own, a precision that is tiny beside what data and physics say. It leaves smooth changes of
-x(t) free; a network of this size could imitate anything between its collocation points.
+they are solved in the space of the unknowns; those of splines and windows are banded, bordered by parameters and
+offsets. Each form also gives the Gauss-Newton approximation of the posterior (Laplace's method). The coefficients have
+a prior precision that is tiny against the information of data and physics, which leaves smooth changes of x(t) free;
+without it, a network of this size could take any value between its collocation points.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ from methods.pinn.residuals import Residuals, State
 PRECISION = 1e-10
 """Precision of the coefficients in the posterior, relative to the largest squared row of J."""
 LEAST_INFORMATION = 1e-100
-"""On an unknown, so that one that nothing depends on has a variance, a huge one."""
+"""Least information on an unknown, so that undetermined ones have a finite, huge variance."""
 SINGULAR = 1e-14
-"""The least eigenvalue of the scaled information over the largest that rounding leaves."""
+"""Least eigenvalue of the scaled information over the largest, above rounding errors."""
 
 
 @dataclass
 class LaplacePosterior:
-    """Covariance of the other unknowns (B, n_unknowns, n_unknowns), the coefficients profiled out; and variances of the
-    displacements at the collocation points, DOF by DOF, (B, n_dof * collocation), record by record.
+    """Gauss-Newton approximation of the posterior.
+
+    ``covariance`` (B, n_unknowns, n_unknowns): of parameters and offsets, with the coefficients profiled out.
+    ``variances``, one (B, n_dof * collocation) per record: of the displacements at the collocation points, ordered by
+    DOF.
     """
 
     covariance: Tensor
@@ -42,12 +45,12 @@ class LaplacePosterior:
 
     @property
     def deviations(self) -> list[np.ndarray]:
-        """Standard deviations of the displacements."""
-        return [np.asarray(own.clamp(min=0.0).sqrt().cpu()) for own in self.variances]
+        """Return the standard deviations of the displacements, one array per record."""
+        return [np.asarray(variance.clamp(min=0.0).sqrt().cpu()) for variance in self.variances]
 
 
 def equations(residuals: Residuals, state: State, deviations: Tensor) -> NormalEquations:
-    """Return the normal equations at a state in the smaller space, those of splines as bands."""
+    """Return the normal equations at a state in the smaller space, banded ones for splines."""
     if all(ansatz.local for ansatz in residuals.ansatzes):
         return BandedEquations(residuals, state, deviations)
     dual = residuals.n_rows <= residuals.n_z
@@ -55,7 +58,7 @@ def equations(residuals: Residuals, state: State, deviations: Tensor) -> NormalE
 
 
 class NormalEquations(ABC):
-    """The equations of every fit: ``size`` (B,) is the largest squared row of J, ``trace`` (B,) the sum of squares."""
+    """The normal equations of all fits; ``size`` (B,): largest squared row of J, ``trace`` (B,): sum of squares."""
 
     size: Tensor
     trace: Tensor
@@ -66,9 +69,9 @@ class NormalEquations(ABC):
 
     @abstractmethod
     def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
-        """Return steps to subtract (B, n_z), and the decrease of the loss that the linear model promises (B,).
+        """Return steps to subtract (B, n_z), and the decrease of the loss predicted by the linear model (B,).
 
-        The promise is NaN where the damped matrix is not positive definite.
+        The decrease is NaN where the damped matrix is not positive definite.
         """
 
     @abstractmethod
@@ -76,7 +79,7 @@ class NormalEquations(ABC):
         """Approximate the posterior at the state."""
 
     def displacements(self, k: int) -> tuple[Adjoints, Tensor]:
-        """Return adjoints and points of the rows that are displacements of record k at the collocation points."""
+        """Return adjoints and points of rows for the displacements of record k at the collocation points."""
         block, ansatz = self.residuals.blocks[k], self.residuals.ansatzes[k]
         n, m = block.n_dof, block.collocation
         points = torch.arange(m, device=self.state.z.device).repeat(n)
@@ -87,9 +90,9 @@ class NormalEquations(ABC):
 
 
 def inverse(information: Tensor) -> Tensor:
-    """Return inverses (B, n, n) of information matrices, each unknown in its own unit.
+    """Invert information matrices (B, n, n) after scaling their diagonals to 1.
 
-    A combination of unknowns that the data leave open has a large variance.
+    Combinations of unknowns that the data do not determine get a large variance.
     """
     scale = information.diagonal(dim1=1, dim2=2).clamp(min=LEAST_INFORMATION).rsqrt()
     both = scale[:, :, None] * scale[:, None]
@@ -114,19 +117,21 @@ class DualEquations(NormalEquations):
         self.size, self.trace = squares.amax(1), squares.sum(1)
 
     def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
-        # the step leaves the linear residual ``μ (JJᵀ + μI)⁻¹ r``
+        # the linear residual after the step is ``μ (JJᵀ + μI)⁻¹ r``
         factor, info = torch.linalg.cholesky_ex(_damped(self.gram, damping))
         rows = self.state.rows
         dual = torch.cholesky_solve(rows[..., None], factor)[..., 0]
-        left = damping[:, None] * dual
-        promised = 0.5 * ((rows - left) * (rows + left)).sum(1)
+        residual = damping[:, None] * dual
+        decrease = 0.5 * ((rows - residual) * (rows + residual)).sum(1)
         step = self.residuals.pull_back(self.state, self.linear, dual)
-        return step, torch.where(info == 0, promised, torch.nan)
+        return step, torch.where(info == 0, decrease, torch.nan)
 
     def posterior(self) -> LaplacePosterior:
-        """With ``M = Jw Jwᵀ + e`` over the coefficients w, e their precision, and C the columns of the other unknowns
-        q: information on q ``e Cᵀ M⁻¹ C`` (Schur complement); for a displacement with gradient g by w and ``k = Jw g``,
-        variance ``(gᵀg - kᵀ M⁻¹ k) / e`` given q, and what the uncertainty of q adds.
+        """Approximate the posterior at the state.
+
+        With ``M = Jw Jwᵀ + e`` over the coefficients w, e their precision, and C the columns of the other unknowns q,
+        the information on q is ``e Cᵀ M⁻¹ C`` (Schur complement). A displacement with gradient g by w and ``k = Jw g``
+        has the variance ``(gᵀg - kᵀ M⁻¹ k) / e`` given q, plus a term from the uncertainty of q.
         """
         residuals, columns = self.residuals, self.linear.columns
         grams, matrix, first = [], torch.zeros_like(self.gram), 0
@@ -157,7 +162,7 @@ class DualEquations(NormalEquations):
 
 
 class PrimalEquations(NormalEquations):
-    """The equations in the space of the unknowns, summed up from parts of J."""
+    """The equations in the space of the unknowns, accumulated from blocks of J."""
 
     def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
         super().__init__(residuals, state, deviations)
@@ -171,11 +176,11 @@ class PrimalEquations(NormalEquations):
         self.trace = self.matrix.diagonal(dim1=1, dim2=2).sum(1)
 
     def solve(self, damping: Tensor) -> tuple[Tensor, Tensor]:
-        # the promise is ``hᵀ (μ h + Jᵀ r) / 2`` for the step h
+        # the predicted decrease is ``hᵀ (μ h + Jᵀ r) / 2`` for the step h
         factor, info = torch.linalg.cholesky_ex(_damped(self.matrix, damping))
         step = torch.cholesky_solve(self.gradient[..., None], factor)[..., 0]
-        promised = 0.5 * (step * (damping[:, None] * step + self.gradient)).sum(1)
-        return step, torch.where(info == 0, promised, torch.nan)
+        decrease = 0.5 * (step * (damping[:, None] * step + self.gradient)).sum(1)
+        return step, torch.where(info == 0, decrease, torch.nan)
 
     def posterior(self) -> LaplacePosterior:
         n_w = self.residuals.n_coefficients
@@ -185,19 +190,19 @@ class PrimalEquations(NormalEquations):
         variances, first = [], 0
         for k, (ansatz, tape) in enumerate(zip(self.residuals.ansatzes, self.state.tapes, strict=True)):
             g = ansatz.jacobian(tape, *self.displacements(k))
-            own = slice(first, first + ansatz.count)
-            variances.append(((g @ covariance[:, own, own]) * g).sum(2))
+            part = slice(first, first + ansatz.count)
+            variances.append(((g @ covariance[:, part, part]) * g).sum(2))
             first += ansatz.count
         return LaplacePosterior(covariance[:, n_w:, n_w:], variances)
 
 
 class BandedEquations(NormalEquations):
-    """The equations of splines and windows, a band: work and memory grow with the record's length.
+    """The banded equations of splines and windows; work and memory are proportional to the record's length.
 
-    A row depends on the few functions that are not zero at its point. The other unknowns are eliminated by their Schur
+    A row depends on the few functions that are non-zero at its point. The other unknowns are eliminated by their Schur
     complement (C. de Boor, A Practical Guide to Splines, chapter XIV; G. Golub and C. Van Loan, Matrix Computations,
-    4th edition, section 4.3). The coefficients are ordered by time here, record by record: the first function of all
-    paths, then the second, and so on. Numpy and LAPACK, one fit after the other.
+    4th edition, section 4.3). The coefficients of each record are ordered by time: the first function of all paths,
+    then the second, and so on. The fits are solved one by one with NumPy and LAPACK.
     """
 
     def __init__(self, residuals: Residuals, state: State, deviations: Tensor) -> None:
@@ -210,23 +215,23 @@ class BandedEquations(NormalEquations):
         points = [block.points for block in residuals.blocks]
         rows = self._local_rows(range(len(points)), self.linear.adjoints, points)
         columns = torch.cat([self.linear.columns, state.rows[..., None]], 2).cpu().numpy()
-        self.bands = [own.band() for own in rows]
-        self.borders = [own.sparse().T @ border[: own.first.size] for own, border in zip(rows, columns, strict=True)]
+        self.bands = [of_fit.band() for of_fit in rows]
+        self.borders = [part.sparse().T @ border[: part.first.size] for part, border in zip(rows, columns, strict=True)]
         self.corners = columns.transpose(0, 2, 1) @ columns
         squares = np.sum(columns[..., :-1] ** 2, 2)
-        squares[:, : rows[0].first.size] += np.array([np.sum(own.slopes**2, 1) for own in rows])
+        squares[:, : rows[0].first.size] += np.array([np.sum(of_fit.slopes**2, 1) for of_fit in rows])
         self.size = torch.as_tensor(squares.max(1), device=residuals.device)
         self.trace = torch.as_tensor(squares.sum(1), device=residuals.device)
 
     def _local_rows(
         self, records: Iterable[int], adjoints: Sequence[Adjoints], points: Sequence[Tensor]
     ) -> list[LocalRows]:
-        """Return rows at points of some records, one fit after the other."""
+        """Return the rows of each fit at points of some records."""
         slopes, first = [], []
-        for k, own, where in zip(records, adjoints, points, strict=True):
+        for k, adjoint, where in zip(records, adjoints, points, strict=True):
             ansatz = self.residuals.ansatzes[k]
             assert isinstance(ansatz, Local)
-            slopes.append(ansatz.slopes(own[0], where).transpose(2, 3).flatten(2))
+            slopes.append(ansatz.slopes(adjoint[0], where).transpose(2, 3).flatten(2))
             first.append(int(self.order[k][0]) + ansatz.first[:, where] * ansatz.n_paths)
         pairs = zip(torch.cat(first, 1).cpu().numpy(), torch.cat(slopes, 1).cpu().numpy(), strict=True)
         return [LocalRows(*pair, self.residuals.n_coefficients) for pair in pairs]
@@ -251,18 +256,18 @@ class BandedEquations(NormalEquations):
         order, q = np.concatenate(self.order), self.residuals.n_unknowns
         steps = np.full(self.state.z.shape, np.nan)
         gradients = np.empty_like(steps)
-        for i, own in enumerate(damping.tolist()):
+        for i, mu in enumerate(damping.tolist()):
             gradients[i] = np.concatenate([self.borders[i][np.argsort(order), q], self.corners[i, :q, q]])
             try:
-                _, solved, corner = self._eliminate(i, own)
-                unknowns = cho_solve(cho_factor(corner[:q, :q] + own * np.eye(q)), corner[:q, q]) if q else np.zeros(0)
+                _, solved, corner = self._eliminate(i, mu)
+                unknowns = cho_solve(cho_factor(corner[:q, :q] + mu * np.eye(q)), corner[:q, q]) if q else np.zeros(0)
             except (LinAlgError, ValueError):
                 continue
             steps[i, order] = solved[:, q] - solved[:, :q] @ unknowns
             steps[i, order.size :] = unknowns
-        promises = 0.5 * np.sum(steps * (damping.cpu().numpy()[:, None] * steps + gradients), 1)
+        decreases = 0.5 * np.sum(steps * (damping.cpu().numpy()[:, None] * steps + gradients), 1)
         device = self.residuals.device
-        return torch.as_tensor(steps, device=device), torch.as_tensor(promises, device=device)
+        return torch.as_tensor(steps, device=device), torch.as_tensor(decreases, device=device)
 
     def posterior(self) -> LaplacePosterior:
         q = self.residuals.n_unknowns
@@ -272,25 +277,25 @@ class BandedEquations(NormalEquations):
         variances = []
         for k in range(len(self.residuals.blocks)):
             adjoints, points = self.displacements(k)
-            own = []
+            of_fits = []
             for i, rows in enumerate(self._local_rows([k], [adjoints], [points])):
                 by_unknowns = rows.sparse() @ fits[i][1][:, :q]
                 added = np.sum((by_unknowns @ covariance[i].numpy()) * by_unknowns, 1)
-                own.append(rows.quadratic(inverses[i]) + added)
-            variances.append(torch.as_tensor(np.array(own), device=self.residuals.device))
+                of_fits.append(rows.quadratic(inverses[i]) + added)
+            variances.append(torch.as_tensor(np.array(of_fits), device=self.residuals.device))
         return LaplacePosterior(covariance.to(self.residuals.device), variances)
 
 
 @dataclass(frozen=True)
 class LocalRows:
-    """Rows of J (n_rows, k) by the k coefficients that each depends on, from number ``first`` (n_rows,) of ``n`` on."""
+    """Rows of J (n_rows, k) by the k consecutive coefficients from index ``first`` (n_rows,) on, of ``n``."""
 
     first: np.ndarray
     slopes: np.ndarray
     n: int
 
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield a distance, the coefficients (n_rows,) that have one so far behind, and products of their slopes."""
+        """Yield the offset of a diagonal, column indices (n_rows,), and products of slopes, for all pairs."""
         k = self.slopes.shape[1]
         for below in range(k):
             for a in range(k - below):
@@ -304,7 +309,7 @@ class LocalRows:
         return diagonals
 
     def quadratic(self, band: np.ndarray) -> np.ndarray:
-        """Return the products of each row with a symmetric matrix on both sides, given its lower diagonals (k, n)."""
+        """Return the quadratic form of each row with a symmetric matrix, given its lower diagonals (k, n)."""
         total = np.zeros(self.first.size)
         for below, places, products in self._pairs():
             total += (2.0 if below else 1.0) * products * band[below, places]
@@ -320,7 +325,7 @@ class LocalRows:
 def inverse_band(factor: np.ndarray) -> np.ndarray:
     """Return the lower diagonals (k, n) of the inverse of ``L Lᵀ``, given those of L.
 
-    Each column follows from the k - 1 after it, the last first (K. Takahashi, J. Fagan and M. Chen, 8th PICA
+    Each column follows from the k - 1 columns after it (K. Takahashi, J. Fagan and M. Chen, 8th PICA
     Conference, 1973).
     """
     k, n = factor.shape

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt for many least-squares problems at once, each on its own: a fit is the same alone or in a batch.
+"""Levenberg-Marquardt for a batch of independent least-squares problems, with results independent of the batch.
 
 A step solves the damped normal equations of :mod:`methods.pinn.equations`.
 """
@@ -18,10 +18,10 @@ GREATEST_DAMPING = 1e6
 
 
 class Walk:
-    """The vectors (B, n_z) that a batch of minimisations has reached, dampings, counts, and why each stopped.
+    """The state of a batch of minimisations: iterates z (B, n_z), dampings, counts, and reasons of termination.
 
-    ``history[i]`` holds, after every accepted step of fit i, the evaluations and the residual vector in natural units
-    (not divided by deviations, which change as the noise is estimated), (1 + n_rows,).
+    ``history[i]`` has an entry (1 + n_rows,) for every accepted step of fit i: the number of evaluations, then the
+    residual vector in natural units (not divided by deviations, which change as the noise is estimated).
     """
 
     def __init__(self, z: Tensor, damping: float = 1e-3) -> None:
@@ -32,9 +32,9 @@ class Walk:
         self.history: list[list[np.ndarray]] = [[] for _ in range(n)]
 
     def record(self, who: np.ndarray, plain: Tensor) -> None:
-        """Append to the history of the fits ``who`` (k,) their residual vectors (k, n_rows)."""
-        for i, own in zip(who, np.asarray(plain.cpu()), strict=True):
-            self.history[i].append(np.append(self.evaluations[i], own))
+        """Append residual vectors (k, n_rows) to the histories of the fits ``who`` (k,)."""
+        for i, rows in zip(who, np.asarray(plain.cpu()), strict=True):
+            self.history[i].append(np.append(self.evaluations[i], rows))
 
 
 def minimise(
@@ -45,47 +45,47 @@ def minimise(
     tolerance: float,
     who: np.ndarray | None = None,
 ) -> None:
-    """Minimise half the squared residual vectors of the fits ``who`` from where ``walk`` stands, and update it.
+    """Minimise half the squared residual vectors of the fits ``who`` from the state ``walk``, and update it.
 
-    A fit stops when the linear model promises less than ``tolerance`` (the residuals are in standard deviations, so
-    this is a change of minus the log posterior), or after ``iterations``.
+    A fit stops when the decrease predicted by the linear model is below ``tolerance`` (a change of minus the log
+    posterior, since the residuals are in standard deviations), or after ``iterations``.
     """
     active = np.arange(residuals.n_fits) if who is None else who
     growth = np.full(residuals.n_fits, 2.0)
     for i in active:
-        walk.reasons[i] = "the largest number of iterations was reached"
-    own, spread = residuals.take(active), deviations[active]
-    state = own.evaluate(walk.z[active], spread)
+        walk.reasons[i] = "the iteration limit was reached"
+    selected, spread = residuals.take(active), deviations[active]
+    state = selected.evaluate(walk.z[active], spread)
     walk.evaluations[active] += 1
     normal: NormalEquations | None = None
     for _ in range(iterations):
         if normal is None:
-            normal = equations(own, state, spread)
-        step, promise = normal.solve(torch.as_tensor(walk.damping[active], device=own.device) * normal.size)
-        promised = np.asarray(promise.cpu())
-        trial = own.evaluate(state.z - step, spread)
+            normal = equations(selected, state, spread)
+        step, decrease = normal.solve(torch.as_tensor(walk.damping[active], device=selected.device) * normal.size)
+        predicted = np.asarray(decrease.cpu())
+        trial = selected.evaluate(state.z - step, spread)
         walk.evaluations[active] += 1
         walk.iterations[active] += 1
         with np.errstate(invalid="ignore", divide="ignore"):
-            gain = np.where(promised > 0, (state.loss - trial.loss) / promised, -1.0)
+            gain = np.where(predicted > 0, (state.loss - trial.loss) / predicted, -1.0)
         accepted = gain > 0
         if accepted.any():
-            chosen = torch.as_tensor(accepted, device=own.device)[:, None]
-            state = trial if accepted.all() else own.evaluate(torch.where(chosen, trial.z, state.z), spread)
+            chosen = torch.as_tensor(accepted, device=selected.device)[:, None]
+            state = trial if accepted.all() else selected.evaluate(torch.where(chosen, trial.z, state.z), spread)
             normal = None
-            walk.record(active[accepted], own.plain(state, spread)[accepted])
+            walk.record(active[accepted], selected.plain(state, spread)[accepted])
         _damp(walk, active, growth, gain)
-        ended = (promised < tolerance) | (walk.damping[active] > GREATEST_DAMPING)
+        ended = (predicted < tolerance) | (walk.damping[active] > GREATEST_DAMPING)
         if ended.any():
-            for i, last in zip(active[ended], promised[ended], strict=True):
-                converged = "the linear model promises no further decrease"
+            for i, last in zip(active[ended], predicted[ended], strict=True):
+                converged = "the linear model predicts no further decrease"
                 walk.reasons[i] = converged if last < tolerance else "no step decreases the loss"
             walk.z[active] = state.z
             active = active[~ended]
             if not active.size:
                 return
-            own, spread = residuals.take(active), deviations[active]
-            state, normal = own.evaluate(walk.z[active], spread), None
+            selected, spread = residuals.take(active), deviations[active]
+            state, normal = selected.evaluate(walk.z[active], spread), None
     walk.z[active] = state.z
 
 

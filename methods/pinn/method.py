@@ -1,12 +1,12 @@
-"""Inverse PINN: a network of time and the parameters, trained on the data and on the equation of motion together.
+"""Inverse PINN: a network x(t) and the parameters, trained jointly on the data and on the equation of motion.
 
-The paper's method (Karkadakattil 2026; Raissi, Perdikaris and Karniadakis, J. Comput. Phys. 378:686, 2019): a tanh
-network x(t), 1-64-64-1, its loss the squared misfit to the data, to the equation of motion at 200 collocation
-points, to the told start, and to the prior. Weights of the terms, order of the stages, restarts and uncertainty:
-:mod:`methods.pinn.physics`. The optimiser is Levenberg-Marquardt in residual space, where a step solves a system of
-some 230 equations instead of 4,400 (``optimizer="lm"``); records of many cycles are cut into windows, whose
-hidden layers stay as drawn (:mod:`methods.pinn.windows`); the paper's Adam and L-BFGS on the very same residuals is
-``optimizer="adam_lbfgs"``, registered as the variant ``pinn_adam``.
+The paper's method (Karkadakattil 2026; Raissi, Perdikaris and Karniadakis, J. Comput. Phys. 378:686, 2019) is a tanh
+network x(t), 1-64-64-1, whose loss is the squared misfit to the data, to the equation of motion at 200 collocation
+points, to the known initial state, and to the prior. Weights of the terms, stages, restarts and uncertainty:
+:mod:`methods.pinn.physics`. ``optimizer="lm"`` is Levenberg-Marquardt in residual space, where a step solves some 230
+equations instead of 4,400; records of many cycles are divided into windows, whose hidden layers keep their random
+weights (:mod:`methods.pinn.windows`). ``optimizer="adam_lbfgs"``, the variant ``pinn_adam``, is the paper's Adam and
+L-BFGS on the same residuals.
 """
 
 from __future__ import annotations
@@ -28,19 +28,16 @@ if TYPE_CHECKING:
 
 
 UNITS_A_CYCLE = 12
-"""Units of a hidden layer for each oscillation in the record, where ``width`` would give fewer."""
+"""Least number of units in a hidden layer per oscillation in the record."""
 
 
 MOST_CYCLES = 15
-"""Oscillations in a record up to which one network represents them; beyond, windows do."""
+"""Largest number of oscillations in a record that one network represents; longer records use windows."""
 
 
 @dataclass(frozen=True)
 class PINN(PhysicsInformed):
-    """The settings of the network and its training; see the module for the method.
-
-    ``width``: units of a hidden layer (more where an oscillation would have fewer than 12: the layers must resolve it).
-    """
+    """The inverse PINN; ``width``: units of a hidden layer, at least 12 per oscillation in the record."""
 
     version: ClassVar[int] = 4
     optimizer: Literal["lm", "adam_lbfgs"] = "lm"
@@ -51,16 +48,16 @@ class PINN(PhysicsInformed):
     lbfgs_steps: int = 2000
 
     card: ClassVar[Card] = Card(
-        summary="physics-informed network trained on data, equation of motion, start and prior together",
+        summary="physics-informed network trained on data, equation of motion, initial state and prior",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="Gauss-Newton covariance of the log-parameters, network weights profiled out, Student's t",
         settings_source="architecture and collocation: the paper's Table 1; the rest chosen on development data",
-        tuning="first weights: 26 combinations; slack, damping, tolerance: 25; units a cycle: 9; adam_lbfgs: 12; 3-16"
-        " records each, 5-120 dB, 2-30 cycles, damping 2-20 %, judged by maximum a posteriori from the truth on the"
-        " same data; first stage at low SNR, rival starts: 5 on 3 scenarios, -2 and 0 dB, 30-60 samples; reach beyond"
-        " half the sampling rate: 3 on 8 scenarios, 1.55-1.9 samples a cycle",
+        tuning="initial weights: 26 combinations; slack, damping, tolerance: 25; units per cycle: 9; adam_lbfgs: 12;"
+        " 3-16 records each, 5-120 dB, 2-30 cycles, damping 2-20 %, compared with the maximum a posteriori estimate;"
+        " first stage at low SNR, rival guesses: 5 on 3 scenarios, -2 and 0 dB, 30-60 samples; frequencies above half"
+        " the sampling rate: 3 on 8 scenarios, 1.55-1.9 samples per cycle",
         title="PINN",
         order=40,
         remarks=True,
@@ -95,7 +92,7 @@ class PINN(PhysicsInformed):
         return (1, *[max(self.width, UNITS_A_CYCLE * resolution)] * self.depth, n_paths)
 
     def _windows(self, resolution: int) -> Windows | None:
-        """Return the windows of a record that is long for one network; an ensemble is of whole networks."""
+        """Return the windows of a record too long for one network; None in an ensemble, which uses whole networks."""
         if self.optimizer != "lm" or self.uncertainty == "ensemble" or resolution <= MOST_CYCLES:
             return None
         return Windows((self.width,) * self.depth, resolution)
@@ -121,7 +118,7 @@ class PINN(PhysicsInformed):
             return np.zeros((cycles.size, n_paths * windows.count))
         widths = self._widths(n_paths, resolution)
         return np.stack(
-            [tanh.flat(tanh.initial_layers(widths, own, rng)) for own, rng in zip(cycles, rngs, strict=True)]
+            [tanh.flat(tanh.initial_layers(widths, count, rng)) for count, rng in zip(cycles, rngs, strict=True)]
         )
 
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
@@ -132,7 +129,7 @@ class PINN(PhysicsInformed):
         return NetworkResponse(tuple(tanh.layers_of(coefficients, self._widths(n_paths, resolution))), duration)
 
     def convergence(self, resolution: int) -> float:
-        """Return the tolerance for windows, whose overlap makes the last digits slow."""
+        """Return the tolerance, larger for windows, whose overlap slows the convergence."""
         return self.tolerance if self._windows(resolution) else super().convergence(resolution)
 
     @property

@@ -1,20 +1,20 @@
-"""From a Problem to fits and back to an Estimate: what the PINN and spline collocation share.
+"""Common parts of the PINN and of spline collocation: from a Problem to fits and to an Estimate.
 
-The loss is minus the log posterior, whatever represents x(t):
+The loss is minus the log posterior for any ansatz of x(t):
 
-- **Weights of the terms** follow from the noise, which is estimated along the way: the physics is a nearly hard
-  constraint (the equation may be off by so little white noise that its effect over the record is a fraction ``slack``
-  of the measurement noise; weak-constraint data assimilation: Tremolet, Q. J. R. Meteorol. Soc. 132:2483, 2006).
-  Where motions are smooth, multipliers take off in the end what the equation is still violated by.
-- **Optimiser**: Levenberg-Marquardt (:mod:`methods.pinn.levenberg`), soft physics before hard, the output layer before
-  all layers, log-parameters started at the damped wave that fits the data best.
-- **A known force** is carried by functions of its own, added to what represents x(t): steps, pulses and rough forces
-  would otherwise ask for an acceleration that no smooth function has (:mod:`methods.starts.forced_motion`).
-- **Open parameters**: with a known force or an added mass there may be no prior, and noise may hide a damping. The
-  likelihood then rises on towards zero; such a record is fitted again with a very wide prior, and the answer says so.
-- **Hidden states** are paths of the ansatz beside the displacements, held to their own rates.
-- **A bad basin** shows in the residuals: the fit leaves more than twice what plain damped waves leave. It is then
-  started again elsewhere, at most ``restarts`` times, and the best kept (:mod:`methods.pinn.task`).
+- **Weights of the terms** follow from the estimated noise. The physics is a nearly hard constraint: the equation has a
+  white error whose effect over the record is a fraction ``slack`` of the measurement noise (weak-constraint data
+  assimilation: Tremolet, Q. J. R. Meteorol. Soc. 132:2483, 2006). For smooth motions, multipliers finally remove the
+  remaining violation.
+- **Optimiser**: Levenberg-Marquardt (:mod:`methods.pinn.levenberg`) with soft physics before hard, the output layer
+  before all layers, and initial log-parameters of the damped wave that fits the data best.
+- **A known force** adds functions to the ansatz of x(t), since steps, pulses and rough forces require an acceleration
+  that no smooth function has (:mod:`methods.starts.forced_motion`).
+- **Undetermined parameters**: with a known force or an added mass there may be no prior, and noise may hide a damping,
+  whose likelihood then rises towards zero. Such a record is fitted again with a very wide prior, with a message.
+- **Hidden states** are additional paths of the ansatz, with equations for their rates.
+- **A bad basin** is detected by residuals more than twice those of damped waves. The fit is then restarted elsewhere,
+  at most ``restarts`` times, and the best result kept (:mod:`methods.pinn.task`).
 
 Uncertainty (``uncertainty=``): ``laplace``, covariance from the linearisation at the solution with the coefficients
 profiled out; ``ensemble``, spread over ``members`` random initialisations, as in the paper; ``bootstrap``, spread over
@@ -51,7 +51,7 @@ from methods.starts.waves import Guess
 
 @dataclass(frozen=True)
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
-    """Estimate by fitting data and physics together; see the module."""
+    """Base of methods that fit data and physics jointly; see the module."""
 
     scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
@@ -60,17 +60,17 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
 
     @property
     def problems_at_once(self) -> int:
-        """``batch``; where members of one problem fill it, a single problem is enough."""
+        """Return ``batch``, or 1 where the members of an ensemble or bootstrap fill the batch."""
         return self.batch if self.uncertainty == "laplace" else 1
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Fit one problem; status ``diverged`` or ``nonfinite`` where nothing was found."""
+        """Fit one problem; status ``nonfinite`` where all fits fail."""
         return self.estimate_many([problem], [rng])[0]
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Fit all problems, ``batch`` of the same structure at a time; each answer is the same as alone."""
+        """Fit all problems in batches of the same structure; results do not depend on the batch."""
         if self.device != "cpu" and not _has_device(self.device):
-            sentence = f"device={self.device} is not available here: use device=cpu"
+            sentence = f"device={self.device} is not available; use device=cpu"
             return [Estimate.failed(problem.system, Status.INVALID, sentence) for problem in problems]
         tasks = [Task(problem, rng) for problem, rng in zip(problems, rngs, strict=True)]
         self.attempt(tasks)
@@ -85,11 +85,11 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
 
     def objection(self, problem: Problem) -> str | None:
         if problem.system.n_hidden and self.start == "exact":
-            return "start=exact cannot start hidden states; use start=penalty"
+            return "start=exact does not support hidden states; use start=penalty"
         return super().objection(problem)
 
     def attempt(self, tasks: Sequence[Task]) -> None:
-        """Fit each, and start those in a bad basin again elsewhere."""
+        """Fit each task, and restart those in a bad basin elsewhere."""
         from methods.pinn.block import structure
 
         for n in range(1 + self.restarts):
@@ -111,7 +111,7 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         rngs: Sequence[np.random.Generator],
         tasks: Sequence[Task] = (),
     ) -> list[Fit]:
-        """Fit problems of one structure, ``batch`` at a time, and report how far those of tasks have come."""
+        """Fit problems of one structure in batches, and report the progress of ``tasks``."""
         from methods.pinn import engine
 
         fits: list[Fit] = []
@@ -122,7 +122,7 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         return fits
 
     def _report(self, tasks: Sequence[Task], results: Callable[[], list[Fit]]) -> None:
-        """Report how far the fits have come."""
+        """Report the current estimates."""
         for i, task in enumerate(tasks):
             report_progress(task.problem, lambda i=i, task=task: self._estimate(task.with_fit(results()[i])))  # type: ignore[misc]
 
@@ -144,18 +144,18 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         every = [*task.given_up, *task.fits]
         cost = Cost(sum(fit.evaluations for fit in every), sum(fit.iterations for fit in every))
         if best is None:
-            sentence = "no attempt gave finite numbers; try other restarts, or check the record for outliers"
+            sentence = "no fit is finite; increase restarts, or check the record for outliers"
             return Estimate.failed(problem.system, Status.NONFINITE, sentence, cost)
-        message = best.reason + (f"; the best of {len(task.fits)} starts" if len(task.fits) > 1 else "")
+        message = best.reason + (f"; the best of {len(task.fits)} initial guesses" if len(task.fits) > 1 else "")
         if task.given_up:
-            message += "; the data leave a parameter open: held by a very wide prior, a factor of 20"
+            message += "; the data do not determine a parameter: a very wide prior was used, a factor of 20"
         if task.scaled.system.n_hidden and not task.scaled.system.smooth:
-            message += "; its smooth paths cannot follow the kinks of a hysteresis, so the intervals may be too narrow"
+            message += "; smooth functions cannot represent the kinks of hysteresis, so intervals may be too narrow"
         if not task.good(best):
-            message += "; it leaves more than damped waves do, so this may be a local minimum"
+            message += "; residuals exceed those of damped waves, so this may be a local minimum"
         starts = [
-            record.initial_state or InitialState(own[0], own[1])
-            for record, own in zip(problem.records, best.starts, strict=True)
+            record.initial_state or InitialState(*start)
+            for record, start in zip(problem.records, best.starts, strict=True)
         ]
         has_offset = np.array([channel.offset for channel in channels_of(problem)])
         offsets = np.zeros(has_offset.size)

@@ -1,18 +1,18 @@
-"""The residual vector of an inverse PINN and its linearisation: what every optimiser minimises.
+"""The residual vector of an inverse PINN and its linearisation.
 
-The rows, each divided by its standard deviation, so that half the squared length is minus the log posterior:
+Each row is divided by its standard deviation, so that half the squared norm is minus the log posterior:
 
 data      response minus measurement, over the channel's noise
-physics   the system's residual at the collocation points, divided by the gauge mass (an acceleration), over ``slack``;
-          likewise the rate of each hidden state less what it should be, times the frequency in the data
+physics   the equation of motion at the collocation points over the gauge mass (an acceleration), over its standard
+          deviation; likewise the error of each hidden state's rate, times the frequency in the data
 initial   response minus known initial state, over a small part of the noise (absent where the ansatz has it exactly);
           hidden states start at zero
 prior     log-parameters minus their nominal values, over the prior's standard deviations
 
-Without the gauge mass, m x'' + c x' + k x would become small by itself when all parameters shrink together.
+Without division by the gauge mass, m x'' + c x' + k x would vanish when all parameters tend to zero.
 
-Every tensor has a leading axis over fits, B: the problems of one batch have the same system, the same channels and as
-many samples, and nothing else in common.
+Every tensor has a leading axis over fits, B: the problems of one batch have the same system, channels and numbers of
+samples.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ from methods.pinn.block import Block, Spread
 
 TERMS = ("data", "physics", "initial", "prior")
 CHUNK = 2**24
-"""Entries of J formed at a time where the normal equations are built from its columns."""
+"""Largest number of entries of J in memory while normal equations are accumulated."""
 
 torch_ops = array_ops(torch, lambda *entries: torch.broadcast_tensors(*map(torch.as_tensor, entries)))
-"""The torch functions a residual may call."""
+"""The torch functions available to equations of motion."""
 
 
 @dataclass
 class State:
-    """The residual vectors at a point z (B, n_z), with what their linearisation needs.
+    """The residual vectors at a point z (B, n_z), with intermediate results for their linearisation.
 
-    ``outputs`` are the responses' streams record by record, ``rows`` (B, n_rows), ``terms`` (B, 4) squared lengths.
+    ``outputs``: responses with their derivatives, one tensor per record; ``rows`` (B, n_rows); ``terms`` (B, 4):
+    squared norm of each term.
     """
 
     z: Tensor
@@ -53,16 +54,17 @@ class State:
 
     @property
     def loss(self) -> np.ndarray:
-        """Half the squared length of each vector, (B,)."""
+        """Return half the squared norm of each vector, (B,)."""
         return np.asarray(0.5 * self.terms.sum(1).cpu())
 
 
 @dataclass
 class Linear:
-    """The linearisation at a state, record by record and for the unknowns that are no coefficients.
+    """The linearisation at a state.
 
-    ``seeds`` (B, 3, n_rows, n_paths) are slopes of a record's rows by the streams of its ansatz, ``adjoints`` those by
-    its layers; ``columns`` (B, n_rows, n_unknowns) are slopes by the free log-parameters, then by the offsets.
+    ``seeds``, one (B, 3, n_rows, n_paths) per record: slopes of the rows by the ansatz and its derivatives.
+    ``adjoints``, one per record: slopes by the layers of the ansatz. ``columns`` (B, n_rows, n_unknowns): slopes by the
+    free log-parameters, then by the offsets.
     """
 
     seeds: list[Tensor]
@@ -71,17 +73,16 @@ class Linear:
 
 
 AnsatzMaker = Callable[[int, Block], Ansatz]
-"""Makes the ansatz of a record, given its number and its block."""
+"""A function that returns the ansatz of a record, given its index and its block."""
 
 
 class Residuals:
     """The residual vectors of problems (in natural units) as a function of ``z``: coefficients, then other unknowns.
 
-    The other unknowns are the logarithms of the ``free`` parameters, then one offset for each channel that has one;
-    the parameters that are not free keep their value in ``log_fixed`` (B, n_parameters). ``omega`` (B,) are the
-    frequencies of the data; ``exact`` builds a known initial state into the response
-    (:func:`methods.pinn.block.exact_start`). A ``shift`` (B, n_rows) is added to the rows: the multipliers of an
-    augmented Lagrangian.
+    The other unknowns are the logarithms of the ``free`` parameters, then the offset of each channel that has one.
+    Parameters that are not free have the values ``log_fixed`` (B, n_parameters). ``omega`` (B,): frequencies of the
+    data. ``exact``: build a known initial state into the response (:func:`methods.pinn.block.exact_start`). ``shift``
+    (B, n_rows): multipliers of an augmented Lagrangian, added to the rows.
     """
 
     shift: Tensor | None = None
@@ -106,7 +107,7 @@ class Residuals:
         ]
         self.ansatzes = [make_ansatz(i, block) for i, block in enumerate(self.blocks)]
         self.free = [self.system.names.index(name) for name in free]
-        self.held = False
+        self.fixed = False
         self.log_fixed = torch.as_tensor(np.array(log_fixed), device=self.device)
         self.prior: tuple[Tensor, Tensor] | None = None
         if first.prior is not None:
@@ -124,7 +125,7 @@ class Residuals:
         self.term_rows = torch.as_tensor(np.eye(len(TERMS))[term], device=self.device)
 
     def _kinds(self) -> np.ndarray:
-        """Return for each row its channel, or beyond these 0, 1: physics, of hidden states; 2, 3: initial; 4: prior."""
+        """Return the kind of each row: its channel, then physics, hidden states, initial x and v, prior."""
         kinds, first = [], 0
         for block in self.blocks:
             paths = np.repeat(np.arange(block.n_paths) >= block.n_dof, block.collocation)
@@ -150,7 +151,7 @@ class Residuals:
         return self.n_coefficients + self.n_unknowns
 
     def take(self, who: np.ndarray) -> Residuals:
-        """Return the residual vectors of some of the fits, (k,) indices."""
+        """Return the residual vectors of the fits with indices ``who`` (k,)."""
         if who.size == self.n_fits:
             return self
         index = torch.as_tensor(who, device=self.device)
@@ -163,32 +164,32 @@ class Residuals:
         return other
 
     def hold(self) -> Residuals:
-        """Return the same vectors with parameters that no step changes."""
+        """Return the same vectors with fixed parameters."""
         other = copy.copy(self)
-        other.held = True
+        other.fixed = True
         return other
 
     def heads(self, z: Tensor) -> tuple[Residuals, Tensor]:
-        """Return the same vectors as a function of the last layers and the other unknowns alone, and these at z."""
+        """Return the residual vectors as a function of output layers and other unknowns, and these at z."""
         other = copy.copy(self)
         parts, rest = self.split_flat(z)
         pairs = [a.head(part) for a, part in zip(self.ansatzes, parts, strict=True)]
         other.ansatzes = [basis for basis, _ in pairs]
-        return other, torch.cat([*[own for _, own in pairs], rest], 1)
+        return other, torch.cat([*[head for _, head in pairs], rest], 1)
 
     def with_heads(self, z: Tensor, short: Tensor) -> Tensor:
-        """Return z with its last layers and other unknowns as in the vector ``short`` of :meth:`heads`."""
+        """Return z with output layers and other unknowns replaced by the vector ``short`` of :meth:`heads`."""
         parts, _ = self.split_flat(z)
         sizes = [a.head(part)[0].count for a, part in zip(self.ansatzes, parts, strict=True)]
-        *own, rest = short.split([*sizes, self.n_unknowns], 1)
-        whole = [a.with_head(p, o) for a, p, o in zip(self.ansatzes, parts, own, strict=True)]
+        *heads, rest = short.split([*sizes, self.n_unknowns], 1)
+        whole = [a.with_head(p, o) for a, p, o in zip(self.ansatzes, parts, heads, strict=True)]
         return torch.cat([*whole, rest], 1)
 
     def mixed(self, z: Tensor, deviations: Tensor) -> tuple[Residuals, Tensor]:
-        """Return the same vectors as a function of coefficients by which J has orthonormal columns at z, and these.
+        """Return the residual vectors for coefficients with which J has orthonormal columns at z, and these.
 
-        Random features are so much alike that J has singular values over twelve decades, and a damped step moves
-        along the small ones only after hundreds of iterations. Splines are left as they are.
+        Random features are so similar that the singular values of J span twelve decades, and damped steps along the
+        small ones take hundreds of iterations. Splines are unchanged.
         """
         other = copy.copy(self)
         parts, rest = self.split_flat(z)
@@ -201,7 +202,7 @@ class Residuals:
         return other, torch.cat([*[a.mixed(part) for a, part in zip(other.ansatzes, parts, strict=True)], rest], 1)
 
     def unmixed(self, z: Tensor) -> Tensor:
-        """Return the coefficients before :meth:`mixed`, and the other unknowns."""
+        """Return z with the coefficients before :meth:`mixed`."""
         parts, rest = self.split_flat(z)
         return torch.cat([*[a.unmixed(part) for a, part in zip(self.ansatzes, parts, strict=True)], rest], 1)
 
@@ -226,7 +227,7 @@ class Residuals:
         return deviations if self.prior is None else torch.cat([deviations, self.prior[1]], 1)
 
     def evaluate(self, z: Tensor, deviations: Tensor) -> State:
-        """Compute the residual vectors at z, and their squared lengths term by term."""
+        """Compute the residual vectors at z, and the squared norm of each term."""
         parts, logs, offsets = self.split(z)
         tapes = [ansatz.forward(part) for ansatz, part in zip(self.ansatzes, parts, strict=True)]
         outputs = [block.response(tape.output) for block, tape in zip(self.blocks, tapes, strict=True)]
@@ -234,7 +235,7 @@ class Residuals:
         return State(z, tapes, outputs, rows, (rows * rows) @ self.term_rows)
 
     def rows(self, outputs: Sequence[Tensor], logs: Tensor, offsets: Tensor) -> Tensor:
-        """Compute the residual vectors, not yet scaled, of responses by their streams."""
+        """Compute the unscaled residual vectors from responses and their derivatives."""
         p = {name: value[:, None] for name, value in zip(self.system.names, logs.exp().unbind(1), strict=True)}
         parts = []
         for block, out in zip(self.blocks, outputs, strict=True):
@@ -259,24 +260,24 @@ class Residuals:
         x, v, a, z = paths[:n], rates[:n], accelerations[:n], paths[n:]
         motion = [r / p[self.system.gauge] for r in rig.residual(p, x, v, a, block.force, z, torch_ops)]
         wanted = rig.hidden_rates(p, x, v, block.force, z, torch_ops)
-        return motion + [block.omega * (rate - own) for rate, own in zip(rates[n:], wanted, strict=True)]
+        return motion + [block.omega * (rate - target) for rate, target in zip(rates[n:], wanted, strict=True)]
 
     def linearise(self, state: State, deviations: Tensor) -> Linear:
         """Linearise the vectors at a state."""
         parts, _, _ = self.split(state.z)
         seeds, columns = self._slopes(state, deviations)
         records = zip(self.blocks, self.ansatzes, parts, state.tapes, seeds, strict=True)
-        adjoints = [ansatz.adjoint(part, tape, own, block.points) for block, ansatz, part, tape, own in records]
+        adjoints = [ansatz.adjoint(part, tape, seed, block.points) for block, ansatz, part, tape, seed in records]
         return Linear(seeds, adjoints, columns)
 
     def gradient(self, z: Tensor, deviations: Tensor) -> tuple[State, Tensor]:
-        """Compute the state at z and the gradient of its loss, (B, n_z), by one adjoint pass over the points."""
+        """Compute the state at z and the gradient of its loss, (B, n_z), by one adjoint pass."""
         state = self.evaluate(z, deviations)
         parts, _, _ = self.split(z)
         seeds, columns = self._slopes(state, deviations)
         gradients, first = [], 0
-        for block, ansatz, part, tape, own in zip(self.blocks, self.ansatzes, parts, state.tapes, seeds, strict=True):
-            weighted = own * state.rows[:, None, first : first + block.n_rows, None]
+        for block, ansatz, part, tape, seed in zip(self.blocks, self.ansatzes, parts, state.tapes, seeds, strict=True):
+            weighted = seed * state.rows[:, None, first : first + block.n_rows, None]
             by_point = torch.zeros_like(tape.output).index_add_(2, block.points, weighted)
             gradients.append(ansatz.pull_back(tape, ansatz.adjoint(part, tape, by_point), None))
             first += block.n_rows
@@ -301,16 +302,18 @@ class Residuals:
         if self.prior is not None:
             columns[:, first:, :n_free] = torch.eye(n_free, dtype=torch.float64, device=self.device)
         columns[:, :, n_free:] = self.offset_rows
-        if self.held:
+        if self.fixed:
             columns[:, :, :n_free] = 0.0
         return all_seeds, columns / deviations[..., None]
 
     def _physics_slopes(self, block: Block, output: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Differentiate the equations by the streams, (B, 3, n_rows, n_paths), and by the log-parameters,
-        (B, n_rows, n_parameters).
+        """Differentiate the equations of motion.
 
-        The residual acts point by point, so one reverse pass over the sum of its values gives the slopes at every
-        point.
+        Each equation depends on one point, so one reverse pass over the sum of its values gives the slopes at all.
+
+        Returns:
+            Slopes by the response and its derivatives, (B, 3, n_rows, n_paths), and by the log-parameters,
+            (B, n_rows, n_parameters).
         """
         streams = output[:, :, : block.collocation].detach().clone().requires_grad_(True)
         point_logs = logs.detach()[:, None].expand(-1, block.collocation, -1).clone().requires_grad_(True)
@@ -325,29 +328,29 @@ class Residuals:
     def gram(self, state: State, linear: Linear) -> Tensor:
         """Compute ``J Jᵀ``, (B, n_rows, n_rows)."""
         total, first = linear.columns @ linear.columns.mT, 0
-        for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
+        for block, ansatz, tape, adjoint in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
             rows = slice(first, first + block.n_rows)
-            total[:, rows, rows] += ansatz.gram(tape, own, block.points)
+            total[:, rows, rows] += ansatz.gram(tape, adjoint, block.points)
             first += block.n_rows
         return total
 
     def pull_back(self, state: State, linear: Linear, dual: Tensor) -> Tensor:
         """Compute ``Jᵀ dual``, (B, n_z), for ``dual`` (B, n_rows)."""
         parts, first = [], 0
-        for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
-            parts.append(ansatz.pull_back(tape, own, block.points, dual[:, first : first + block.n_rows]))
+        for block, ansatz, tape, adjoint in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
+            parts.append(ansatz.pull_back(tape, adjoint, block.points, dual[:, first : first + block.n_rows]))
             first += block.n_rows
         return torch.cat([*parts, (dual[:, None] @ linear.columns)[:, 0]], 1)
 
     def jacobian_parts(self, state: State, linear: Linear) -> Iterator[tuple[slice, Tensor]]:
-        """Yield J itself, (B, n, n_z) at a time, with the rows that each part holds; those of the prior come last."""
+        """Yield J in blocks of rows (B, n, n_z), with their slices; the rows of the prior come last."""
         step = max(1, CHUNK // (self.n_fits * self.n_z))
         start, column = 0, 0
-        for block, ansatz, tape, own in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
+        for block, ansatz, tape, adjoint in zip(self.blocks, self.ansatzes, state.tapes, linear.adjoints, strict=True):
             for first in range(0, block.n_rows, step):
                 rows = slice(first, min(first + step, block.n_rows))
                 place = slice(start + rows.start, start + rows.stop)
-                j = ansatz.jacobian(tape, own, block.points, rows)
+                j = ansatz.jacobian(tape, adjoint, block.points, rows)
                 j = pad(j, (column, self.n_z - column - ansatz.count))
                 j[..., self.n_coefficients :] = linear.columns[:, place]
                 yield place, j

@@ -1,4 +1,4 @@
-"""The settings that the PINN and spline collocation share, and what each of them brings: what represents x(t)."""
+"""Common settings of the PINN and of spline collocation, and their abstract ansatz of x(t)."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from methods.pinn.block import Block
 
 POINTS_A_CYCLE = 20
-"""Collocation points a cycle of the fastest motion that matters, where ``collocation`` would give fewer."""
+"""Least number of collocation points per cycle of the fastest relevant motion."""
 CONVERGED = 1e-9
-"""Promised decrease of minus the log posterior below which the output layer and the parameters have converged: a step
-of a few hundred-thousandths of a standard error, which costs two or three cheap iterations more."""
+"""Predicted decrease of minus the log posterior below which output layer and parameters have converged: a step of a few
+1e-5 standard errors."""
 
 
 @dataclass(frozen=True)
 class PhysicsSettings(ABC):
-    """Set how the response is represented and trained; see :mod:`methods.pinn.physics`.
+    """Settings of representation and training; see :mod:`methods.pinn.physics`.
 
     Args:
-        collocation: Points where the equation of motion is evaluated (more where a cycle would have fewer than 20).
-        slack: How far the physics may drift over the record, in noise standard deviations.
-        softness: How many times that in the first stage.
+        collocation: Least number of points where the equation of motion is evaluated; at least 20 per cycle.
+        slack: Effect of equation errors over the record, in noise standard deviations.
+        softness: Factor of ``slack`` in the first stage.
         start: A known initial state as a residual (``penalty``) or built into the response (``exact``).
         tolerance: Decrease of minus the log posterior below which a stage ends.
-        batch: Fits solved together.
+        batch: Number of fits solved at once.
     """
 
     collocation: int = 200
@@ -64,27 +64,27 @@ class PhysicsSettings(ABC):
 
     @abstractmethod
     def ansatz(self, block: Block, resolution: int) -> Ansatz:
-        """Return what represents the response in a record of at most ``resolution`` oscillations."""
+        """Return the ansatz of the response in a record of at most ``resolution`` oscillations."""
 
     @abstractmethod
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
-        """Return the coefficients to start from, (B, count), for responses of ``cycles`` (B,) oscillations."""
+        """Return the initial coefficients, (B, count), for responses of ``cycles`` (B,) oscillations."""
 
     @abstractmethod
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> Function:
-        """Return the paths by time, in numpy: displacements, then hidden states."""
+        """Return the displacements, then hidden states, as a NumPy function of time."""
 
     @property
     def first_order(self) -> tuple[int, float, int] | None:
-        """Steps and rate of Adam and steps of L-BFGS, in place of Levenberg-Marquardt."""
+        """Return steps and rate of Adam and steps of L-BFGS; None for Levenberg-Marquardt."""
         return None
 
     def convergence(self, resolution: int) -> float:
-        """Return the promised decrease at which the output layer's training ends."""
+        """Return the predicted decrease below which the training of the output layer ends."""
         return CONVERGED
 
     def points(self, resolution: int) -> int:
-        """Return how many collocation points so many oscillations get."""
+        """Return the number of collocation points for ``resolution`` oscillations."""
         return max(self.collocation, POINTS_A_CYCLE * resolution)

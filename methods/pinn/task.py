@@ -1,7 +1,7 @@
-"""One problem with its starting points and its fits by a physics-informed method.
+"""One problem with its initial guesses and its fits by a physics-informed method.
 
-The waves of the scan are ordered by their posterior. Noise as large as the motion, or a sampling that does not separate
-a frequency from its alias, leaves several waves that are nearly as good. All of these are then fitted, and the
+The waves of the scan are ordered by their posterior. With noise as large as the motion, or sampling that does not
+distinguish a frequency from its alias, several waves are nearly as probable. All of these are then fitted, and the
 posterior of the fits decides.
 """
 
@@ -24,24 +24,24 @@ from methods.starts.waves import ORDER, Guess, scan
 from methods.starts.wide_prior import left_open, very_wide
 
 DETOURS = (1.0, 1.6, 0.625)
-"""Where a system of several modes is started again: the dominant wave may be a high or a low one."""
+"""Frequency factors of the restarts of a system of several modes, whose dominant wave may be any of them."""
 LOUD = 0.4
-"""Share of the data that plain damped waves leave beyond which noise is taken to be as large as the motion."""
+"""Residual share of damped waves above which the noise is taken to be as large as the motion."""
 RIVALS = 6.0
-"""A wave whose minus log posterior is within this of the best is fitted too: odds of 400 to 1."""
+"""Waves whose minus log posterior is within this of the best are fitted too: odds of 400 to 1."""
 SUSPECT = 2.0
-"""A fit that leaves this many times what plain damped waves leave is in a bad basin."""
+"""A fit is in a bad basin if its residual share exceeds that of damped waves by this factor."""
 OVERTONES = 3.0
-"""Highest frequency that matters over the dominant one, where there are several modes, harmonics or a force."""
+"""Highest relevant frequency over the dominant one, with several modes, harmonics or a force."""
 
 
 @dataclass(eq=False)
 class Fit:
-    """The outcome of one attempt, in numpy and natural units.
+    """The result of one attempt, in NumPy and natural units.
 
-    ``logs`` (n_parameters,), ``covariance`` of the free log-parameters; ``left`` is the share of the data's sum of
-    squares that the fit leaves; ``loss`` minus the log posterior at the noise in ``sigmas`` (n_channels,), up to a
-    constant; ``responses``, ``bands`` and ``starts`` (2, n_dof), displacement and velocity at time 0, one a record.
+    ``logs`` (n_parameters,), ``covariance`` of the free log-parameters. ``left``: residual sum of squares over that of
+    the data. ``loss``: minus the log posterior at the noise ``sigmas`` (n_channels,), up to a constant. ``responses``,
+    ``bands`` and ``starts`` (2, n_dof), displacement and velocity at time 0, one per record.
     """
 
     logs: np.ndarray
@@ -60,23 +60,23 @@ class Fit:
 
 
 def cycles(problem: Problem, guess: Guess) -> float:
-    """Count oscillations in the longest record, of the fastest motion that matters."""
+    """Return the number of oscillations of the fastest relevant motion in the longest record."""
     plain = problem.system.linear and problem.system.n_dof == 1 and not problem.forced
     duration = max(record.duration for record in problem.records)
     return (1.0 if plain else OVERTONES) * guess.omega * duration / (2.0 * np.pi)
 
 
 def resolution(cycles: float) -> int:
-    """Round up the oscillations that points and coefficients must resolve to steps of five, so that fits share them."""
+    """Round the number of oscillations up to a multiple of five, so that fits can be batched."""
     return 5 * int(np.ceil(cycles / 5.0))
 
 
 def first_logs(problem: Problem, guess: Guess) -> np.ndarray:
-    """Return log-parameters to start from: masses as the prior states them, the others from the damped wave.
+    """Return initial log-parameters: masses from the prior, the others from the damped wave.
 
-    A parameter of dimension time^-n is of size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
-    this is the wave's own oscillator, for others the right order of magnitude. Without a prior a mass is 1, and under a
-    force omega^-2 over the displacement, as if the force were as large as that of the springs. The displacement is 1
+    A parameter of dimension time^-n has size omega^n in natural units, a damping 2 decay omega^(n - 1): for one mass
+    this is the oscillator of the wave, for others the right order of magnitude. Without a prior a mass is 1, and under
+    a force omega^-2 over the displacement, as if the force were as large as that of the springs. The displacement is 1
     where it is measured, and omega^-1 or omega^-2 where the largest signal is a velocity or an acceleration.
     """
     if guess.logs is not None:
@@ -108,7 +108,7 @@ def free_parameters(problem: Problem) -> tuple[str, ...]:
 
 
 def degrees_of_freedom(problem: Problem) -> float:
-    """Count samples less what they decide: parameters or groups, unknown initial states, offsets; at least 1."""
+    """Return the residual degrees of freedom: samples minus all estimated quantities, at least 1."""
     system = problem.system
     parameters = len(system.names) if problem.scale_known else len(system.groups)
     starts = sum(2 * system.n_dof for record in problem.records if record.initial_state is None)
@@ -116,9 +116,9 @@ def degrees_of_freedom(problem: Problem) -> float:
 
 
 def starts(problem: Problem, waves: Sequence[Guess], left: float) -> tuple[list[Guess], int]:
-    """Return guesses, best first, and how many of them are fitted in any case; the others only after a bad fit.
+    """Return guesses, best first, and the number of those always fitted; the others are used after a bad fit.
 
-    They are the waves of the scan, which leave ``left`` of the data; or the dominant one and detours for several modes.
+    They are the waves of the scan, with the residual share ``left``; for several modes, the dominant wave and detours.
     """
     n_dof, loud = problem.system.n_dof, left > LOUD
     if n_dof > 1:
@@ -139,7 +139,7 @@ def alias(problem: Problem, guess: Guess) -> bool:
 
 
 def _minus_log_posterior(problem: Problem, wave: Guess) -> float:
-    """Evaluate a wave at the best noise, by its frequency alone: its decay is read from the grid too coarsely."""
+    """Return minus the log posterior of a wave's frequency at the best noise; the grid of decays is too coarse."""
     value = 0.5 * problem.n * np.log(max(wave.left, 1e-12))
     expected = expected_rate(problem)
     if expected is not None:
@@ -149,9 +149,9 @@ def _minus_log_posterior(problem: Problem, wave: Guess) -> float:
 
 
 class Task:
-    """One problem in natural units, with its guesses, its random stream, and the attempts so far.
+    """One problem in natural units, with its guesses, random generator, and previous fits.
 
-    ``problem`` is the one that was given, ``scaled`` the one that is fitted, to ten digits.
+    ``problem`` is the given one, ``scaled`` the fitted one, rounded to ten digits.
     """
 
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
@@ -160,48 +160,48 @@ class Task:
         waves, self.reference = scan(self.scaled, self.scaled.system.n_dof * len(loads), forced=True, beyond=True)
         self.guesses, self.rivals = starts(self.scaled, waves, self.reference)
         self.fits: list[Fit] = []
-        self.given_up: list[Fit] = []  # before the parameters that were open were held
+        self.given_up: list[Fit] = []  # fits without the very wide prior
         self.members: list[Fit] = []
 
     def with_fit(self, fit: Fit) -> Task:
-        """Return the same task with one more fit."""
+        """Return a copy of the task with one more fit."""
         other = copy(self)
         other.fits = [*self.fits, fit]
         return other
 
     def good(self, fit: Fit) -> bool:
-        """Return True for a fit that leaves about as little as plain damped waves."""
+        """Return True for a fit with residuals comparable to those of damped waves."""
         return bool(np.isfinite(fit.loss) and fit.left <= SUSPECT * self.reference + 1e-9)
 
     def wants(self, attempt: int) -> bool:
-        """Return True where the guess of this number is a rival of the best, or what is left after a bad fit."""
+        """Return True where the guess of this index is a rival of the best, or all previous fits are bad."""
         settled = any(self.good(fit) for fit in self.fits)
         return attempt < len(self.guesses) and (attempt < self.rivals or not settled)
 
     @property
     def open(self) -> bool:
-        """True where the best fit leaves a parameter more open than the very wide prior would; only without a prior."""
+        """Return True where, without a prior, a parameter has a larger variance than under the very wide prior."""
         if self.scaled.prior is not None or not self.scaled.scale_known or self.best is None:
             return False
         return bool(np.any(left_open(np.diag(self.best.covariance))))
 
     def hold(self) -> None:
-        """Begin again with the very wide prior, which bounds what the data leave open.
+        """Restart with the very wide prior for parameters that the data do not determine.
 
-        It is centred where a good fit ended, and for what that leaves open, or after a bad fit, where the fit began.
+        It is centred at a good fit; for parameters that the fit does not determine, or after a bad fit, at the guess.
         """
         best = self.best
         assert best is not None
-        # as parameters, for with a prior the engine would take the masses from it
-        begun = [replace(guess, logs=first_logs(self.scaled, guess)) for guess in self.guesses]
+        # guesses as log-parameters, since otherwise the masses would come from the new prior
+        guesses = [replace(guess, logs=first_logs(self.scaled, guess)) for guess in self.guesses]
         number = self.fits.index(best)
         logs = first_logs(self.scaled, self.guesses[number])
         if self.good(best):
             logs = np.where(left_open(np.diag(best.covariance)), logs, best.logs)
-            begun = [replace(begun[number], logs=logs)]
+            guesses = [replace(guesses[number], logs=logs)]
         nominal = dict(zip(self.scaled.system.names, np.exp(logs), strict=True))
         self.scaled = replace(self.scaled, prior=very_wide(nominal))
-        self.guesses, self.rivals, self.given_up, self.fits = begun, 1, self.fits, []
+        self.guesses, self.rivals, self.given_up, self.fits = guesses, 1, self.fits, []
 
     @property
     def best(self) -> Fit | None:
@@ -209,10 +209,10 @@ class Task:
         return min(finite, key=self._judged if self.rivals > 1 else lambda fit: fit.loss, default=None)
 
     def _judged(self, fit: Fit) -> float:
-        """Return minus the log evidence of a rival's parameters by their simulated response; without a prior, minus the
-        log likelihood, since a parameter that the data leave open has all the volume.
+        """Return minus the log evidence of a fit's parameters by their simulated response.
 
-        The losses do not compare: how closely a function follows the equation of motion depends on its frequency.
+        Without a prior it is minus the log likelihood, since undetermined parameters have an infinite volume. The
+        losses are not comparable, since the accuracy of the ansatz depends on the frequency.
         """
         model = OutputError(self.scaled)
         theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
@@ -237,9 +237,9 @@ def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:
 
 
 def _measured(response: Function, times: np.ndarray, measures: str, duration: float) -> np.ndarray:
-    """Evaluate the response or its derivative by time, the latter by central differences inside the record.
+    """Evaluate the response or its time derivative, the latter by central differences.
 
-    Outside it no force is known, so a time at its very ends takes the differences about one that is a step inside.
+    Since the force is unknown outside the record, differences at its ends are taken one step inside.
     """
     if measures == "displacement":
         return response(times)

@@ -1,1 +1,1 @@
-"""Equation-error regressions: derivatives of samples, the regression, its bootstrap; LS, RLS, SINDy."""
+"""Equation-error regressions: least squares, recursive least squares, SINDy and instrumental variables."""

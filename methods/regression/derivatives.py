@@ -1,4 +1,4 @@
-"""Velocity and acceleration of sampled displacements at irregular times: finite differences and smoothing splines.
+"""Velocity and acceleration from irregularly sampled displacements: finite differences and smoothing splines.
 
 Arrays hold many data sets at once: displacements of a record have shape (n_dof, sets, n), time last.
 """
@@ -19,9 +19,9 @@ WEIGHTS = 40
 
 
 class Motion(NamedTuple):
-    """Times (rows,), and displacement, velocity, acceleration, each (n_dof, sets, rows).
+    """Displacement, velocity and acceleration, each (n_dof, sets, rows), at times (rows,).
 
-    ``force`` of that shape is the known force smoothed like the motion; None means the force itself.
+    ``force``, of the same shape, is the known force smoothed like the motion; None means the unsmoothed force.
     """
 
     times: np.ndarray
@@ -32,7 +32,7 @@ class Motion(NamedTuple):
 
 
 def finite_differences(times: np.ndarray, samples: np.ndarray) -> Motion:
-    """Central differences over three samples at uneven times, at the interior samples.
+    """Differentiate by central differences over three samples at uneven times; results are at the interior samples.
 
     With steps ``h1`` before and ``h2`` after a sample, the parabola through the three gives
     ``x' = -h2/(h1 (h1+h2)) x₋ + (h2-h1)/(h1 h2) x₀ + h1/(h2 (h1+h2)) x₊`` and
@@ -41,7 +41,7 @@ def finite_differences(times: np.ndarray, samples: np.ndarray) -> Motion:
     ``(x₊ - x₋)/2h`` and ``(x₊ - 2 x₀ + x₋)/h²``). ``times`` (n,) and ``samples`` (..., n); raises NoEstimate for n < 3.
     """
     if times.size < 3:
-        raise NoEstimate("finite differences need at least 3 samples a record", Status.UNSUPPORTED)
+        raise NoEstimate("finite differences require at least 3 samples per record", Status.UNSUPPORTED)
     before, here, after = samples[..., :-2], samples[..., 1:-1], samples[..., 2:]
     h1, h2 = np.diff(times)[:-1], np.diff(times)[1:]
     both = h1 + h2
@@ -53,28 +53,30 @@ def finite_differences(times: np.ndarray, samples: np.ndarray) -> Motion:
 class SmoothingSpline:
     """Smoothing splines of degree ``2 order - 1`` through samples at fixed, irregular times.
 
-    Such a spline minimises ``sum (y - x(t))² + w ∫ (d^order x / dt^order)² dt``, time counted in mean sampling steps,
-    so that a weight ``w`` means the same at any rate and in any unit: it damps frequencies (radians a step) above
-    ``w^(-1/(2 order))`` (Wahba, Spline Models for Observational Data, 1990, chapter 1). In the basis that makes fit
-    and penalty diagonal at once (Demmler and Reinsch, Numerische Mathematik 24 (1975) 375-382) a weight costs n
-    multiplications, so all weights and all data sets are tried together.
+    Such a spline minimises ``sum (y - x(t))² + w ∫ (d^order x / dt^order)² dt`` with time in mean sampling steps, so
+    that a weight ``w`` does not depend on rate or units: it damps frequencies (radians per step) above
+    ``w^(-1/(2 order))`` (Wahba, Spline Models for Observational Data, 1990, chapter 1). In the basis that diagonalises
+    both fit and penalty (Demmler and Reinsch, Numerische Mathematik 24 (1975) 375-382) each weight costs n
+    multiplications.
 
-    That basis comes of the factors of fit and penalty, ``[B; √b R] = Q T`` and the singular values of the lower part of
-    Q (the CS decomposition: Golub and Van Loan, Matrix Computations, 4th ed. 2013, section 2.5.4), not of their
-    products: the penalty of smooth parts is some 1e-16 of the largest, and large weights multiply it.
+    The basis is computed from the factors of fit and penalty, ``[B; √b R] = Q T`` and the singular values of the lower
+    part of Q (the CS decomposition: Golub and Van Loan, Matrix Computations, 4th ed. 2013, section 2.5.4), not from
+    their products, in which the penalty of smooth components, some 1e-16 of the largest, would be lost.
 
-    Knots lie at the samples, thinned to at most ``MAX_KNOTS``. As many parts are kept as there are samples, the
-    smoothest: samples do not see the others. Raises NoEstimate for n < order + 1.
+    Knots lie at the samples, thinned to at most ``MAX_KNOTS``. As many basis functions are kept as there are samples,
+    the smoothest ones. Raises NoEstimate for n < order + 1.
     """
 
     MAX_KNOTS = 300
     LEAST_DIAGONAL = 1e-13
-    """Smallest ratio of singular values of T; below it some times lie too near to each other for the others."""
+    """Smallest ratio of the diagonal elements of T; below it some sample times are too close to each other."""
 
     def __init__(self, times: np.ndarray, order: int) -> None:
         self.times, self.order, self.n = times, order, times.size
         if self.n < order + 1:
-            raise NoEstimate(f"its smoothing spline needs at least {order + 1} samples a record", Status.UNSUPPORTED)
+            raise NoEstimate(
+                f"its smoothing spline requires at least {order + 1} samples per record", Status.UNSUPPORTED
+            )
         self.step = float(times[-1] - times[0]) / (self.n - 1)
         scaled = (times - times[0]) / self.step
         knots = scaled[np.unique(np.linspace(0, self.n - 1, min(self.n, self.MAX_KNOTS)).round().astype(int))]
@@ -85,10 +87,10 @@ class SmoothingSpline:
         q, triangle = np.linalg.qr(np.concatenate([basis, np.sqrt(blend) * rough]))
         diagonal = np.abs(np.diagonal(triangle))
         if np.min(diagonal) < self.LEAST_DIAGONAL * np.max(diagonal):
-            sentence = "its smoothing spline is not determined at sample times this uneven; thin the closest ones"
+            sentence = "its smoothing spline is not determined: some sample times are too close; remove samples there"
             raise NoEstimate(sentence)
         sines, axes = np.linalg.svd(q[self.n :], full_matrices=False)[1:]
-        kept = slice(None, -min(self.n, sines.size) - 1, -1)  # from the smoothest part on
+        kept = slice(None, -min(self.n, sines.size) - 1, -1)  # the smoothest first
         axes = axes[kept].T
         self._project = (q[: self.n] @ axes).T
         self._vectors = solve_triangular(triangle, axes)
@@ -96,34 +98,34 @@ class SmoothingSpline:
         self._rough = sines[kept] ** 2 / blend
         self._rough[:order] = 0.0  # polynomials below the order are not penalised
 
-    def _basis(self, at: np.ndarray, derivative: int = 0) -> np.ndarray:
+    def _basis(self, points: np.ndarray, derivative: int = 0) -> np.ndarray:
         count = self._knots.size - 2 * self.order
-        return np.asarray(BSpline(self._knots, np.eye(count), 2 * self.order - 1)(at, nu=derivative))
+        return np.asarray(BSpline(self._knots, np.eye(count), 2 * self.order - 1)(points, nu=derivative))
 
     def _penalty_root(self, knots: np.ndarray) -> np.ndarray:
-        """Penalised derivatives whose products are the penalty, exact by Gauss-Legendre quadrature in each interval."""
+        """Return a square root of the penalty, exact by Gauss-Legendre quadrature in each interval."""
         nodes, weights = np.polynomial.legendre.leggauss(self.order)
         half = np.diff(knots) / 2
-        at = (knots[:-1] + half)[:, None] + half[:, None] * nodes
-        return self._basis(at.ravel(), self.order) * np.sqrt((half[:, None] * weights).ravel())[:, None]
+        points = (knots[:-1] + half)[:, None] + half[:, None] * nodes
+        return self._basis(points.ravel(), self.order) * np.sqrt((half[:, None] * weights).ravel())[:, None]
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """A grid of weights, shape (WEIGHTS,), from a polynomial (largest) to interpolation (smallest)."""
+        """Return a grid of weights, (WEIGHTS,), from a polynomial (largest) to interpolation (smallest)."""
         corner = np.geomspace(1.0 / self.n, 30.0, WEIGHTS)
         return np.asarray(corner ** (-2.0 * self.order))
 
     def fit(self, samples: np.ndarray, weights: np.ndarray | float) -> np.ndarray:
-        """Spline coefficients (..., n_coefficients) of samples (..., n) at weights that broadcast with (...)."""
+        """Return spline coefficients (..., n_coefficients) of samples (..., n) at weights that broadcast with (...)."""
         size = self._fit + np.asarray(weights)[..., None] * self._rough
         return np.asarray((samples @ self._project.T / size) @ self._vectors.T)
 
     def likely_weights(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The most likely weight of the grid and the noise's standard deviation, each (...), for samples (..., n).
+        """Return the most likely weight of the grid and the noise's standard deviation for samples (..., n).
 
-        The mode of the restricted likelihood (REML) of: samples = polynomial + integrated white noise + measurement
-        noise, both noise levels unknown (Wahba, Annals of Statistics 13 (1985) 1378-1402, where it is called GML). It
-        knows nothing of the system, and takes a vibration of fewer than some six samples a cycle for noise.
+        It is the mode of the restricted likelihood (REML) of the model: samples = polynomial + integrated white noise +
+        measurement noise, with both noise levels unknown (Wahba, Annals of Statistics 13 (1985) 1378-1402, called GML
+        there). Without a model of the system, it treats a vibration of fewer than about six samples per cycle as noise.
         """
         parts = samples @ (self._project / np.sqrt(self._fit)[:, None]).T
         rough = parts[..., self.order :] ** 2
@@ -136,15 +138,15 @@ class SmoothingSpline:
         dof = self.n - self.order
         log_det = np.sum(np.log1p(1.0 / shrunk), axis=-1)
         best = np.argmin(dof * np.log(np.maximum(form, 1e-28 * size[..., None])) + log_det, axis=-1)
-        # residual power over the degrees of freedom that the spline left (Wahba 1990, section 4.7)
-        left = 1.0 - kept[best]
+        # residual power over the residual degrees of freedom (Wahba 1990, section 4.7)
+        residual = 1.0 - kept[best]
         freedom = np.maximum(self.n - self.order - np.sum(kept[best], axis=-1), 1.0)
-        return self.weights[best], np.sqrt((np.sum(rough * left**2, axis=-1) + outside) / freedom)
+        return self.weights[best], np.sqrt((np.sum(rough * residual**2, axis=-1) + outside) / freedom)
 
     def motion(self, coefficients: np.ndarray, times: np.ndarray) -> Motion:
-        """The splines, their velocities and accelerations at the times (rows,), each (..., rows)."""
-        at = (times - self.times[0]) / self.step
-        x, v, a = (coefficients @ self._basis(at, i).T / self.step**i for i in range(3))
+        """Evaluate splines, their velocities and accelerations at times (rows,), each (..., rows)."""
+        scaled = (times - self.times[0]) / self.step
+        x, v, a = (coefficients @ self._basis(scaled, i).T / self.step**i for i in range(3))
         return Motion(times, x, v, a)
 
 
@@ -154,5 +156,5 @@ def _spline_at(times: bytes, order: int) -> SmoothingSpline:
 
 
 def smoothing_spline(times: np.ndarray, order: int) -> SmoothingSpline:
-    """The smoother for these times (n,); made once and kept, since replicates share their times."""
+    """Return the smoother for times (n,), cached since replicates share their times."""
     return _spline_at(np.ascontiguousarray(times, float).tobytes(), order)

@@ -1,10 +1,10 @@
-"""The equation of motion as a linear regression, of many data sets at once, and the responses that its answers give.
+"""The equation of motion as a linear regression, for many data sets at once, and the responses at its estimates.
 
-LS, RLS and SINDy put displacement, velocity and acceleration at some times into the residual of the system, which is
-affine in the parameters, and solve for them. They differ in how they differentiate and how they solve.
-:class:`Regression` turns the motion of every degree of freedom (DOF) into ``columns @ unknowns = target``.
+LS, RLS and SINDy insert displacement, velocity and acceleration into the residual of the system, which is affine in the
+parameters, and solve for these. They differ in differentiation and solution. :class:`Regression` turns the motion of
+every degree of freedom (DOF) into ``columns @ unknowns = target``.
 
-Displacements of a record have shape (n_dof, sets, n), time last. Everything is in the natural units of the problem.
+Displacements of a record have shape (n_dof, sets, n), time last. All quantities are in the problem's natural units.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from bench import Problem, Record, System, fastest_rates, regression_columns, si
 from methods.regression.derivatives import Motion, finite_differences, smoothing_spline
 
 Values = Sequence[np.ndarray]
-"""Displacements, one array of shape (n_dof, sets, n) a record."""
+"""Displacements, one array of shape (n_dof, sets, n) per record."""
 
 MAX_SAMPLES = 20_000
-"""A record of more is refused: the arrays of the bootstrap would fill the memory, and smoothing decides nothing."""
+"""Largest number of samples per record, set by the memory of the bootstrap."""
 SINGULAR = 1e-9
-"""A column that is, up to this part of its length, a combination of the others is not identifiable beside them."""
+"""Columns are collinear if the part of a column orthogonal to the others is below this fraction of its norm."""
 
 
 def layout_objection(problem: Problem) -> str | None:
-    """Say why the records cannot be put into a regression; None where they can.
+    """Return why a regression does not support the records; None where it does.
 
-    A regression needs the displacement of every DOF, all at the same times, and a residual affine in its parameters
-    whose groups are ratios to the gauge mass.
+    A regression requires the displacement of every DOF, sampled at the same times, and a residual affine in the
+    parameters, with groups that are ratios to the gauge mass.
     """
     system = problem.system
     if not system.affine_in_parameters or system.n_hidden:
-        return f"its regression needs a residual that is affine in the parameters, which that of {system.name} is not"
+        return f"its regression requires an equation of motion affine in the parameters; that of {system.name} is not"
     if any(dict(g.exponents) != {_numerator(g.exponents): 1.0, system.gauge: -1.0} for g in system.groups):
-        return f"its regression needs groups that are ratios to {system.gauge}, which those of {system.name} are not"
+        return f"its regression requires groups that are ratios to {system.gauge}; those of {system.name} are not"
     for record in problem.records:
         if sorted(c.dof for c in record.channels if c.measures == "displacement") != list(range(system.n_dof)):
-            return "its regression needs one displacement channel for every DOF"
+            return "its regression requires one displacement channel for every DOF"
         if any(not np.array_equal(c.times, record.channels[0].times) for c in record.channels):
-            return "its regression needs all channels of a record sampled at the same times; resample them"
+            return "its regression requires the same sample times in all channels of a record; resample them"
         if record.channels[0].n > MAX_SAMPLES:
-            return f"its regression takes at most {MAX_SAMPLES} samples a record; thin them"
+            return f"its regression supports at most {MAX_SAMPLES} samples per record; decimate them"
         if any(c.offset for c in record.channels) and not system.linear:
-            return "it can estimate a sensor's offset for linear systems only; subtract it first"
+            return "it estimates a sensor's offset for linear systems only; subtract it first"
     return None
 
 
@@ -59,13 +59,13 @@ class Regression:
     """Data sets of one layout as ``columns @ unknowns = target``.
 
     In free vibration the residual is homogeneous in the parameters: the gauge mass is set to 1, and the unknowns are
-    the identifiable groups, in the order of ``system.groups``. Where a known force or an added mass sets the scale
-    they are all parameters. An unknown sensor offset of a linear system adds a constant to each equation of its record:
-    a nuisance unknown after those.
+    the identifiable groups, in the order of ``system.groups``. Where a known force or an added mass sets the scale,
+    the unknowns are all parameters. An unknown sensor offset of a linear system adds a constant to each equation of its
+    record, a nuisance unknown that follows these.
 
-    The sets are problems of one layout (:func:`bench.layout`), with the records of the first, or data drawn like
-    theirs: ``values`` are displacements, (n_dof, sets, n) a record, ``starts`` the known displacement and velocity at
-    time 0, (2 n_dof, sets) a record, None where they are unknown.
+    The sets are problems of one layout (:func:`bench.layout`), with the records of the first, or synthetic data like
+    theirs: ``values`` are displacements, (n_dof, sets, n) per record, ``starts`` the known displacement and velocity at
+    time 0, (2 n_dof, sets) per record, None where they are unknown.
     """
 
     system: System
@@ -76,7 +76,7 @@ class Regression:
 
     @staticmethod
     def of(problems: Sequence[Problem]) -> Regression:
-        """Make that of problems of one layout past :func:`layout_objection`."""
+        """Return the regression of problems of one layout, without :func:`layout_objection`."""
         values, starts = [], []
         for same in zip(*(problem.records for problem in problems), strict=True):
             by_dof = [sorted(record.channels, key=lambda c: c.dof) for record in same]
@@ -92,16 +92,16 @@ class Regression:
         return int(self.values[0].shape[1])
 
     def __getitem__(self, sets: np.ndarray) -> Regression:
-        """Keep the sets of these numbers, or of these truth values."""
+        """Select sets by indices or by a boolean mask."""
         starts = tuple(None if start is None else start[:, sets] for start in self.starts)
         return replace(self, values=tuple(y[:, sets] for y in self.values), starts=starts)
 
     def repeated(self, count: int) -> Regression:
-        """Put every set ``count`` times, one behind the other."""
+        """Repeat every set ``count`` times consecutively."""
         return self[np.repeat(np.arange(self.sets), count)]
 
     def with_values(self, values: Values) -> Regression:
-        """Put displacements in place of those here, as many sets for each of these, one behind the other."""
+        """Replace the displacements, by equally many consecutive sets for each set."""
         return replace(self.repeated(values[0].shape[1] // self.sets), values=tuple(values))
 
     @cached_property
@@ -110,12 +110,12 @@ class Regression:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """What is identified: group names, or parameter names where a force or an added mass is known."""
+        """Return the names of the groups, or of the parameters where a force or an added mass is known."""
         return self.system.names if self.scale_known else tuple(g.name for g in self.system.groups)
 
     @cached_property
     def numerators(self) -> tuple[str, ...]:
-        """The parameter of each of these, beside the gauge mass that a group is over."""
+        """Return the parameter of each unknown: the numerator of a group, whose denominator is the gauge mass."""
         return self.system.names if self.scale_known else tuple(_numerator(g.exponents) for g in self.system.groups)
 
     def parameters(self, unknowns: np.ndarray) -> dict[str, np.ndarray]:
@@ -125,7 +125,7 @@ class Regression:
         return {name: values[name] for name in self.system.names}
 
     def equations(self, motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (sets, rows, q) and target (sets, rows), record by record, time by time, DOF by DOF."""
+        """Return columns (sets, rows, q) and target (sets, rows), ordered by record, time and DOF."""
         n = self.system.n_dof
         columns, targets = [], []
         with_offset = [any(c.offset for c in record.channels) for record in self.records]
@@ -149,18 +149,18 @@ class Regression:
         return np.concatenate(columns, axis=1), np.concatenate(targets, axis=1)
 
     def finite(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and target on finite differences of the displacements."""
+        """Return columns and target from finite differences of the displacements."""
         return self.equations([finite_differences(t, y) for t, y in zip(self.times, self.values, strict=True)])
 
     def splines(self, smoother: tuple[int, int], weights: np.ndarray) -> list[Motion]:
-        """Smooth the displacements: their motion at the samples, less those left out at the ends.
+        """Smooth the displacements; return the motion of each record.
 
-        The force is smoothed alike, from its values at the samples: smoothing that damps some frequency of the motion
-        and not of the force would make the system seem heavier and stiffer than it is.
+        The force is smoothed equally, from its values at the samples: smoothing the motion alone would bias mass and
+        stiffness upwards.
 
         Args:
-            smoother: order of the spline's penalty, and samples left out at each end.
-            weights: the number of the smoothing weight on the spline's grid for each set, (sets,).
+            smoother: Order of the spline's penalty, and samples left out at each end.
+            weights: Index of the smoothing weight on the spline's grid for each set, (sets,).
         """
         order, trim = smoother
         motions = []
@@ -175,9 +175,9 @@ class Regression:
         return motions
 
     def responses(self, unknowns: np.ndarray) -> list[np.ndarray]:
-        """Simulate displacements (n_dof, sets, n) a record at unknowns (sets, q), from known or best-fitting starts.
+        """Simulate displacements (n_dof, sets, n) per record at unknowns (sets, q); unknown initial states are fitted.
 
-        Estimated offsets are in the response. NaN where it diverges.
+        The responses include estimated offsets. They are NaN where they diverge.
         """
         p = self.parameters(unknowns)
         each = zip(self.records, self.values, self.starts, strict=True)
@@ -185,7 +185,7 @@ class Regression:
 
 
 def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Least-squares unknowns (sets, q) of columns (sets, rows, q), target (sets, rows), by QR; NaN where singular."""
+    """Solve least squares for columns (sets, rows, q) and target (sets, rows) by QR; NaN where singular, (sets, q)."""
     q = columns.shape[-1]
     if columns.shape[-2] < q:
         return np.full((columns.shape[0], q), np.nan)
@@ -206,23 +206,23 @@ def solve(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
 def _response(
     system: System, p: Mapping[str, np.ndarray], record: Record, y: np.ndarray, start: np.ndarray | None
 ) -> np.ndarray:
-    """Simulate displacements (n_dof, sets, n) at parameters (sets,), from ``start`` (2 n_dof, sets) or the best one.
+    """Simulate displacements (n_dof, sets, n) at parameters (sets,), from ``start`` (2 n_dof, sets) or a fitted one.
 
-    The vectorised twin of :func:`bench.fit_initial_state`: Gauss-Newton over the start by finite differences, one step
-    for a linear system (exact), two for others, from the parabola through the first samples.
+    The vectorised form of :func:`bench.fit_initial_state`: Gauss-Newton steps for the initial state by finite
+    differences, one for a linear system (exact), two for others, from the parabola through the first samples.
     """
     sets, n, rig, times = y.shape[1], system.n_dof, record.rig(system), record.channels[0].times
     guess = np.zeros(2 * n) if system.linear or start is not None else _first_state(times, np.mean(y, axis=1))
     usable = np.all([np.isfinite(value) for value in p.values()], axis=0)
     if not system.linear:
         usable &= ~too_fast(rig, p, guess, times)
-    # a set that is not simulated must not slow the others down
+    # unusable sets get harmless parameters, so that they do not slow the others down
     p = {name: np.where(usable, value, 1.0) for name, value in p.items()}
     offset = np.zeros((n, 1, 1))
     offset[[c.dof for c in record.channels if c.offset]] = 1.0
 
     def simulated(theta: np.ndarray) -> np.ndarray:
-        # starts (2n, trials, sets): the trials of a set share its parameters
+        # initial states (2n, trials, sets): the trials of a set share its parameters
         x = simulate(rig, p, (theta[:n], theta[n:]), times, record.forces).displacement
         data, with_offset = (y[:, None], offset[:, None]) if theta.ndim == 3 else (y, offset)
         return np.asarray(x - with_offset * np.mean(x - data, axis=-1, keepdims=True))
@@ -239,33 +239,32 @@ def _response(
             misfit = (y - x[:, 0]).transpose(1, 0, 2).reshape(sets, -1)
             step = _shortest(jacobian.transpose(2, 0, 3, 1).reshape(sets, -1, 2 * n), misfit)
             theta = theta + size * step.T
-        # the response of a linear system is affine in the start
+        # the response of a linear system is affine in the initial state
         x = x[:, 0] + np.einsum("dqsn,sq->dsn", jacobian, step) if system.linear else simulated(theta)
         return np.where(usable[:, None], x, np.nan)
 
 
 def _first_state(times: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Displacement and velocity at time 0, (2 n_dof,), by the parabola through the first samples of y (n_dof, n)."""
+    """Return displacement and velocity at time 0, (2 n_dof,), from parabolas through the first samples."""
     polynomial = np.linalg.solve(np.vander(times[:3], increasing=True), y[:, :3].T)
     return np.concatenate([polynomial[0], polynomial[1]])
 
 
 def _shortest(jacobian: np.ndarray, misfit: np.ndarray) -> np.ndarray:
-    """Least-squares steps (sets, q), the shortest where several fit equally; zero where the response diverged."""
-    # in the basis of the columns' own products: far cheaper than a decomposition of the columns
+    """Return minimum-norm least-squares steps (sets, q); zero where the response diverged."""
+    # eigenvectors of the normal equations are far cheaper than a decomposition of the columns
     with np.errstate(all="ignore"):
         products, moments = np.swapaxes(jacobian, -1, -2) @ jacobian, np.einsum("snq,sn->sq", jacobian, misfit)
     healthy = np.all(np.isfinite(products), axis=(-2, -1)) & np.all(np.isfinite(moments), axis=-1)
     values, vectors = np.linalg.eigh(np.where(healthy[:, None, None], products, 0.0))
-    seen = values > 1e-12 * values[:, -1:]
-    along = np.einsum("sqk,sq->sk", vectors, np.where(healthy[:, None], moments, 0.0))
-    return np.asarray(np.einsum("sqk,sk->sq", vectors, np.where(seen, along, 0.0) / np.where(seen, values, 1.0)))
+    determined = values > 1e-12 * values[:, -1:]
+    projected = np.einsum("sqk,sq->sk", vectors, np.where(healthy[:, None], moments, 0.0))
+    return np.asarray(
+        np.einsum("sqk,sk->sq", vectors, np.where(determined, projected, 0.0) / np.where(determined, values, 1.0))
+    )
 
 
 def too_fast(system: System, p: Mapping[str, np.ndarray], state: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Mark the sets (sets,) that move faster than samples show, over π radians a step, at rest or at a state.
-
-    Sets whose rates are not finite are marked.
-    """
+    """Return which sets (sets,) move by more than π radians per sample, at rest or at a state; True if not finite."""
     rates = fastest_rates(system, p, state[:, None])
     return np.asarray(~np.all(rates * np.median(np.diff(times)) <= np.pi, axis=0))

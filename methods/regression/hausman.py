@@ -1,11 +1,10 @@
-"""A test of a regression's answer against the most likely one of the same equation.
+"""Hausman's test of a regression against the output-error estimate.
 
-A regression on differentiated samples has a bias that its bootstrap's spread does not show: of coarse sampling, of
-noise that differentiation amplifies (at a step h its part of a second difference grows as 1/h², so a fast sampler makes
-it worse), of smoothing a fast decay away. The parameters whose simulated response explains the record best have none of
-these biases; where this efficient estimate lies outside the regression's own interval, the regression is biased
-(J. A. Hausman, Econometrica 46:1251, 1978). The answer stays the regression's own, with a sentence; where it is not
-even of the right order of magnitude it is no estimate.
+A regression on differentiated samples has a bias that its bootstrap does not show: from coarse sampling, from noise
+amplified by differentiation (in a second difference at step h as 1/h², so faster sampling makes it worse), and from
+smoothing of a fast decay. The output-error estimate, whose simulated response fits the record best, has none of these
+biases and is efficient; where it lies outside the regression's interval, the regression is biased (J. A. Hausman,
+Econometrica 46:1251, 1978). The estimate then gets a warning; if even its order of magnitude is wrong, it is rejected.
 """
 
 from __future__ import annotations
@@ -20,27 +19,27 @@ from methods.regression.equation import Regression
 from methods.regression.smoothing import SplineFits
 
 ROUNDS, NONLINEAR_ROUNDS = 8, 3
-"""Steps of the search, from the estimate on splines, which is near; fewer where each is integrated."""
+"""Iterations of the search from the spline estimate, for linear and for nonlinear systems."""
 RELATIVE_STEP = 1e-4
-"""Step of an unknown, relative to its first size, for differentiating the response."""
+"""Relative step of an unknown for differentiating the response."""
 LARGEST_STEP, LARGEST = 0.9, 100.0
-"""Relative change of an unknown in one step, and of all steps."""
+"""Largest relative change of an unknown in one step, and in all."""
 LEVEL = 0.975
-"""Quantile of the half width of the interval that must cover the most likely value."""
+"""Quantile of the interval that must cover the output-error estimate."""
 HOPELESS = 10.0
-"""A stiffness so many times the most likely one, its bias beyond its interval, is that of the noise."""
+"""An estimate is rejected if its stiffness exceeds the output-error estimate by this factor and its interval."""
 
 
 def most_likely(regression: Regression, fits: SplineFits) -> np.ndarray:
-    """Find the unknowns (problems, d) of the responses that explain the records best, from their spline fits.
+    """Compute the output-error estimates (problems, d), starting from spline fits.
 
-    NaN where the splines explain nothing. Unknown starts and offsets are fitted within each response.
+    NaN where the splines fit nothing. Unknown initial states and offsets are fitted within each response.
     """
     d = len(regression.names)
     first = np.where(fits.explained[:, None], fits.unknowns[:, :d], np.nan)
 
     def evaluate(cases: np.ndarray, relative: np.ndarray) -> Linearisation:
-        """Misfit over noise at ``relative`` times the first unknowns, and its slopes by differences."""
+        """Compute misfit over noise at ``relative`` times the first unknowns, and its slopes by differences."""
         trials = relative[:, None] + RELATIVE_STEP * np.concatenate([np.zeros((1, d)), np.eye(d)])
         repeated = regression[cases].repeated(d + 1)
         responses = repeated.responses((first[cases, None] * trials).reshape(-1, d))
@@ -58,18 +57,18 @@ def most_likely(regression: Regression, fits: SplineFits) -> np.ndarray:
     return first * end.at.unknowns
 
 
-def doubts(
+def bias_warnings(
     regression: Regression, unknowns: np.ndarray, covariances: Sequence[np.ndarray | None], fits: SplineFits
 ) -> list[tuple[str, bool]]:
-    """Say why unknowns (problems, q) should not be trusted, and whether they are no estimate; empty where they may be.
+    """Test the unknowns (problems, q) of each problem; return a warning, empty if passed, and whether to reject them.
 
-    They are none where a stiffness (a group k/m, say) is more than ``HOPELESS`` times the most likely one.
+    They are rejected where a stiffness (or k/m) is more than ``HOPELESS`` times the output-error estimate.
     """
     likely = most_likely(regression, fits)
-    return [_doubt(regression, *of_problem) for of_problem in zip(unknowns, covariances, likely, strict=True)]
+    return [_bias_warning(regression, *of_problem) for of_problem in zip(unknowns, covariances, likely, strict=True)]
 
 
-def _doubt(
+def _bias_warning(
     regression: Regression, unknowns: np.ndarray, covariance: np.ndarray | None, likely: np.ndarray
 ) -> tuple[str, bool]:
     d = len(regression.names)
@@ -89,13 +88,13 @@ def _doubt(
     if np.any(hopeless):
         name, worst = regression.names[int(np.argmax(hopeless))], float(np.max(times[hopeless]))
         sentence = (
-            f"differentiation left only noise: {name} came out {worst:.0f} times the value whose response explains the "
-            "record best; thin the samples, smooth them (ls_spline), or take a method that simulates"
+            f"dominated by differentiated noise: {name} is {worst:.0f} times the value whose response fits the "
+            "record best; decimate or smooth the samples (ls_spline), or use an output-error method"
         )
         return sentence, True
     i = int(np.argmax(errors))
     sentence = (
-        f"do not trust it: {regression.names[i]} is {mean[i] / likely[i]:.2f} times the value whose response explains "
-        f"the record best, {errors[i]:.1f} of its own standard errors away; differentiation is biased here"
+        f"biased estimate: {regression.names[i]} is {mean[i] / likely[i]:.2f} times the value whose response fits "
+        f"the record best, a difference of {errors[i]:.1f} standard errors; the bias is due to differentiation"
     )
     return sentence, False

@@ -1,4 +1,4 @@
-"""The frame of methods that read unknowns off many data sets at once: batches, the parametric bootstrap, the answer."""
+"""Base class of regression methods: batches of problems, the parametric bootstrap, and the estimate."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from methods.regression.equation import Regression, layout_objection
 from methods.starts.band import BandIdentifier
 
 MOST_AT_ONCE = 500_000
-"""Displacements that are held together, over all synthetic records of all problems."""
+"""Largest number of displacements in memory, over all synthetic records of all problems."""
 
 
 class RegressionIdentifier(BandIdentifier):
-    """A method that answers problems of one layout together, each as it would be alone."""
+    """A method that solves problems of one layout in a batch, with the same results as one by one."""
 
     bootstrap: int
-    """Synthetic records for the covariance, 0 for none."""
+    """Number of synthetic records for the covariance, 0 for no covariance."""
     uses_start: ClassVar[bool] = True
-    """A known initial state is given to ``fit``."""
+    """True where a known initial state is given to ``fit``."""
     works_in = "natural units"
 
     def __post_init__(self) -> None:
@@ -32,11 +32,11 @@ class RegressionIdentifier(BandIdentifier):
 
     @abstractmethod
     def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Answer the problems of a regression, each with its own generator; raise NoEstimate for what fails all."""
+        """Estimate the problems of a regression, each with its generator; raise NoEstimate where all fail."""
 
     @property
     def records_held(self) -> int:
-        """Count the records that :meth:`fit` holds at once for each problem."""
+        """Return the number of records per problem that :meth:`fit` has in memory."""
         return max(1, self.bootstrap)
 
     def objection(self, problem: Problem) -> str | None:
@@ -47,7 +47,7 @@ class RegressionIdentifier(BandIdentifier):
         return self.estimate_many([problem], [rng])[0]
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate problems of one layout together, so many at a time that their synthetic records fit into memory."""
+        """Estimate problems in batches of one layout whose synthetic records fit into memory."""
         if not self.uses_start:
             problems = [without_start(problem) for problem in problems]
         answers: dict[int, Estimate] = {}
@@ -59,7 +59,7 @@ class RegressionIdentifier(BandIdentifier):
                 groups.setdefault(layout(problem), []).append(i)
         for members in groups.values():
             first = problems[members[0]]
-            # the steps of a nonlinear motion are chosen for all that are integrated with it: each problem by itself
+            # integration steps of nonlinear motions depend on the whole batch, so these problems are not batched
             size = max(1, MOST_AT_ONCE // (self.records_held * first.n)) if first.system.linear else 1
             for begin in range(0, len(members), size):
                 places = members[begin : begin + size]
@@ -74,7 +74,7 @@ class RegressionIdentifier(BandIdentifier):
 
 
 def without_start(problem: Problem) -> Problem:
-    """Leave out the initial states, known or not."""
+    """Remove the known initial states."""
     return replace(problem, records=tuple(replace(record, initial_state=None) for record in problem.records))
 
 
@@ -95,13 +95,22 @@ def bootstrap_covariances(
     rngs: Sequence[np.random.Generator],
     count: int,
 ) -> list[np.ndarray | None]:
-    """Compute covariances (q, q) of what ``fitter`` finds, (sets, q), in ``count`` synthetic data sets a problem.
+    """Compute covariances (q, q) by the parametric bootstrap.
 
-    The parametric bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5): records are
-    drawn from the response of an estimate, ``centres`` (n_dof, problems, n) a record, plus white noise of its misfit,
-    ``noise`` (n_dof, problems) a record. The textbook covariance of a regression is wrong where its columns are noisy
-    too (errors in variables). This one measures spread, not bias. None where most sets cannot be fitted, or none are
-    drawn.
+    Synthetic records are the response of an estimate plus white noise of its misfit (Efron and Tibshirani, An
+    Introduction to the Bootstrap, 1993, section 6.5). The textbook covariance of a regression is wrong where its
+    columns are noisy (errors in variables). The bootstrap measures spread, not bias.
+
+    Args:
+        regression: The data of all problems.
+        centres: Response of each estimate, (n_dof, problems, n) per record.
+        noise: Standard deviation of the misfit, (n_dof, problems) per record.
+        fitter: Returns the unknowns (sets, q) of synthetic data.
+        rngs: One generator per problem.
+        count: Synthetic data sets per problem.
+
+    Returns:
+        One covariance per problem; None where most fits fail or ``count`` is 0.
     """
     if not rngs or not count:
         return [None] * len(rngs)
@@ -117,7 +126,7 @@ def bootstrap_covariances(
 
 
 def covariance(unknowns: np.ndarray) -> np.ndarray | None:
-    """Compute the covariance of unknowns (count, q) where they are finite; None where most are not."""
+    """Return the covariance of the finite ones of unknowns (count, q); None where most are not finite."""
     finite = unknowns[np.all(np.isfinite(unknowns), axis=1)]
     if len(finite) <= max(unknowns.shape[1] + 1, len(unknowns) // 2):
         return None
@@ -133,16 +142,15 @@ def answer(
     traces: Mapping[str, np.ndarray] | None = None,
     dimensions: Mapping[str, Sequence[Dimension]] | None = None,
 ) -> Estimate:
-    """Make the Estimate of unknowns (q,): groups, or parameters where the scale is known.
+    """Return the Estimate of unknowns (q,): of groups, or of parameters where the scale is known.
 
-    Nuisance unknowns are dropped. For parameters the covariance goes to the logarithms to first order. It is a failure
-    where unknowns are not finite, where they are ``hopeless``, as the message says, and where parameters are not
-    positive.
+    Nuisance unknowns are dropped. The covariance of log-parameters is of first order. The estimate has failed where
+    unknowns are not finite or ``hopeless`` (with the message), or parameters are not positive.
     """
     system, d = regression.system, len(regression.names)
     mean = unknowns[:d]
     if not np.all(np.isfinite(mean)):
-        sentence = "the equations do not determine the parameters: take more samples, or samples of more motion"
+        sentence = "the equations do not determine the parameters: more samples or more motion are required"
         return Estimate.failed(system, Status.DIVERGED, sentence)
     if hopeless:
         return Estimate.failed(system, Status.DIVERGED, message)
@@ -154,7 +162,7 @@ def answer(
         groups = Normal(regression.names, mean, cov, log=False, dof=dof)
     elif np.any(mean <= 0):
         name = regression.names[int(np.argmin(mean))]
-        sentence = f"the estimate of {name} is negative: the derivatives are too noisy; take more samples or less noise"
+        sentence = f"the estimate of {name} is negative: the derivatives are too noisy"
         return Estimate.failed(system, Status.DIVERGED, sentence)
     else:
         cov = None if cov is None else cov / np.outer(mean, mean)

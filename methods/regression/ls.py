@@ -1,26 +1,26 @@
 """Equation-error least squares on numerically differentiated displacement: the paper's baseline.
 
-The measured displacement is differentiated, velocity and acceleration are put into the equation of motion, and the
-parameters (where nothing sets the scale: the identifiable groups, e.g. k/m and c/m) are the least-squares solution of
-the resulting linear equations, one a sample and degree of freedom.
+The parameters (without a known scale, the identifiable groups such as k/m and c/m) are the least-squares solution of
+the equation of motion with numerically differentiated velocity and acceleration, one equation per sample and degree of
+freedom.
 
-``derivative="finite"`` differentiates by central differences over three samples: the baseline of the paper. It has a
-bias without any noise: at a rate ``s`` (a root of the system) and step ``h`` the second difference of ``e^{st}`` is
-``2 (cosh(sh) - 1)/h²`` times it, not ``s²``, and the central difference ``sinh(sh)/h`` times it, not ``s``. So
-k/m is about ``ω²h²/12`` low: some 11 % at five samples a cycle. Noise makes the columns random (errors in variables).
+``derivative="finite"`` uses central differences over three samples: the baseline of the paper. It is biased even
+without noise: for a pole ``s`` and step ``h`` the second difference of ``e^{st}`` is ``2 (cosh(sh) - 1)/h²`` times it,
+not ``s²``, and the central difference ``sinh(sh)/h`` times it, not ``s``. So k/m is low by about ``ω²h²/12``: some 11 %
+at five samples per cycle. Noise makes the columns random (errors in variables).
 
 ``derivative="spline"`` differentiates a smoothing spline (degree 5 or 7). Smoothing damps displacement, velocity and
-acceleration of the regression alike, so it biases little. How much to smooth is decided by the simulated response
-(:mod:`methods.regression.smoothing`).
+acceleration of the regression equally, which causes little bias. The smoothing weight is chosen by the simulated
+response (:mod:`methods.regression.smoothing`).
 
-``derivative="weak"`` differentiates test functions instead of samples, and weighs the noise as it enters
-(:mod:`methods.regression.weak`): linear systems only.
+``derivative="weak"`` differentiates test functions instead of samples and weights the equations by their noise
+covariance (:mod:`methods.regression.weak`); it supports linear systems only.
 
-A known initial state is used in choosing the smoothing and in the noise level of the bootstrap, not in the regression.
-The prior is not used: the harness combines groups with it. The uncertainty is a parametric bootstrap's spread; it does
-not show the bias, so the intervals of the finite-difference variant miss the truth where its bias matters. The message
-says so where the record itself shows it, and a k/m that is of the noise alone, as many samples a cycle give, is refused
-(:mod:`methods.regression.hausman`).
+A known initial state is used to choose the smoothing and for the noise level of the bootstrap, not in the regression.
+The prior is not used; the benchmark combines groups with it. The uncertainty is the spread of a parametric bootstrap,
+which excludes bias: the intervals of the finite-difference variant do not cover the true value where its bias matters.
+A message warns where the record shows this, and an estimate of k/m dominated by noise, as at many samples per cycle, is
+rejected (:mod:`methods.regression.hausman`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ import numpy as np
 
 from bench import Card, Estimate, Scope
 from methods.regression.equation import Regression, solve
-from methods.regression.hausman import doubts
+from methods.regression.hausman import bias_warnings
 from methods.regression.identifier import RegressionIdentifier, answer, bootstrap_covariances
 from methods.regression.smoothing import TRIED, TRIED_AGAIN, smoothing_again, solved_on_splines, spline_fits
 from methods.regression.weak import weak_fit
@@ -41,22 +41,22 @@ from methods.regression.weak import weak_fit
 
 @dataclass(frozen=True)
 class LS(RegressionIdentifier):
-    """Equation-error least squares; ``derivative`` as above, ``bootstrap`` data sets are drawn for the covariance."""
+    """Equation-error least squares; ``derivative`` as above, ``bootstrap``: synthetic records for the covariance."""
 
     derivative: Literal["finite", "spline", "weak"] = "finite"
     bootstrap: int = 100
 
     version: ClassVar[int] = 2
-    """2: its smoothing splines are exact to rounding, which decided irregular times before."""
+    """2: smoothing splines are accurate at irregular times."""
     card: ClassVar[Card] = Card(
         summary="equation-error least squares on finite differences, smoothing splines or in weak form (derivative=)",
         start="used when known",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="covariance of a parametric bootstrap: spread only; a bias beyond it (Hausman's test) is said",
+        uncertainty="covariance of a parametric bootstrap: spread only; Hausman's test warns of bias",
         settings_source="finite: the paper's baseline; spline: smoothing by the likelihood of the simulated response",
-        tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB tried "
-        "penalty orders 2-4, 0-3 samples left out, weight by restricted likelihood or by simulation",
+        tuning="finite: none; spline: on 3 development systems (damping 3-26 %, 2.7-5.4 cycles) at 40-5 dB compared "
+        "penalty orders 2-4, 0-3 samples omitted, weight by restricted likelihood or by simulation",
         title="LS, finite differences",
         order=120,
         paper="ls",
@@ -69,8 +69,8 @@ class LS(RegressionIdentifier):
             "ls_weak": {
                 "summary": "weak form of the equation of motion, generalised least squares with its noise (WENDy)",
                 "settings_source": "test functions (1 - s²)^6, reweighting: Messenger and Bortz (2021), Bortz (2023)",
-                "tuning": "on 5 development systems (damping 3-52 %, 2-4 cycles) at 20-5 dB tried supports of 20-70 % "
-                "of the record alone and together, powers 4-8, weights by the noise of the whole residual or a part",
+                "tuning": "on 5 development systems (damping 3-52 %, 2-4 cycles) at 20-5 dB compared supports 20-70 % "
+                "of the record singly and together, powers 4-8, weights by the noise of the residual or part of it",
                 "title": "LS, weak form",
                 "order": 135,
                 "paper": "",
@@ -86,7 +86,7 @@ class LS(RegressionIdentifier):
         return max(TRIED, self.bootstrap * TRIED_AGAIN if self.derivative == "spline" else self.bootstrap)
 
     def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Solve the equations of all problems at once, and of their synthetic records."""
+        """Solve the equations of all problems, and of their synthetic records, at once."""
         splines = spline_fits(regression)
 
         def fitter(data: Regression) -> np.ndarray:
@@ -96,5 +96,5 @@ class LS(RegressionIdentifier):
 
         unknowns = splines.unknowns if self.derivative == "spline" else fitter(regression)
         covariances = bootstrap_covariances(regression, splines.centres, splines.noise, fitter, rngs, self.bootstrap)
-        of_problems = zip(unknowns, covariances, doubts(regression, unknowns, covariances, splines), strict=True)
-        return [answer(regression, theta, cov, *doubt) for theta, cov, doubt in of_problems]
+        of_problems = zip(unknowns, covariances, bias_warnings(regression, unknowns, covariances, splines), strict=True)
+        return [answer(regression, theta, cov, *warning) for theta, cov, warning in of_problems]

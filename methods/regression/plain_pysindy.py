@@ -1,20 +1,21 @@
-"""pysindy as it ships: its finite differences, its sparse regression, and nothing of ours around them.
+"""PySINDy with its default settings: its finite differences and its sparse regression.
 
-What its documentation has a newcomer type for a measured displacement ``x``::
+The documentation of the package suggests for a measured displacement ``x``::
 
     v = pysindy.FiniteDifference()(x, times)
     model = pysindy.SINDy(feature_names=["x", "v"]).fit(np.column_stack([x, v]), t=times)
 
 with the defaults of the package: central differences, monomials of the state up to degree two, and sequentially
-thresholded least squares that drops coefficients below 0.1 (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932-3937). That
-is a threshold on numbers, which depend on units: here those in which the record lasts 1 and the displacement is of size
-1, where it rarely drops anything; in SI units the errors on the reference system are the same to 1 %. k/m and c/m are
-the negative coefficients of ``x`` and ``v`` in the second equation, whatever other terms stand beside them; a known
-force is its control input, whose coefficient is 1/m. No spline, no choice of terms by simulation and no projection onto
-the equation of motion: ``sindy`` has these.
+thresholded least squares that drops coefficients below 0.1 (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932-3937). This
+threshold depends on units: in those used here the record lasts 1 and the displacement is of size 1, and terms are
+rarely dropped; in SI units the errors on the reference system are the same to 1 %. k/m and c/m are the negative
+coefficients of ``x`` and ``v`` in the second equation, whatever other terms it has; a known force is the control input,
+whose coefficient is 1/m. The method ``sindy`` adds a spline, a choice of terms by simulation and a projection onto the
+equation of motion.
 
-The velocity is differentiated twice by central differences, so without any noise k/m comes out ``(sin(ωh)/(ωh))²``
-times its value at a sampling step ``h``: 38 % low at the five samples a cycle of the paper's Table 3.
+The displacement is differentiated twice by central differences, so even without noise k/m is estimated as
+``(sin(ωh)/(ωh))²`` times its value at a sampling step ``h``: 38 % low at the five samples per cycle of the paper's
+Table 3.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from bench import SDOF, Card, Estimate, Identifier, NoEstimate, Normal, Problem,
 
 @dataclass(frozen=True)
 class PlainPySINDy(Identifier):
-    """pysindy's defaults on its own finite differences; no settings and no uncertainty."""
+    """PySINDy's defaults with its finite differences; no settings and no uncertainty."""
 
     card: ClassVar[Card] = Card(
-        summary="pysindy's defaults on its own finite differences: no smoothing, nothing known of the equation",
+        summary="PySINDy's defaults with its finite differences: no smoothing, no knowledge of the equation of motion",
         start="not used",
         scale="groups",
         reconstruction="simulated",
-        uncertainty="none: the package states none",
+        uncertainty="none: the package gives none",
         settings_source="defaults of pysindy 2.1: second-order differences, degree 2, STLSQ above 0.1",
         title="pysindy as it ships",
         order=152,
@@ -49,14 +50,14 @@ class PlainPySINDy(Identifier):
     works_in = "natural units"
 
     def objection(self, problem: Problem) -> str | None:
-        other = None if isinstance(problem.system, SDOF) else "it reads k/m and c/m off the model of one mass"
+        other = None if isinstance(problem.system, SDOF) else "it supports one mass, spring and damper only"
         return super().objection(problem) or other
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         (record,) = problem.records
         times, x = record.channels[0].times, record.channels[0].values
         if times.size < 3:
-            raise NoEstimate("finite differences need at least 3 samples", Status.UNSUPPORTED)
+            raise NoEstimate("finite differences require at least 3 samples", Status.UNSUPPORTED)
         force = np.array(record.force(times, 1))[0] if record.forces else None
         terms = _model(times, x, force)
         groups = np.array([-terms["x"], -terms["v"]])

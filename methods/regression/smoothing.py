@@ -1,8 +1,8 @@
-"""The choice of smoothing: regressions on splines of many weights, judged by the responses of their estimates.
+"""The choice of smoothing by the simulated responses of the estimates.
 
-How much to smooth cannot be seen from the samples alone where a cycle has few of them: the likelihood of a spline
-without a system takes such a vibration for noise. The system decides: each smoother and weight gives an estimate, each
-estimate a simulated response, and the response of largest likelihood chooses the smoothing.
+With few samples per cycle the likelihood of a spline alone treats the vibration as noise. Therefore each smoother and
+weight gives an estimate, each estimate a simulated response, and the response of largest likelihood determines the
+smoothing.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from methods.regression.derivatives import WEIGHTS, smoothing_spline
 from methods.regression.equation import Regression, solve
 
 SMOOTHERS = ((3, 1), (3, 2), (4, 1), (4, 2))
-"""Smoothing splines tried, as (order of the penalised derivative, samples left out at each end).
+"""Smoothing splines compared: order of the penalised derivative, and samples left out at each end.
 
-Degrees are 5 and 7. A natural spline bends wrongly at the ends of a record, so its derivatives there are not used.
+Degrees are 5 and 7. Derivatives of a natural spline are wrong at the ends of a record and are not used.
 """
 NEARBY = np.array([-4, -2, 0, 2, 4])
-"""Steps on the grid of weights that a bootstrap sample tries about the chosen one."""
+"""Steps on the grid of weights compared for a bootstrap sample, about the selected weight."""
 TRIED, TRIED_AGAIN = len(SMOOTHERS) * WEIGHTS, len(SMOOTHERS) * NEARBY.size
-"""Splines tried on a data set, and on a bootstrap sample."""
+"""Numbers of splines compared for a data set, and for a bootstrap sample."""
 FEW_SAMPLES, MANY_SAMPLES = 120, 1000
-"""With more samples than these a bootstrap sample keeps its smoothing, and fewer weights are tried at first."""
+"""Above these numbers of samples, bootstrap samples keep the smoothing, and fewer weights are compared."""
 MEANINGLESS = 0.9
-"""A response that leaves more than this part of the variance of the data unexplained does not describe them."""
+"""A response is not accepted if its misfit exceeds this fraction of the data's variance."""
 
 
 @dataclass(frozen=True, eq=False)
 class SplineFits:
-    """Regressions on smoothing splines, one a data set.
+    """Regressions on smoothing splines, one per data set.
 
-    ``unknowns`` (sets, q) on the spline of number ``smoother`` (sets,) at the weight of number ``weight`` (sets,).
-    ``centres`` (n_dof, sets, n) a record are the responses of the unknowns, ``noise`` (n_dof, sets) a record the
-    standard deviations of the data about them. Where no response describes the data (``explained``, (sets,), is false),
-    the centre is the most likely spline.
+    ``unknowns`` (sets, q), with the spline of index ``smoother`` (sets,) at the weight of index ``weight`` (sets,).
+    ``centres`` (n_dof, sets, n) per record: responses at the unknowns. ``noise`` (n_dof, sets) per record: standard
+    deviations of the data about them. ``explained`` (sets,): False where no response is accepted; the centre is then
+    the most likely spline.
     """
 
     unknowns: np.ndarray
@@ -50,27 +50,27 @@ class SplineFits:
 
 
 def spline_fits(regression: Regression) -> SplineFits:
-    """Regress on splines of each smoother and weight; keep the estimate that explains the record best."""
+    """Regress on splines of each smoother and weight; keep the estimate whose response fits the record best."""
     smoothers = _usable(regression)
-    # integrating a nonlinear system, or a long record, takes its time: fewer weights
+    # integrating a nonlinear system or a long record is slow: fewer weights
     quick = regression.system.linear and max(t.size for t in regression.times) <= MANY_SAMPLES
     weights = np.arange(0, WEIGHTS, 1 if quick else 3)
     unknowns, deviance, responses = _tried(regression, smoothers, np.tile(weights, (regression.sets, 1)))
-    each, best = np.arange(regression.sets), np.argmin(deviance, axis=1)
-    centres = [x[:, each, best] for x in responses]
+    sets, best = np.arange(regression.sets), np.argmin(deviance, axis=1)
+    centres = [x[:, sets, best] for x in responses]
     noise = [
-        np.sqrt(np.sum((centre - y) ** 2, axis=-1) / _left(regression, i))
+        np.sqrt(np.sum((centre - y) ** 2, axis=-1) / _residual_freedom(regression, i))
         for i, (centre, y) in enumerate(zip(centres, regression.values, strict=True))
     ]
     smoother, weight = np.array(smoothers)[best // weights.size], weights[best % weights.size]
-    fits = SplineFits(unknowns[each, best], smoother, weight, centres, noise, np.isfinite(deviance[each, best]))
+    fits = SplineFits(unknowns[sets, best], smoother, weight, centres, noise, np.isfinite(deviance[sets, best]))
     for i in np.flatnonzero(~fits.explained):
         _take_likely_spline(regression, fits, int(i), smoothers[0])
     return fits
 
 
 def solved_on_splines(regression: Regression, smoother: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Solve for the unknowns (sets, q), each set on the spline of its numbers ``smoother`` and ``weight`` (sets,)."""
+    """Solve for the unknowns (sets, q), each set on the spline of indices ``smoother`` and ``weight`` (sets,)."""
     groups = [np.flatnonzero(smoother == number) for number in np.unique(smoother)]
     solutions = []
     for sets in groups:
@@ -80,10 +80,10 @@ def solved_on_splines(regression: Regression, smoother: np.ndarray, weight: np.n
 
 
 def smoothing_again(drawn: Regression, fits: SplineFits) -> tuple[np.ndarray, np.ndarray]:
-    """Choose number of smoother and of weight, both (sets,), for sets drawn like the data, as many of each.
+    """Return the indices of smoother and weight, both (sets,), for synthetic data, equally many sets per problem.
 
-    For a linear system and few samples each set chooses anew, by its simulated response, among all smoothers and the
-    weights near the fit's; else the fit's own is kept.
+    For a linear system and few samples, smoothing is selected again by the simulated response, among all smoothers and
+    nearby weights; otherwise that of the fit is kept.
     """
     of_fit = np.repeat(np.arange(len(fits.weight)), drawn.sets // len(fits.weight))
     smoother, weight = fits.smoother[of_fit], fits.weight[of_fit]
@@ -99,24 +99,24 @@ def smoothing_again(drawn: Regression, fits: SplineFits) -> tuple[np.ndarray, np
 
 
 def _usable(regression: Regression) -> list[int]:
-    """Number the smoothers that the shortest record can bear; raise NoEstimate where there is none."""
+    """Return the indices of the smoothers that the shortest record allows; raise NoEstimate where there is none."""
     shortest = min(t.size for t in regression.times)
     usable = [i for i, (order, trim) in enumerate(SMOOTHERS) if shortest > max(order, 2 * trim)]
     if not usable:
         needed = min(order for order, _ in SMOOTHERS) + 1
-        raise NoEstimate(f"its smoothing spline needs at least {needed} samples a record", Status.UNSUPPORTED)
+        raise NoEstimate(f"its smoothing spline requires at least {needed} samples per record", Status.UNSUPPORTED)
     return usable
 
 
 def _tried(
     regression: Regression, smoothers: Sequence[int], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Solve with every smoother at the weights of numbers (sets, w): candidates, smoother by smoother.
+    """Solve with every smoother at the weights of indices (sets, w); the candidates are ordered by smoother.
 
     Returns:
         Unknowns (sets, candidates, q); their deviance (sets, candidates), minus twice the log-likelihood of the
-        response with the noise of each channel unknown, ``sum n log(mean squared misfit)``, infinite for a response
-        that describes nothing; the responses (n_dof, sets, candidates, n) a record.
+        response with the noise of each channel unknown, ``sum n log(mean squared misfit)``, infinite where a response
+        is not accepted; the responses (n_dof, sets, candidates, n) per record.
     """
     sets, tried = weights.shape
     repeated = regression.repeated(tried)
@@ -133,8 +133,8 @@ def _tried(
     return unknowns, deviance.reshape(sets, count), [x.reshape(len(x), sets, count, -1) for x in responses]
 
 
-def _left(regression: Regression, number: int) -> float:
-    """Count the degrees of freedom that a channel of a record keeps when each pays its share of what was fitted."""
+def _residual_freedom(regression: Regression, number: int) -> float:
+    """Return the residual degrees of freedom of each channel of a record, given equal shares of the fitted ones."""
     record, n_dof = regression.records[number], regression.system.n_dof
     shared = len(regression.names) / (len(regression.records) * n_dof)
     of_record = (2 if regression.starts[number] is None else 0) + sum(c.offset for c in record.channels) / n_dof
@@ -142,7 +142,7 @@ def _left(regression: Regression, number: int) -> float:
 
 
 def _take_likely_spline(regression: Regression, fits: SplineFits, place: int, smoother: int) -> None:
-    """Fall back on the likelihood of the spline alone where no smoothing gives a response like the data."""
+    """Select the smoothing by the likelihood of the spline alone, where no response is accepted."""
     numbers = []
     for times, y, centres, noise in zip(regression.times, regression.values, fits.centres, fits.noise, strict=True):
         spline = smoothing_spline(times, SMOOTHERS[smoother][0])

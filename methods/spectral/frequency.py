@@ -1,21 +1,20 @@
-"""Maximum likelihood in the frequency domain: one mass, free or under a known force, on the lines of the DFT.
+"""Maximum likelihood in the frequency domain for one mass, free or under a known force, on the lines of the DFT.
 
 ``Y(k) = G(s_k) U(k) + T(z_k)/A(z_k) + noise``: the response to the force, a transient over the denominator of the
 system, and white noise of unknown level (R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach,
-2nd ed. 2012, chapters 6, 7 and 9). The transient takes leakage, the start and the end of the record without a window;
-the force is taken as it runs between its samples (:mod:`methods.spectral.lines`, where nothing is approximate). Free
-vibration is the case without a force: a ratio of polynomials whose numerator is free.
+2nd ed. 2012, chapters 6, 7 and 9). The transient accounts for leakage and for the initial and final states without a
+window; the force is interpolated between its samples as stated (:mod:`methods.spectral.lines`). Free vibration is a
+ratio of polynomials with a free numerator.
 
-All lines are used, so the likelihood is that of output error with an unknown initial state, and has the same bound;
-the initial state is always estimated, by the transient. A sensor's offset is the line of frequency zero, which is then
-free.
+All lines are used, so the likelihood and the bound equal those of output error with an unknown initial state. The
+initial state is always estimated, through the transient. A sensor's offset frees the line of frequency zero.
 
-The search (:mod:`methods.spectral.fit`) begins at the best minima of the scan (:mod:`methods.starts.candidates`),
-without the prior where the vibration is free. The covariance is the inverse of the Fisher information with transient
-and offset projected out, at the noise that the residuals show.
+The search (:mod:`methods.spectral.fit`) starts at the best minima of the scan (:mod:`methods.starts.candidates`),
+without the prior for a free vibration. The covariance is the inverse of the Fisher information with transient and
+offset projected out, at the noise level of the residuals.
 
-Free vibration gives k/m and c/m, the latter negative where noise makes it so; a force gives m, c and k. The DFT of a
-free vibration is the same for a frequency and for its mirror image beyond half the sampling rate: the lower is meant.
+Free vibration gives k/m and c/m, which may be negative under noise; a force gives m, c and k. The DFT of a free
+vibration is the same for a frequency and its aliases; the lowest frequency is returned.
 """
 
 from __future__ import annotations
@@ -51,35 +50,35 @@ from methods.starts.candidates import candidates
 from methods.starts.search_range import unevenness
 
 MAX_SAMPLES = 2000
-"""Of the record, and of its force: the harmonics times these are what a fit costs."""
+"""Largest number of samples of a record; the cost of a fit is the harmonics times these."""
 HARMONICS = 1024
-"""Least number of harmonics of the force; what is left out is below this number squared of the response."""
+"""Least number of harmonics of the force; the truncation error is below 1 / HARMONICS² of the response."""
 PER_SAMPLE = 4
-"""Harmonics for each sample at least."""
+"""Least number of harmonics per sample."""
 SCREENING = 6
-"""Steps of each search before the best goes on alone."""
+"""Iterations of each search before the best one is continued."""
 SIGMA_ROUNDS = 6
-"""Fit and noise in turn, at most, where a prior stands beside the data."""
+"""Largest number of alternations of fit and noise estimation with a prior."""
 POOR = 0.5
-"""A response that leaves more than this part of the mean square of the data is said to be poor."""
-NO_VIBRATION = "its best fit has no positive stiffness, so the record shows no vibration: take a longer record"
-NO_RESPONSE = "the search ran to parameters without a response: take more samples, or a force that moves the mass more"
+"""A fit is poor if its residuals exceed this fraction of the data's mean square."""
+NO_VIBRATION = "its best fit has no positive stiffness: the record shows no vibration or is too short"
+NO_RESPONSE = "the search diverged: more samples, or a force that causes a larger response, are required"
 
 
 @dataclass(frozen=True)
 class Frequency(SearchingIdentifier):
-    """The best of ``starts`` starts by a few steps each, then a search of at most ``iterations`` steps."""
+    """Screen ``starts`` initial guesses by a few iterations each, then search from the best for ``iterations``."""
 
     starts: int = 3
     iterations: int = 100
 
     card: ClassVar[Card] = Card(
-        summary="maximum likelihood on the lines of the DFT, with the transient as a numerator of its own",
+        summary="maximum likelihood on the lines of the DFT, with the transient as an additional numerator",
         start="estimated always",
         scale="native",
         reconstruction="own",
         uncertainty="inverse Fisher information, Student t with N - p degrees of freedom",
-        settings_source="only the effort of the search: a few steps from each start of the scan, then the best",
+        settings_source="only the effort of the search: a few iterations from each guess of the scan, then the best",
         tuning="none",
         title="Frequency domain",
         order=80,
@@ -111,7 +110,7 @@ class Frequency(SearchingIdentifier):
         return (self._forced if free.forced else self._free)(free, objective, end, spent)
 
     def _forced(self, problem: Problem, objective: Objective, end: Linearisation, spent: int) -> Estimate:
-        """All parameters; with a prior, fit and noise in turn."""
+        """Return the estimate of all parameters; with a prior, alternate fit and noise estimation."""
         names, samples, used = _parameters(problem), objective.y.size, 5 + int(objective.offset)
         sigma = _noise(end, samples, used)
         for _ in range(SIGMA_ROUNDS if problem.prior is not None else 0):
@@ -131,7 +130,7 @@ class Frequency(SearchingIdentifier):
         return estimate_at(model, model.vector(p), covariance, float(used), Cost(spent, spent), message)
 
     def _free(self, problem: Problem, objective: Objective, end: Linearisation, spent: int) -> Estimate:
-        """The groups k/m and c/m, of the lower of the frequencies that the lines cannot tell apart."""
+        """Return the estimate of k/m and c/m at the lowest of the aliased frequencies."""
         r, g = _lowest(end.unknowns[0], objective.layout.step)
         if not r > 0:
             raise NoEstimate(NO_VIBRATION, cost=Cost(spent, spent))
@@ -154,7 +153,7 @@ class Frequency(SearchingIdentifier):
 
 
 def _lowest(unknowns: np.ndarray, step: float) -> tuple[float, float]:
-    """k/m and c/m with the same poles z and a frequency up to half the sampling rate."""
+    """Return k/m and c/m with the same poles z and a frequency up to half the sampling rate."""
     r, g = map(float, unknowns)
     if r - 0.25 * g**2 <= 0:
         return r, g
@@ -180,7 +179,7 @@ def _objective(problem: Problem) -> Objective:
 
 
 def _parameters(problem: Problem) -> list[str]:
-    """The names of mass, damping and stiffness."""
+    """Return the names of mass, damping and stiffness."""
     kinds = {p.kind: p.name for p in problem.system.parameters}
     return [kinds["mass"], kinds["damping"], kinds["stiffness"]]
 
@@ -191,32 +190,32 @@ def _unknowns(problem: Problem, p: dict[str, float]) -> np.ndarray:
 
 
 def _noise(end: Linearisation, samples: int, used: int) -> float:
-    """Standard deviation of the noise; never zero."""
+    """Return the standard deviation of the noise, at least 1e-12."""
     residuals = end.residuals[0, :samples]
     return max(float(np.sqrt(residuals @ residuals / max(samples - used, 1))), 1e-12)
 
 
 def _covariance(end: Linearisation, sigma: float, order: list[int]) -> np.ndarray | None:
-    """The covariance of the unknowns, in another order; None where they leave a direction open."""
+    """Return the covariance of the unknowns in the given order; None where the information is singular."""
     covariance = covariances(end.slopes / sigma)[0]
     return None if covariance is None else covariance[np.ix_(order, order)]
 
 
 def _message(residuals: np.ndarray, y: np.ndarray, covariance: np.ndarray | None) -> str:
-    left = float(residuals @ residuals) / float(y @ y)
-    poor = f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise"
-    no_interval = "the data leave a parameter open here, so there is no uncertainty"
-    return "; ".join(filter(None, [poor if left > POOR else "", no_interval if covariance is None else ""]))
+    share = float(residuals @ residuals) / float(y @ y)
+    poor = f"residuals are {share:.0%} of the data's mean square: a wrong minimum, or mostly noise"
+    no_interval = "the data do not determine a parameter, so no uncertainty is given"
+    return "; ".join(filter(None, [poor if share > POOR else "", no_interval if covariance is None else ""]))
 
 
 def _objection(problem: Problem) -> str | None:
     if sorted(p.kind for p in problem.system.parameters) != ["damping", "mass", "stiffness"]:
-        return "it needs one mass, one damping and one stiffness"
+        return "it requires one mass, one damping and one stiffness"
     record = problem.records[0]
     times = record.channels[0].times
     least = 5 + int(problem.forced) + int(has_offset(problem))
     if not least <= times.size <= MAX_SAMPLES:
-        return f"it takes {least} to {MAX_SAMPLES} samples a record; thin a longer one"
+        return f"it supports {least} to {MAX_SAMPLES} samples per record; decimate a longer one"
     if problem.forced and max(force.times.size for force in record.forces) > 10 * MAX_SAMPLES:
-        return f"it takes a force of at most {10 * MAX_SAMPLES} samples; thin it"
+        return f"it supports at most {10 * MAX_SAMPLES} samples of a force; decimate it"
     return unevenness(times)

@@ -1,15 +1,15 @@
-"""The lines of the discrete Fourier transform (DFT) of even samples, and what one mass under a force shows on them.
+"""Lines of the discrete Fourier transform (DFT) of evenly sampled motion, and the model of one mass for them.
 
-``Y(k) = N^(-1/2) sum_n y(n) e^(-2 pi i k n / N)`` for k = 0 ... N/2. Real and imaginary parts, those of the lines that
-have a mirror image times the root of two, are an orthonormal transform of the N samples: white noise stays white.
+``Y(k) = N^(-1/2) sum_n y(n) e^(-2 pi i k n / N)`` for k = 0 ... N/2. Real and imaginary parts, multiplied by the root
+of two for lines with a mirror image, are an orthonormal transform of the N samples: white noise stays white.
 
-The motion is the periodic response to the force, repeated after N steps h of time, plus a free vibration. The first
-has the harmonics ``G(s) F``, ``G(s) = 1 / (m s² + c s + k)``, which sampling folds. Samples of the second obey
+The motion is the response to the force continued with period N h, plus a free vibration. The response has the
+harmonics ``G(s) F``, ``G(s) = 1 / (m s² + c s + k)``, which sampling aliases. Samples of the free vibration satisfy
 ``y(n) + a1 y(n-1) + a2 y(n-2) = 0``, with ``A(z) = 1 + a1/z + a2/z²`` of the roots ``e^(lambda h)``, lambda those of
 ``m s² + c s + k``; the DFT of N of them is exactly ``T(z_k) / A(z_k)`` with ``T = t0 + t1/z``,
 ``z_k = e^(2 pi i k / N)`` (R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.
-2012, section 6.3: leakage as a transient over the denominator of the system). So no window is needed, and nothing is
-approximate but the number of harmonics.
+2012, section 6.3: leakage as a transient over the denominator of the system). No window is needed, and the truncation
+of the harmonics is the only approximation.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ import numpy as np
 from bench import Force, interval_polynomials
 
 ENTRIES = 2_000_000
-"""Products of harmonics and intervals held at once."""
+"""Largest number of products of harmonics and intervals in memory."""
 SMALL = 1.0
-"""Size of the exponent of an interval below which its moments are summed as a power series."""
+"""Exponent of an interval below which its moments are computed by a power series."""
 TERMS = 20
-"""Of that series: the next is below 1e-18."""
+"""Number of terms of that series; the next one is below 1e-18."""
 
 
 def real_lines(lines: np.ndarray, samples: int) -> np.ndarray:
-    """Complex lines (..., N // 2 + 1) as N real numbers, orthonormal."""
+    """Convert complex lines (..., N // 2 + 1) to N real numbers, orthonormally."""
     inner = np.sqrt(2.0) * lines[..., 1 : (samples + 1) // 2]
     last = lines[..., samples // 2 :].real if samples % 2 == 0 else lines[..., :0].real
     return np.concatenate([lines[..., :1].real, inner.real, inner.imag, last], axis=-1)
 
 
 def folded(harmonics: np.ndarray, samples: int) -> np.ndarray:
-    """The DFT lines of even samples of a periodic function of ``harmonics``, (..., K) with K a multiple of N.
+    """Return the DFT lines of samples of a periodic function with ``harmonics`` (..., K), K a multiple of N.
 
-    With ``x(t) = X_0 + 2 Re sum_(k>0) X_k e^(2 pi i k t / P)`` and N samples a period P, every harmonic shows at its
-    number modulo N: sampling folds the ones above half the sampling rate back.
+    With ``x(t) = X_0 + 2 Re sum_(k>0) X_k e^(2 pi i k t / P)`` and N samples per period P, every harmonic is aliased to
+    its index modulo N.
     """
     half = samples // 2 + 1
     rest = harmonics.copy()
@@ -52,10 +52,10 @@ def folded(harmonics: np.ndarray, samples: int) -> np.ndarray:
 
 
 def force_harmonics(forces: Sequence[Force], first: float, last: float, period: float, count: int) -> np.ndarray:
-    """``F_k = (1/P) integral of f(t) e^(-s_k (t - first))`` from ``first`` to ``last``, s_k = 2 pi i k / P; (count,).
+    """Compute ``F_k = (1/P) integral of f(t) e^(-s_k (t - first))`` from first to last, s_k = 2 pi i k / P; (count,).
 
-    Exact for a force that is a polynomial between its samples, whatever their times. After ``last`` it counts as zero,
-    which no sample up to there can see.
+    The integrals are exact for a force that is a polynomial between its samples. After ``last`` the force is set to
+    zero, which affects no sample up to there.
     """
     key = tuple((f.times.tobytes(), f.values.tobytes(), str(f.hold)) for f in forces)
     return _harmonics(key, first, last, period, count)
@@ -82,7 +82,7 @@ def _harmonics(
 
 
 def _moments(z: np.ndarray, count: int) -> list[np.ndarray]:
-    """``integral of u^j e^(-z u)`` over 0 ... 1 for j below ``count``: by parts, at small z by the power series."""
+    """Integrate ``u^j e^(-z u)`` over 0 ... 1 for j below ``count``: by parts, for small z by the power series."""
     small = np.abs(z) < SMALL
     safe, near = np.where(small, 1.0, z), np.where(small, z, 0.0)
     end = np.exp(-safe)
@@ -100,7 +100,7 @@ def _moments(z: np.ndarray, count: int) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class HarmonicLayout:
-    """Even samples: their number and step; the harmonics (K,) of the known force, of no length where there is none."""
+    """Number and step of even samples, and harmonics (K,) of the known force, empty without a force."""
 
     samples: int
     step: float
@@ -113,17 +113,17 @@ class HarmonicLayout:
 
 
 def transient(layout: HarmonicLayout, r: float, g: float) -> tuple[np.ndarray, np.ndarray]:
-    """The two columns (N, 2) of a free vibration of k/m = ``r`` and c/m = ``g``; their derivatives by both (2, N, 2).
+    """Return the columns (N, 2) of free vibrations, T = 1 and T = 1/z, and their derivatives by r and g (2, N, 2).
 
-    The columns are those of T = 1 and of T = 1/z.
+    ``r`` is k/m and ``g`` is c/m.
     """
     h, d = layout.step, 0.5 * g
     root = np.sqrt(complex(d**2 - r))
-    one, two = np.exp((-d + root) * h), np.exp((-d - root) * h)
+    first_root, second_root = np.exp((-d + root) * h), np.exp((-d - root) * h)
     product = np.exp(-g * h)
     # e^(-dh) sinh(root h) / root, the same for a real and an imaginary root, and finite where it is zero
-    ratio = float(((one - two) / (2 * root)).real) if abs(root) * h > 1e-6 else h * np.exp(-d * h)
-    total = float((one + two).real)
+    ratio = float(((first_root - second_root) / (2 * root)).real) if abs(root) * h > 1e-6 else h * np.exp(-d * h)
+    total = float((first_root + second_root).real)
     delay = np.exp(-2j * np.pi * np.arange(layout.samples // 2 + 1) / layout.samples)
     a = 1.0 - total * delay + product * delay**2
     by_r = h * ratio * delay
@@ -134,7 +134,7 @@ def transient(layout: HarmonicLayout, r: float, g: float) -> tuple[np.ndarray, n
 
 
 def forced_lines(layout: HarmonicLayout, m: float, c: float, k: float) -> tuple[np.ndarray, np.ndarray]:
-    """The periodic response to the force (N,), and its derivatives by m, c and k (3, N)."""
+    """Return the periodic response to the force (N,), and its derivatives by m, c and k (3, N)."""
     force, samples = layout.harmonics, layout.samples
     s = 2j * np.pi * np.arange(force.size) / (samples * layout.step)
     g = 1.0 / (m * s**2 + c * s + k)

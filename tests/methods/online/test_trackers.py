@@ -203,7 +203,7 @@ def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubl
     standings = [tracker.update(Sample(i / 250.0, (y,))) for i, y in enumerate(values)]
     first = next(i for i, standing in enumerate(standings) if standing.distribution is not None)
     assert first < 250
-    assert all("no answer yet" in standing.message for standing in standings[:first])
+    assert all("no estimate yet" in standing.message for standing in standings[:first])
     held = []
     for standing, true in zip(standings[first:], frequency[first:], strict=True):
         low, high = np.sqrt(standing.marginal(quantity).interval(0.9999)) / (2.0 * np.pi)  # errors of a path stay alike
@@ -311,7 +311,7 @@ def test_the_recursive_model_has_no_bias_where_plain_autoregression_has_a_large_
 @pytest.mark.parametrize(
     ("name", "made", "said"),
     [
-        ("ssi", {}, "unknown force"),
+        ("ssi", {}, "unknown white force"),
         ("ar", {"system": "chain", "options": {"n": 2}, "parameters": {"m1": 1.0, "m2": 1.0, "c1": 0.1, "c2": 0.1,
                                                                        "k1": 9.0, "k2": 9.0}}, "one mass"),
     ],

@@ -202,7 +202,7 @@ def test_records_it_cannot_use_are_refused_in_a_sentence() -> None:
     second = problem.records[0].channels[1]
     late = Channel(second.times + 0.01, second.values, dof=1)
     apart = Problem(problem.system, (Record((problem.records[0].channels[0], late)),))
-    assert "same times" in (LS().objection(apart) or "")
+    assert "same sample times" in (LS().objection(apart) or "")
 
 
 def test_a_dead_channel_beside_a_live_one_is_named() -> None:
