@@ -1,1 +1,1 @@
-"""Audits of published claims: what their data allow, what an efficient estimator scores, where a number falls."""
+"""Audits of published claims: the bound of their data, the errors of an efficient estimator, and the comparison."""

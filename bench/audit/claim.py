@@ -1,4 +1,4 @@
-"""A published claim as a file states it: the source's facts, what was known, what was reported."""
+"""Read a published claim from a file: its source, its setting, and the reported numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.scenario.declaration import STRICT, Positive, validated
 MOST_SAMPLES, MOST_DRAWS = 20_000, 10_000
 DRAWN = r"^(default_rng\(\d{1,9}\)|RandomState\(\d{1,9}\)|halton|unknown seed)$"
 FORCE_SAMPLES = 4001
-"""Samples by which an expression of time is given to the equation, joined by a cubic spline."""
+"""Number of samples of a force that is an expression of time; a cubic spline connects them."""
 Definition = Literal[
     "standard deviation", "variance", "half-width", "snr db", "snr db of the variance", "snr db of the peak",
     "percent of the rms", "percent of the standard deviation", "percent of the largest value", "none",
@@ -31,7 +31,7 @@ Words = Annotated[tuple[str, ...], LISTED]
 
 
 class ClaimPart(BaseModel):
-    """A part of a claim, of known fields and finite numbers only."""
+    """A part of a claim; unknown fields and numbers that are not finite are refused."""
 
     model_config = ConfigDict(**STRICT, frozen=True)
 
@@ -42,7 +42,7 @@ class ClaimPart(BaseModel):
         for name in values if isinstance(values, Mapping) else ():
             if name not in known:
                 near = did_you_mean(name, known)
-                raise InputError(str(name), values[name], f"no such field; {near}there are {', '.join(known)}")
+                raise InputError(str(name), values[name], f"not a field; {near}fields: {', '.join(known)}")
         return values
 
 
@@ -57,7 +57,7 @@ class Source(ClaimPart):
 
 
 class StatedStart(ClaimPart):
-    """Displacement and velocity at time 0, one number a mass, and whether the method knew them."""
+    """Displacement and velocity at time 0, one number per mass, and whether they were given to the method."""
 
     displacement: Numbers
     velocity: Numbers
@@ -65,7 +65,7 @@ class StatedStart(ClaimPart):
 
 
 class StatedTimes(ClaimPart):
-    """Sample times: listed, a column of the data, uniform, or drawn between two."""
+    """Sample times: a list, a column of the data, uniform, or drawn at random between two times."""
 
     values: Numbers = ()
     column: str = ""
@@ -76,7 +76,7 @@ class StatedTimes(ClaimPart):
     drawn: Annotated[str, Field(pattern=DRAWN)] | None = None
 
     def samples(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the times, increasing and each once; raises InputError where they are not stated in one way."""
+        """Return the distinct times in increasing order; raises InputError unless exactly one form is given."""
         first, last = self.first, self.last
         if self.values or self.column:
             if self.column:
@@ -106,14 +106,14 @@ class StatedTimes(ClaimPart):
 
 
 class StatedNoise(ClaimPart):
-    """The noise of the samples, by the source's definition; one value, or one a channel."""
+    """Noise of the samples, by the definition of the source: one value, or one per channel."""
 
     definition: Definition
     value: Numbers = (0.0,)
 
 
 class PublishedColumns(ClaimPart):
-    """A CSV file beside the claim, with columns of times, of samples and of the noise-free solution of one channel."""
+    """CSV file next to the claim with columns of times, samples and the noise-free solution of one channel."""
 
     file: Annotated[str, Field(pattern=r"^[\w .-]+$")]
     time: str
@@ -122,7 +122,7 @@ class PublishedColumns(ClaimPart):
 
 
 class StatedPrior(ClaimPart):
-    """A prior's standard deviation: in the parameter's unit, or in percent of the stated value."""
+    """Standard deviation of a prior, in the unit of the parameter or in percent of the stated value."""
 
     value: float | None = None
     sd: Positive | None = None
@@ -130,14 +130,14 @@ class StatedPrior(ClaimPart):
 
 
 class Given(ClaimPart):
-    """Prior and starting values that the method was given beside the data."""
+    """Priors and initial guesses that were given to the method."""
 
     prior: Mapping[str, StatedPrior] = {}
     starting_value: Mapping[str, float] = {}
 
 
 class Setting(ClaimPart):
-    """The setting of a case as a file states it: data and prior knowledge."""
+    """Setting of a case: data and prior knowledge."""
 
     parameters: Mapping[str, float]
     initial_state: StatedStart
@@ -151,7 +151,7 @@ class Setting(ClaimPart):
 
 
 class Reported(ClaimPart):
-    """A number as it was reported, of one draw or of ``draws``; without a value, one that was not reported."""
+    """A reported number, from one or several draws of the noise; ``value`` is None for a number not reported."""
 
     method: str
     quantity: str
@@ -165,13 +165,13 @@ class Reported(ClaimPart):
 
     @property
     def half_digit(self) -> float:
-        """Half of the last digit that is printed."""
+        """Half a unit of the last printed digit."""
         value = self.value or 0.0
         return self.precision or 0.5 * 10.0 ** (0 if value == int(value) else int(Decimal(repr(value)).as_tuple()[2]))
 
 
 class Claim(Setting):
-    """A claim: its setting, what differs by ``case`` and by ``reading`` of what the source leaves open, its numbers."""
+    """A claim: its setting, changes per case and per reading of what the source does not state, and its numbers."""
 
     source: Source
     equation: Words
@@ -184,10 +184,18 @@ class Claim(Setting):
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """A setting with its equation: all that decides what the data allow.
+    """A setting with its equation, which together determine the Fisher information.
 
-    ``system`` has the unknown parameters, whose sizes are ``p``; where all are known (``decided``), it has all.
-    ``rows``: those of the state, displacements before velocities, that have a sensor.
+    Attributes:
+        setting: The setting.
+        system: System of the unknown parameters; of all parameters, if all are known.
+        p: Absolute values of the parameters of ``system``.
+        start: Initial state.
+        times: Sample times (s).
+        forces: Forces.
+        rows: Components of the state with a sensor, displacements before velocities.
+        columns: Columns of the published data.
+        decided: Whether all parameters are known.
     """
 
     setting: Setting
@@ -201,7 +209,7 @@ class Situation:
     decided: bool
 
     def value(self, quantity: str, sizes: Mapping[str, float] | None = None) -> float:
-        """Return a quantity at the stated parameters, or at other sizes of the unknown ones."""
+        """Return a quantity at the stated parameters, or at other absolute values of the unknown ones."""
         signed = {n: -v if n in self.system.negative else v for n, v in (sizes or {}).items()}
         p = {name: np.float64(v) for name, v in {**self.setting.parameters, **signed}.items()}  # 1/0 is infinite
         with np.errstate(all="ignore"):
@@ -210,7 +218,7 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class StatedClaim:
-    """A claim that has been read: its situations by case ("" without one) and reading ("" as stated)."""
+    """A claim with its situations by case ("" for none) and reading ("" for the stated one)."""
 
     name: str
     claim: Claim
@@ -218,12 +226,12 @@ class StatedClaim:
 
 
 def read_claim(name: str, content: Mapping[str, Any], folder: Path) -> StatedClaim:
-    """Read the content of a claim's file; ``folder`` has its data. Raises InputError before any work."""
+    """Read the content of a claim's file; ``folder`` has its data. Raises InputError before any computation."""
     claim, situations = validated(Claim, content), {}
     common = {key: content[key] for key in Setting.model_fields if key in content}
-    for case, own in {"": {}, **claim.cases}.items():
+    for case, changes in {"": {}, **claim.cases}.items():
         for reading, other in {"": {}, **claim.readings}.items():
-            whole = _merged(_merged(common, own), other)
+            whole = _merged(_merged(common, changes), other)
             place = f"readings.{reading}" if reading else f"cases.{case}" if case else ""
             situations[case, reading] = _situation(claim.equation, validated(Setting, whole, place), folder)
     for i, row in enumerate(claim.reported):
@@ -233,17 +241,17 @@ def read_claim(name: str, content: Mapping[str, Any], folder: Path) -> StatedCla
     return StatedClaim(name, claim, situations)
 
 
-def _merged(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields with those that differ, field by field below, too."""
-    both = {key: _merged(common[key], part) for key, part in own.items()
+def _merged(common: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with changes applied, also within nested fields."""
+    both = {key: _merged(common[key], part) for key, part in changes.items()
             if isinstance(part, Mapping) and isinstance(common.get(key), Mapping)}  # fmt: skip
-    return {**common, **own, **both}
+    return {**common, **changes, **both}
 
 
 def _check_reported(field: str, row: Reported, situation: Situation) -> None:
     if row.quantity == "x":
         if row.form != "rmse":
-            raise InputError(f"{field}.form", row.form, "rmse: a displacement has no other score")
+            raise InputError(f"{field}.form", row.form, "rmse, the only form for a displacement")
     else:
         expression(row.quantity, list(situation.setting.parameters), f"{field}.quantity")
         if not np.isfinite(value := situation.value(row.quantity)) or value == 0:
@@ -253,7 +261,7 @@ def _check_reported(field: str, row: Reported, situation: Situation) -> None:
 
 
 def _situation(equations: tuple[str, ...], setting: Setting, folder: Path) -> Situation:
-    """Return a setting with its equation, times and forces; raises InputError where they do not fit each other."""
+    """Return a setting with its equation, times and forces; raises InputError if they are inconsistent."""
     p, given = setting.parameters, setting.given
     for field, names in {"known": setting.known, "prior": given.prior, "starting_value": given.starting_value}.items():
         for name in names:
@@ -262,13 +270,13 @@ def _situation(equations: tuple[str, ...], setting: Setting, folder: Path) -> Si
     decided, free = not unknown, unknown or tuple(p)
     known = tuple((name, p[name]) for name in p if name not in free)
     if (decided and not setting.initial_state.known) or not p:
-        raise InputError("known", ", ".join(setting.known), "leave out what was identified")
+        raise InputError("known", ", ".join(setting.known), "leave out the parameters that were identified")
     if zero := [name for name in free if p[name] == 0]:
-        raise InputError(f"parameters.{zero[0]}", 0, "not zero where it is unknown: errors are relative to it")
+        raise InputError(f"parameters.{zero[0]}", 0, "not zero if it is unknown: errors are relative to it")
     system = EquationSystem(equations, free, known, tuple(name for name in free if p[name] < 0))
     n, state = system.n_dof, setting.initial_state
     if not len(state.displacement) == len(state.velocity) == n:
-        raise InputError("initial_state", len(state.displacement), f"{n} number(s) each, one a mass")
+        raise InputError("initial_state", len(state.displacement), f"{n} number(s) each, one per mass")
     channels = [f"{letter}{i + 1 if n > 1 else ''}" for letter in "xv" for i in range(n)]
     for name in setting.measured:
         check_name("measured", name, channels)
@@ -286,7 +294,7 @@ def _situation(equations: tuple[str, ...], setting: Setting, folder: Path) -> Si
 
 
 def _forces(text: str | None, last: float) -> tuple[Force, ...]:
-    """Return the force of an expression of t, on the first mass."""
+    """Return the force on the first mass from an expression of t."""
     if text is None:
         return ()
     times = np.linspace(0.0, last, FORCE_SAMPLES)
@@ -299,13 +307,13 @@ def _forces(text: str | None, last: float) -> tuple[Force, ...]:
 
 
 def _columns(data: PublishedColumns | None, folder: Path) -> dict[str, np.ndarray]:
-    """Return the columns of the published samples by their headings."""
+    """Return the columns of the published data by heading."""
     if data is None:
         return {}
     try:
         table = pd.read_csv(folder / data.file, comment="#")
     except (OSError, ValueError) as error:  # pandas' own errors are values', too
-        raise InputError("data.file", data.file, f"a CSV file beside the claim is wanted: {error}") from None
+        raise InputError("data.file", data.file, f"a CSV file next to the claim is required: {error}") from None
     columns = {heading: pd.to_numeric(table[heading], errors="coerce").to_numpy(float) for heading in table}
     for heading in filter(None, [data.time, data.x, data.exact]):
         check_name("data", heading, columns)

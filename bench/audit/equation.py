@@ -1,4 +1,4 @@
-"""Equations and quantities as a claim writes them: arithmetic of names, read without executing anything else."""
+"""Parse the equations and quantities of a claim: arithmetic expressions only, so no other code can run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.systems import Dimension, Ops, Parameter, Quantity, System
 
 OF_EQUATIONS: Mapping[str, Any] = {name: getattr(np, name) for name in ("sin", "cos", "tanh", "exp", "abs", "pi")}
 FUNCTIONS = {**OF_EQUATIONS, "sqrt": np.sqrt, "log": np.log}
-"""Functions that an expression may call; in an equation of motion, those that all libraries have."""
+"""Functions of expressions; equations of motion are limited to those that all libraries provide."""
 ALLOWED = (
     ast.Expression,
     ast.BinOp,
@@ -32,21 +32,31 @@ Value = Callable[[Mapping[str, Any]], Any]
 
 
 def expression(text: str, names: Sequence[str], field: str, functions: Mapping[str, Any] = FUNCTIONS) -> Value:
-    """Read an expression of names, numbers and functions; returns its value by those of the names.
+    """Parse an expression of names, numbers and functions.
 
-    Raises InputError for anything else that Python could execute, and for a name that is not known.
+    Args:
+        text: The expression.
+        names: Names of the variables.
+        field: Field of the claim, for errors.
+        functions: Functions and constants.
+
+    Returns:
+        A function of the values of the variables.
+
+    Raises:
+        InputError: For an unknown name, or any other syntax of Python.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise InputError(field, text, "an expression such as k/m or 0.5*cos(2*t) is wanted") from None
+        raise InputError(field, text, "an expression such as k/m or 0.5*cos(2*t)") from None
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and node.id not in (*names, *functions):
-            raise InputError(field, text, f"{node.id} is unknown; there are {', '.join([*names, *functions])}")
+            raise InputError(field, text, f"{node.id} is unknown; known: {', '.join([*names, *functions])}")
         if not isinstance(node, ALLOWED) or (isinstance(node, ast.Constant) and type(node.value) not in (int, float)):
             raise InputError(field, text, "names, numbers, + - * / **, parentheses and functions only")
     powers = {id(node.right) for node in ast.walk(tree) if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)}
-    for node in ast.walk(tree):  # whole numbers stay exact as small powers; others would grow without end
+    for node in ast.walk(tree):  # integers stay exact as small exponents; large ones could exhaust the memory
         if (
             isinstance(node, ast.Constant)
             and isinstance(node.value, int)
@@ -68,10 +78,10 @@ def expression(text: str, names: Sequence[str], field: str, functions: Mapping[s
 
 @dataclass(frozen=True)
 class EquationSystem(System):
-    """Equations of motion as text, one a mass: ``m*x'' + c*x' + k*x = f``, or with ``x1''``, ``x2'`` and so on.
+    """Equations of motion as text, one per mass: ``m*x'' + c*x' + k*x = f``, or with ``x1''``, ``x2'`` and so on.
 
-    Its parameters are the ``unknown`` ones, by their sizes; ``known`` ones are numbers in the equations, and so are the
-    signs of unknown ones that are ``negative``.
+    The parameters of the system are the absolute values of the ``unknown`` ones; ``known`` parameters, and the signs of
+    ``negative`` ones, are constants in the equations.
     """
 
     equations: tuple[str, ...]
@@ -87,18 +97,17 @@ class EquationSystem(System):
         motion = [f"{letter}{i + 1 if n > 1 else ''}" for letter in "xvaf" for i in range(n)]
         for symbol in symbols:
             if symbol in (*FUNCTIONS, *motion) or not symbol.isidentifier():
-                raise InputError("parameters", symbol, "a name that no motion, force or function has")
+                raise InputError("parameters", symbol, "a name that is not a motion, force or function")
         for acceleration in motion[2 * n : 3 * n]:
             if not re.search(rf"\b{acceleration}\b", " ".join(texts)):
-                raise InputError("equation", "; ".join(self.equations), f"{acceleration.replace('a', 'x')}'' is wanted")
+                missing = f"{acceleration.replace('a', 'x')}''"
+                raise InputError("equation", "; ".join(self.equations), f"it must contain {missing}")
         laws = [expression(text, [*motion, *symbols], "equation", OF_EQUATIONS) for text in texts]
         object.__setattr__(self, "_laws", (laws, motion))
         rng = np.random.default_rng(0)
-        p, (one, two) = {symbol: rng.uniform(0.5, 1.5) for symbol in self.unknown}, rng.standard_normal((2, 4, n))
+        p, (a, b) = {symbol: rng.uniform(0.5, 1.5) for symbol in self.unknown}, rng.standard_normal((2, 4, n))
         with np.errstate(all="ignore"):
-            first, second, both = (
-                self.residual(p, m[0], m[1], m[2], m[3], [], numpy_ops) for m in (one, two, one + two)
-            )
+            first, second, both = (self.residual(p, m[0], m[1], m[2], m[3], [], numpy_ops) for m in (a, b, a + b))
             object.__setattr__(self, "linear", np.allclose(np.add(first, second), both, rtol=1e-9))
 
     @property

@@ -1,4 +1,4 @@
-"""What the data of a claim allow: the bound, the scores of an efficient estimator, and where a number falls in them.
+"""Compare reported numbers with the Cramér-Rao bound of their data and the errors of an efficient estimator.
 
 An efficient estimator is unbiased and has the covariance of the Cramér-Rao bound (S. M. Kay, Fundamentals of
 Statistical Signal Processing: Estimation Theory, 1993, chapter 3), to first order in the noise; its errors are drawn
@@ -23,9 +23,9 @@ from bench.scoring.verdict import DECIDED_BY_PRIOR
 from bench.systems import Quantity
 
 RARE = 0.01
-"""The share of an efficient estimator's scores below which a smaller, or a larger, reported score is outside."""
+"""Level of the verdicts "smaller" and "larger": a share of the scores of an efficient estimator."""
 DISAGREES = 1e-3
-"""A chance below which samples contradict the stated equation, and a part of the largest value for a solution."""
+"""Level below which samples contradict the stated equation; for a solution, the relative difference that does."""
 SIMULATED, MOST_SIMULATED, DENSE, STEP = 100_000, 10_000_000, 1000, 1e-5
 Verdict = Literal[
     "within",
@@ -41,10 +41,13 @@ Verdict = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The Fisher information of a situation, and the response by its unknowns.
+    """The Fisher information of a situation, and the derivatives of its response.
 
-    ``sigma`` (n_channels,) has zeros where there is no noise; ``slopes`` (n_dense, n_unknowns) are those of the first
-    channel over the record.
+    Attributes:
+        situation: The situation.
+        sigma: Standard deviations of the noise (n_channels,); zero without noise.
+        information: Fisher information.
+        slopes: Derivatives of the first channel by the unknowns, over the record (n_dense, n_unknowns).
     """
 
     situation: Situation
@@ -53,7 +56,7 @@ class Evidence:
     slopes: np.ndarray
 
     def quantity(self, name: str) -> Quantity:
-        """Return a quantity near the stated parameters as a product of powers, by central differences."""
+        """Approximate a quantity by a product of powers at the stated parameters, by central differences."""
         p, value = self.situation.p, self.situation.value
         ends = [[value(name, {**p, n: p[n] * np.exp(side * STEP)}) for side in (1, -1)] for n in p]
         return Quantity(
@@ -61,10 +64,11 @@ class Evidence:
         )
 
     def spread(self, name: str) -> np.ndarray:
-        """Return the standard deviations of an efficient estimator's independent errors, in the quantity's unit.
+        """Return the standard deviations of the independent errors of an efficient estimator, in the quantity's unit.
 
-        One of a parameter, infinite where data and prior do not determine it; of the displacement those of its
-        principal components, whose squares add up to the mean square error.
+        Returns:
+            For a parameter one value, infinite if it is not identifiable; for the displacement those of its principal
+            components, whose squares add up to the mean square error.
         """
         if name == "x":
             roots = self.slopes @ self.information.factor[: self.slopes.shape[1]]
@@ -73,7 +77,7 @@ class Evidence:
 
 
 def evidence_of(situation: Situation) -> Evidence:
-    """Compute the information that the samples of a situation hold; raises InputError where nothing can move so."""
+    """Compute the Fisher information of a situation; raises InputError if the motion is not finite."""
     setting, names = situation.setting, situation.system.names
     dense = np.linspace(0.0, situation.times[-1], DENSE)
     grid = np.unique(np.concatenate([situation.times, dense]))
@@ -96,7 +100,7 @@ def evidence_of(situation: Situation) -> Evidence:
 def _response(
     situation: Situation, p: Mapping[str, float], start: InitialState, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements and velocities (2 n_dof, n_times) and their derivatives by log-parameters and state."""
+    """Return displacements and velocities (2 n_dof, n_times), and their derivatives by log-parameters and state."""
     system = situation.system
     differentiate = linear_sensitivities if system.linear else stepped_sensitivities
     with np.errstate(all="ignore"):
@@ -104,7 +108,7 @@ def _response(
 
 
 def _sigma(noise: StatedNoise, clean: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of the noise of each channel (n_channels,), of clean samples (n_channels, n)."""
+    """Return the standard deviation of the noise by channel (n_channels,), from clean samples (n_channels, n)."""
     values = np.broadcast_to(noise.value, len(clean)).astype(float)
     plain = {"none": 0.0 * values, "standard deviation": values, "variance": np.sqrt(values)}
     plain["half-width"] = values / np.sqrt(3.0)
@@ -122,11 +126,22 @@ def _sigma(noise: StatedNoise, clean: np.ndarray) -> np.ndarray:
 class AuditFinding:
     """A reported number under one reading.
 
-    ``bound``: standard deviation of one draw of an efficient estimator (of the displacement: its root mean square).
-    ``score``: the reported error in the form in which it was reported; ``median``, ``low``, ``high``: of an efficient
-    estimator's scores, with its 95 % range. ``smaller`` and ``larger``: the shares of those scores that are as small,
-    and as large, as far as the printed digits tell. ``start``: distance of the starting value from the stated one,
-    and ``sd_ratio`` the stated standard deviation, both over the bound.
+    Attributes:
+        row: The reported number.
+        reading: Reading; empty for the stated one.
+        verdict: Verdict.
+        truth: True value.
+        score: Reported error, in the form in which it was reported.
+        bound: Standard deviation of an efficient estimator for one draw (displacement: its root mean square).
+        median: Median score of an efficient estimator.
+        low: Lower end of the 95 % range of its scores.
+        high: Upper end of the 95 % range of its scores.
+        smaller: Share of its scores that are at most the reported one, within the printed digits.
+        larger: Share of its scores that are at least the reported one, within the printed digits.
+        prior_share: Share of the bound's variance that is due to the prior.
+        start: Distance of the initial guess from the stated value, over the bound.
+        sd_ratio: Stated standard deviation over the bound.
+        why: Reasons why the quantity is not identifiable.
     """
 
     row: Reported
@@ -147,7 +162,7 @@ class AuditFinding:
 
 
 def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
-    """Place a reported number among the scores of an efficient estimator."""
+    """Compare a reported number with the scores of an efficient estimator."""
     situation, nan = evidence.situation, float("nan")
     truth = nan if row.quantity == "x" else situation.value(row.quantity)
     score = nan if row.value is None else abs(row.value - truth) if row.form == "value" else row.value
@@ -175,7 +190,7 @@ def judge(row: Reported, reading: str, evidence: Evidence) -> AuditFinding:
 
 
 def _scores(row: Reported, spread: np.ndarray, truth: float) -> np.ndarray:
-    """Draw the scores of an efficient estimator, each of as many draws as were reported."""
+    """Draw scores of an efficient estimator, each from as many draws of the noise as the reported number."""
     n = max(100, min(SIMULATED, MOST_SIMULATED // (row.draws * len(spread))))
     errors = spread * np.random.default_rng(0).standard_normal((n, row.draws, len(spread)))
     if row.form == "value":
@@ -187,7 +202,7 @@ def _scores(row: Reported, spread: np.ndarray, truth: float) -> np.ndarray:
 
 
 def _reasons(situation: Situation) -> tuple[str, ...]:
-    """Return why a quantity is not identifiable, by the exact structure of the equation."""
+    """Return the reasons why a quantity is not identifiable, from the structure of the equation."""
     state, n = situation.setting.initial_state, situation.system.n_dof
     masses, pushed = sorted({row % n for row in situation.rows}), [force.dof for force in situation.forces]
     start = (state.displacement, state.velocity) if state.known else None
@@ -201,9 +216,12 @@ def _reasons(situation: Situation) -> tuple[str, ...]:
 class Consistency:
     """Agreement of published samples, or of a published solution, with the stated equation.
 
-    ``difference``: the largest, over the largest value. ``fitted``: quantities and initial state of the equation that
-    fits best, each with what is stated; ``remaining``: the difference from that. ``chance``: that noise of the stated
-    size differs so much; None for a solution.
+    Attributes:
+        what: Samples or solution.
+        difference: Largest difference over the largest value.
+        fitted: Parameters and initial state of the best fit, each with the stated value.
+        remaining: Largest difference from the best fit, over the largest value.
+        chance: p value of the difference under noise of the stated size; None for a solution.
     """
 
     what: Literal["samples", "solution"]
@@ -214,12 +232,12 @@ class Consistency:
 
     @property
     def agrees(self) -> bool:
-        """Return whether the stated equation explains the column."""
+        """Whether the stated equation explains the data."""
         return self.difference < DISAGREES if self.chance is None else self.chance >= DISAGREES
 
 
 def consistency(evidence: Evidence, column: str, what: Literal["samples", "solution"]) -> Consistency:
-    """Compare a column of the first channel with the equation, and fit unknown parameters and initial state to it."""
+    """Compare published data of the first channel with the equation, and fit parameters and initial state to them."""
     from scipy.optimize import least_squares
     from scipy.stats import chi2
 
@@ -252,9 +270,13 @@ def consistency(evidence: Evidence, column: str, what: Literal["samples", "solut
 
 @dataclass(frozen=True)
 class Audit:
-    """A claim with the findings on each reported number and reading, and the consistency of its data by case.
+    """The audit of a claim.
 
-    ``rivals``: findings of one score of the same draws by several methods, the nearest to the stated value first.
+    Attributes:
+        stated: The claim.
+        findings: Findings on each reported number under each reading.
+        rivals: Groups of findings of several methods on the same quantity and draws, the most accurate first.
+        consistency: Agreement of the published data with the equation, by case.
     """
 
     stated: StatedClaim
@@ -267,7 +289,7 @@ class Audit:
         return [finding for finding in self.findings if finding.reading == reading]
 
     def others(self, finding: AuditFinding) -> str:
-        """Say which verdicts the other readings have, with their bounds."""
+        """List the verdicts of the other readings, with their bounds."""
         number = self.of("").index(finding)
         other = [self.of(reading)[number] for reading in self.stated.claim.readings]
         if other and all(f.verdict == finding.verdict for f in other):
@@ -279,7 +301,7 @@ class Audit:
 
 
 def audit(stated: StatedClaim) -> Audit:
-    """Audit a claim; raises InputError where its equation cannot be followed."""
+    """Audit a claim; raises InputError if its equation has no finite solution."""
     rows, readings = stated.claim.reported, ("", *stated.claim.readings)
     cases = dict.fromkeys([row.case for row in rows] or [""])
     evidence = {(c, reading): evidence_of(stated.situations[c, reading]) for c in cases for reading in readings}

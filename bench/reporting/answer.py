@@ -1,6 +1,6 @@
-"""The answer of a measured record in words and tables, for the terminal and for the page of a certificate.
+"""Results of a measured record as sentences and tables, for the terminal and the certificate.
 
-All take plain values: intervals are those of :class:`bench.records.intervals.StatedInterval`.
+The functions take plain values; intervals have the fields of :class:`bench.records.intervals.StatedInterval`.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ Interval = Mapping[str, Any]
 
 
 MOST_LISTED = 4
-"""Modes that an answer lists in its first line."""
+"""Largest number of modes in the first line of a result."""
 
 
 class Grid(NamedTuple):
-    """A table: headers, rows of text, and a class of style for each row or none."""
+    """A table: headers, rows of text, and the style of each row, if any has one."""
 
     headers: Sequence[str]
     rows: Sequence[Sequence[str]]
     classes: Sequence[str] = ()
 
 
-MEANING = "of a repeat: what another test of the same rig would give; of this record: what its noise leaves open"
-"""What the two intervals are, in one line."""
+MEANING = "of a repeat: expected range of another test of the same system; of this record: uncertainty due to its noise"
+"""Meaning of the two kinds of intervals."""
 
 
 def in_shown_unit(name: str, interval: Interval) -> Interval:
-    """Return an interval in the unit that is shown: a damping ratio in percent, all others as they are."""
+    """Convert an interval to the printed unit: percent for a damping ratio, unchanged for others."""
     if not name.startswith("damping_ratio"):
         return interval
     return {key: 100.0 * end if isinstance(end, float) else end for key, end in interval.items()} | {"unit": "%"}
 
 
 def ends_text(interval: Interval, of: str = "") -> str:
-    """Return an interval as text: ``51.9 to 52.3``, or the limit that the data determine; ``of`` names the ends."""
+    """Format an interval: ``51.9 to 52.3``, or a limit; ``of`` is the prefix of the names of the ends."""
     if interval["limit"] and of != "white_":
         return limit_text(interval)
     _, low, high = rounded(interval["value"], interval[f"{of}low"], interval[f"{of}high"])
@@ -46,7 +46,7 @@ def ends_text(interval: Interval, of: str = "") -> str:
 
 
 def value_and_ends(interval: Interval | None, of: str = "") -> tuple[str, str]:
-    """Return a value with as many digits as its interval justifies, and the interval; dashes where there is none."""
+    """Format a value with as many digits as its interval justifies, and the interval; dashes without one."""
     if interval is None:
         return "–", "–"
     if math.isnan(interval["low"]):
@@ -56,12 +56,12 @@ def value_and_ends(interval: Interval | None, of: str = "") -> tuple[str, str]:
 
 
 def limit_text(interval: Interval) -> str:
-    """Return the one end of an interval that the data determine: ``at most 0.41``."""
+    """Format an interval with one finite end: ``at most 0.41``."""
     return f"{interval['limit']} {interval['high'] if interval['limit'] == 'at most' else interval['low']:.2g}"
 
 
 def uncertain_text(interval: Interval) -> str:
-    """Return ``52.10 ± 0.20``, or the value with its ends where they are uneven to the digits that are printed."""
+    """Format a value as ``52.10 ± 0.20``, or with both ends if the interval is not symmetric."""
     value, low, high = (interval[end] for end in ("value", "low", "high"))
     text, places, half = rounded(value, low, high)[0], decimals(low, high), 0.5 * (high - low)
     if math.isnan(half):
@@ -72,16 +72,16 @@ def uncertain_text(interval: Interval) -> str:
 
 
 def quantity_text(name: str, interval: Interval) -> str:
-    """Return ``k/m = 52.10 ± 0.20 1/s²``, or ``c/m at most 0.4 1/s``."""
+    """Format a quantity: ``k/m = 52.10 ± 0.20 1/s²``, or ``c/m at most 0.4 1/s``."""
     shown = in_shown_unit(name, interval)
     text = limit_text(shown) if shown["limit"] else f"= {uncertain_text(shown)}"
     return f"{readable(name)} {text} {shown['unit'].strip('-')}".rstrip()
 
 
 def answer(intervals: Mapping[str, Interval], modes: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Return the answer: parameters where their scale is determined, else frequency, damping ratio and other groups.
+    """Return the result in one line: parameters if their scale is identifiable, else frequency, damping ratio, groups.
 
-    Without intervals the ``modes`` are the answer, if there are any.
+    Without intervals, the ``modes`` are the result, if there are any.
     """
     if not intervals:
         return _modes_text(modes) if modes else "no value can be stated"
@@ -92,9 +92,9 @@ def answer(intervals: Mapping[str, Interval], modes: Sequence[Mapping[str, Any]]
 
 
 def _modes_text(modes: Sequence[Mapping[str, Any]]) -> str:
-    pairs = [[uncertain_text(own) for own in _mode_intervals(mode)] for mode in modes]
+    pairs = [list(map(uncertain_text, _mode_intervals(mode))) for mode in modes]
     if any(mode["alias"] for mode in modes):
-        return f"{' or '.join(f'{frequency} Hz' for frequency, _ in pairs)}: the sampling cannot distinguish them"
+        return f"{' or '.join(f'{frequency} Hz' for frequency, _ in pairs)}: indistinguishable at this sampling rate"
     if len(pairs) > MOST_LISTED:
         return f"{len(pairs)} modes from {pairs[0][0]} to {pairs[-1][0]} Hz"
     text = "; ".join(f"{frequency} Hz, damping ratio {ratio} %" for frequency, ratio in pairs)
@@ -111,7 +111,7 @@ def _mode_intervals(mode: Mapping[str, Any]) -> tuple[Interval, Interval]:
 
 
 def residual_facts(residuals: Mapping[str, Any]) -> dict[str, str]:
-    """Return what the fit leaves of the record, by name."""
+    """Return facts of the residuals, by name."""
     part = f"{100 * residuals['part_of_signal']:.2g} % of signal RMS"
     lag = f"lag-1 autocorrelation {residuals['lag1_autocorrelation']:.2f}"
     return {
@@ -125,21 +125,21 @@ def residual_facts(residuals: Mapping[str, Any]) -> dict[str, str]:
 
 
 def values_table(stated: Mapping[str, Interval], withdrawn: Mapping[str, Interval]) -> Grid:
-    """Tabulate values with their intervals, or withdrawn values alone: intervals about them would mislead."""
+    """Tabulate values with their intervals, or rejected values without, since their intervals would mislead."""
     shown = {name: in_shown_unit(name, interval) for name, interval in (stated or withdrawn).items()}
     if not stated:
-        values = [(readable(name), number(own["value"]), own["unit"].strip("-")) for name, own in shown.items()]
-        return Grid(("Quantity", "Withdrawn value", "Unit"), values)
+        values = [(readable(name), number(part["value"]), part["unit"].strip("-")) for name, part in shown.items()]
+        return Grid(("Quantity", "Rejected value", "Unit"), values)
     rows = []
-    for name, own in shown.items():
-        value, *ends = *value_and_ends(own), ends_text(own, "record_"), ends_text(own, "white_")
-        rows.append((readable(name), value, own["unit"].strip("-"), *ends))
+    for name, interval in shown.items():
+        value, *ends = *value_and_ends(interval), ends_text(interval, "record_"), ends_text(interval, "white_")
+        rows.append((readable(name), value, interval["unit"].strip("-"), *ends))
     headers = ("Quantity", "Value", "Unit", "95 % interval of a repeat", "Of this record", "White-noise interval")
     return Grid(headers, rows)
 
 
 def modes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
-    """Tabulate the modes of a record with their intervals, and aliases; with amplitudes where they are known."""
+    """Tabulate the modes of a record with their intervals, aliases, and amplitudes if they are known."""
     rows = []
     for mode in modes:
         share = "alias" if mode["alias"] else f"{100 * mode['share']:.0f} % of the signal"
@@ -153,7 +153,7 @@ def modes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
 
 
 def shapes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
-    """Tabulate what each sensor has of a mode over the largest; with a phase where it is not in phase or opposed."""
+    """Tabulate mode shapes relative to the largest sensor, with a phase unless it is 0° or 180°."""
     shapes = {number(mode["frequency"]): mode["shape"] for mode in modes if mode.get("shape")}
     rows = []
     for frequency, shape in shapes.items():
@@ -164,7 +164,7 @@ def shapes_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
 
 
 def parameters_table(modes: Sequence[Mapping[str, Any]]) -> Grid:
-    """Tabulate mass, damping and stiffness of each mode, where the only sensor is at the force."""
+    """Tabulate mass, damping and stiffness of each mode, for a single sensor at the point of the force."""
     rows, headers = [], ["Mode (Hz)"]
     for mode in modes:
         if parameters := mode.get("parameters"):
@@ -178,7 +178,7 @@ def _plus_minus(value: float, half: float) -> str:
 
 
 def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Grid:
-    """Tabulate what each of several records says alone, with its own 95 % interval."""
+    """Tabulate the estimates from each of several records, with their 95 % intervals."""
     names = list(next((run["estimates"] for run in runs.values() if run["estimates"]), {}))[:2]
     rows = []
     for name, run in runs.items():
@@ -186,4 +186,4 @@ def runs_table(runs: Mapping[str, Mapping[str, Any]]) -> Grid:
         left_out = f"left out: {run['left_out']}" if run["left_out"] else ""
         rows.append((name, *(text for pair in pairs for text in pair), left_out))
     headers = [text for quantity in names for text in (readable(quantity), "95 % interval")]
-    return Grid(("Run alone", *headers, ""), rows)
+    return Grid(("Single run", *headers, ""), rows)

@@ -1,1 +1,1 @@
-"""The certificate of a measured record: plain contents, pictures, and the page that holds them."""
+"""The certificate of a measured record: contents as plain values, pictures, and the page."""

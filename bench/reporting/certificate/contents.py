@@ -1,4 +1,4 @@
-"""What a certificate states, as plain values: the page shows these, and the JSON file holds them."""
+"""Contents of a certificate as plain values, for the page and the JSON file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from bench.reporting.rounding import number
 
 PACKAGES = ("numpy", "scipy", "jax", "casadi", "emcee", "torch")
 WHITE_BAND = (-math.log(0.975), -math.log(0.025))
-"""A periodogram's ordinate of white noise over its level is exponential: 95 % of them lie between these."""
+"""Range of 95 % of the ordinates of a periodogram of white noise over its level, which are exponential."""
 OPENING = {
     Trust.TRUST: "Trust: no problems were detected",
     Trust.CAUTION: "Use with caution",
@@ -38,7 +38,7 @@ OPENING = {
 
 
 def contents(certificate: Certificate, command: str) -> dict[str, Any]:
-    """Return all of a certificate; ``command`` reproduces it."""
+    """Return the contents of a certificate; ``command`` reproduces it."""
     primary, names = certificate.primary, compared_quantities(certificate.findings)
     values, modes, residuals = (
         _intervals(primary.intervals),
@@ -83,13 +83,13 @@ def contents(certificate: Certificate, command: str) -> dict[str, Any]:
 
 
 def packages() -> dict[str, str]:
-    """Return the versions of what computed a certificate, by name."""
+    """Return the versions of the packages that computed a certificate, by name."""
     versions = {name: version(name) for name in PACKAGES if find_spec(name)}
     return {"Python": platform.python_version(), "vibration-bench": __version__} | versions
 
 
 def sentences(certificate: Certificate) -> list[str]:
-    """Return the verdict with its first reason, and what supports the answer."""
+    """Return the verdict with its first reason, and a sentence on the data, the residuals and other methods."""
     primary, others = certificate.primary, [other for other in certificate.findings[1:] if other.intervals]
     reason = f": {primary.reasons[0].text}" if primary.reasons else ""
     runs = [run for run in primary.runs if not run.left_out]
@@ -110,7 +110,7 @@ def _intervals(intervals: Mapping[str, StatedInterval]) -> dict[str, dict[str, A
 
 
 def _prediction(certificate: Certificate) -> dict[str, float] | None:
-    """Return how well the first part of the first channel predicts the rest; None where it predicts nothing."""
+    """Return how well a fit of the first part of the first channel predicts the rest, or None."""
     prediction, fit = certificate.prediction, certificate.primary.fit
     if prediction is None or fit is None:
         return None
@@ -139,7 +139,7 @@ def _method(finding: Finding, primary: Finding, names: Sequence[str]) -> dict[st
 
 
 def series(certificate: Certificate) -> dict[str, Any]:
-    """Return the numbers behind the pictures, of the first channel, in its file's unit; None where there are none."""
+    """Return the data of the pictures: those of the first channel, in the unit of its file; missing ones are None."""
     primary, residuals = certificate.primary, residuals_of(certificate.primary)
     channel, fit = primary.problem.records[0].channels[0], primary.fit
     unit, size = file_unit(primary.measured)

@@ -1,4 +1,4 @@
-"""Contents of a certificate of several modes, as plain values for the same page and JSON file."""
+"""Contents of a certificate of several modes as plain values, for the page and the JSON file."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from bench.reporting.certificate.contents import OPENING, packages
 from bench.reporting.certificate.pictures import spectra_of_modes
 
 MOST_COMPARED = 4
-"""Modes whose frequencies are compared between methods, the strongest."""
-UNCHECKED = "replicas are of one mode; Table 12 says how intervals of several modes cover where the truth is known"
+"""Number of modes, the strongest, whose frequencies are compared between methods."""
+UNCHECKED = "replicas have one mode; Table 12 gives the coverage of intervals of several modes on simulated records"
 
 
 def modal_contents(findings: Sequence[ModalFinding], files: Sequence[Path], command: str) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def _method(finding: ModalFinding, primary: ModalFinding, compared: dict[str, Sh
         reference = _interval(mode) if primary.trust is not Trust.NO else None
         agreement[name] = "primary" if finding is primary else agreement_of(values[name], reference)
         if agreement[name] == "off" and math.isnan(values[name].low):
-            agreement[name] = "-"  # without an interval it may be as close as it can be
+            agreement[name] = "-"  # without an interval its accuracy is unknown
     return {
         "method": finding.method, "status": finding.estimate.status.value, "verdict": finding.trust.value,
         "message": finding.estimate.message, "reasons": [reason.text for reason in finding.reasons],
@@ -112,7 +112,7 @@ def _sentences(primary: ModalFinding, residuals: dict[str, Any] | None, others: 
 
 
 def _series(primary: ModalFinding, source: str) -> dict[str, Any]:
-    """Return the numbers behind the pictures: free motion of the first channel, and spectra of the liveliest."""
+    """Return the data of the pictures: free motion of the first channel, and spectra of the channel that moves most."""
     response, spectra = modal_response(primary), spectra_of_modes(primary)
     series = {"source": Path(source).name, "modes": spectra, "spectrum": None, "prediction": None}
     if response is None:

@@ -1,4 +1,4 @@
-"""A certificate as one page without network: its contents, pictures and tables put into the template."""
+"""The page of a certificate: contents, tables and pictures in one HTML file that loads nothing else."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def page(shown: Mapping[str, Any]) -> str:
 
 
 def _classes(classes: Sequence[Mapping[str, Any]]) -> Grid:
-    """Tabulate the model classes, the best first; those that the record does not tell from it are marked."""
+    """Tabulate the model classes, the best first; those that do not differ significantly from it are marked."""
     rows = []
     for model in classes:
         zero = model["zero"].items()
@@ -65,7 +65,7 @@ def _classes(classes: Sequence[Mapping[str, Any]]) -> Grid:
 
 
 def _methods(shown: Mapping[str, Any]) -> Grid:
-    """Tabulate the methods that state something, the primary first."""
+    """Tabulate the methods with stated values, the primary first."""
     names, rows, marks = shown["compared"], [], []
     units: dict[str, str] = {}
     for method in (method for method in shown["methods"] if method["values"]):
@@ -82,7 +82,7 @@ def _methods(shown: Mapping[str, Any]) -> Grid:
 
 
 def _silent(methods: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Say of the methods without stated values why they have none; methods with the same reason stand together."""
+    """List the reasons of methods without stated values, with the methods of each."""
     reasons: dict[str, list[str]] = {}
     for method in (method for method in methods if not method["values"]):
         reason = next(iter(method["reasons"]), method["message"] or method["status"])
@@ -91,7 +91,7 @@ def _silent(methods: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _replicas(shown: Mapping[str, Any]) -> Grid:
-    """Tabulate how the intervals cover the true values of replicas."""
+    """Tabulate the coverage of the intervals on simulated replicas."""
     rows = []
     for line in shown["replicas"]:
         interval, corrected = shown["values"].get(line["quantity"]), "–"
@@ -110,7 +110,7 @@ def _replicas(shown: Mapping[str, Any]) -> Grid:
 
 
 def _what_if(changes: Sequence[Mapping[str, Any]]) -> Grid:
-    """Tabulate predicted standard errors today and after each change."""
+    """Tabulate predicted standard errors of this record and after each change of the test."""
     today = changes[0]["today"] if changes else {}
     cases = [("this record", today)] + [(change["change"], change["relative_errors"]) for change in changes]
     rows = [(change, *(f"{100 * errors[n]:.2g}" if n in errors else "–" for n in today)) for change, errors in cases]
@@ -118,7 +118,7 @@ def _what_if(changes: Sequence[Mapping[str, Any]]) -> Grid:
 
 
 def _facts(shown: Mapping[str, Any]) -> dict[str, str]:
-    """Return what the record is, and what the fit leaves of it, by name."""
+    """Return facts of the record, of the residuals and of the prediction, by name."""
     record, residuals, prediction = shown["record"], shown["residuals"], shown["prediction"]
     facts = {"Lines": str(record["samples"])}
     if record["rate"]:

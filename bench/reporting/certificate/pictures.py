@@ -1,6 +1,6 @@
-"""The pictures of a measured record as SVG: those of a certificate, from its plain contents, and one of a fit alone.
+"""Pictures of a measured record as SVG: those of a certificate, from its contents, and one of a single fit.
 
-They are specifications of Vega-Lite, written without Altair, whose import would take longer than the drawing.
+The specifications of Vega-Lite are written without Altair, whose import would take longer than the drawing.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ BLUE, ORANGE, _, PURPLE = SERIES[:4]
 INK, QUIET = (theme()["style"][name]["color"] for name in ("truth", "quiet"))
 AGREEMENT = {"primary": INK, "agrees": BLUE, "tied": QUIET, "off": ORANGE, "-": QUIET}
 ROOM = 34.0
-"""Width of an axis with its labels, so that panels stand one above the other."""
+"""Width of an axis with its labels, equal for aligned panels."""
 MOST_MARKED = 250
-"""Samples beyond this number are a line, not circles."""
+"""Largest number of samples drawn as circles; more are drawn as a line."""
 WIDTHS = 3.0
-"""Widths of the primary's interval to either side of its value beyond which another's is cut at the edge."""
+"""Limits of the plot of intervals: widths of the primary's interval to either side of its value."""
 ENDS = ("value", "low", "high", "record_low", "record_high")
 REGION = {"type": "rect", "style": "region", "strokeWidth": 0}
 RULE = {"type": "rule", "style": "quiet"}
@@ -39,7 +39,7 @@ Drawn = tuple[Specification, str]
 
 
 def svg(picture: Specification, ground: str | None = None) -> str:
-    """Draw a picture in light colours, which a style sheet in it replaces where the reader prefers dark ones."""
+    """Draw a picture in light colours, with a style sheet for readers who prefer dark ones."""
     import vl_convert
 
     light, dark = (re.findall(r"#[0-9a-fA-F]{6}", str(theme(dark))) for dark in (False, True))
@@ -79,7 +79,7 @@ def modes_picture(finding: ModalFinding) -> str:
 
 
 def spectra_of_modes(finding: ModalFinding) -> dict[str, Any] | None:
-    """Return amplitudes of record, modes and residuals by frequency, of the liveliest channel; None without modes."""
+    """Return amplitudes of record, modes and residuals by frequency, for the channel that moves most, or None."""
     comparison = finding.comparison
     if comparison is None:
         return None
@@ -105,7 +105,7 @@ def _modes_over_frequency(spectra: Mapping[str, Any], width: float) -> Specifica
 
 
 def pictures(shown: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Draw what can be drawn of a certificate's contents: addresses of images, with their captions."""
+    """Draw the pictures of a certificate; returns addresses of images with their captions."""
     drawn = (draw(shown) for draw in (_record, _modes, _spectrum, _forest))
     code = "data:image/svg+xml;base64,"
     return [(code + b64encode(svg(picture[0]).encode()).decode(), picture[1]) for picture in drawn if picture]
@@ -129,7 +129,7 @@ def _panel(
     layers: Sequence[Specification], titles: tuple[str, str], height: float, width: float = HALF,
     colours: Mapping[str, str] | None = None, log: Sequence[float] = (),
 ) -> Specification:  # fmt: skip
-    """Lay curves over each other, under a legend of their colours; ``log``: the ends of y, on logarithmic axes."""
+    """Draw layers in one panel with a legend of colours; ``log``: limits of y, for logarithmic axes."""
     scale = {"type": "log", "nice": False} if log else {"zero": False, "nice": False}
     axis = {"format": ".6~g", "tickCount": 5}
     encoding: dict[str, Any] = {
@@ -148,7 +148,7 @@ def _over_time(
     samples: Curve, curves: Mapping[str, tuple[str, Curve]], left: Mapping[str, Curve], labels: tuple[str, str],
     width: float = HALF, under: Sequence[Specification] = (),
 ) -> Specification:  # fmt: skip
-    """Draw samples and curves in their colours and, below, what is left of the samples, by colour."""
+    """Draw samples and curves by colour and, in a panel below, residuals by colour."""
     few = samples[0].size <= MOST_MARKED
     colours = {"record": INK if few or not curves else QUIET} | {name: colour for name, (colour, _) in curves.items()}
     mark = {"type": "circle", "size": 7, "opacity": 1} if few else {"strokeWidth": 1.8 if curves else 0.6}
@@ -162,7 +162,7 @@ def _over_time(
     return {"vconcat": [above, _panel(layers, ("time (s)", labels[1]), 0.15 * width, width)], "spacing": 4}
 
 
-# Each returns a picture with its caption; None where there is nothing to draw.
+# Each of these functions returns a picture with its caption, or None without data.
 
 
 def _record(shown: Mapping[str, Any]) -> Drawn | None:
@@ -182,8 +182,8 @@ def _record(shown: Mapping[str, Any]) -> Drawn | None:
     left[PURPLE] = times[late], (values - series["prediction"])[late]
     region = _fixed(REGION, x=prediction["split"], x2=float(times[-1]))
     return _over_time((times, values), curves, left, labels, under=[region]), (
-        f"{caption} The last 40 % (grey) as a fit of the first 60 % predicts it: FIT {prediction['fit_pct']:.1f} %, "
-        "which is 100 % for a perfect prediction, 0 % for one no better than the mean."
+        f"{caption} Grey: the last 40 %, predicted by a fit of the first 60 %: FIT {prediction['fit_pct']:.1f} % "
+        "(100 %: perfect prediction; 0 %: no better than the mean)."
     )
 
 
@@ -191,7 +191,7 @@ def _modes(shown: Mapping[str, Any]) -> Drawn | None:
     spectra = shown["series"].get("modes")
     return spectra and (
         _modes_over_frequency(spectra, HALF),
-        "Spectra of the record, of the modes, and of what they leave. Dotted: the natural frequencies.",
+        "Spectra of the record, of the modes, and of the residuals. Dotted: the natural frequencies.",
     )
 
 
@@ -214,8 +214,8 @@ def _spectrum(shown: Mapping[str, Any]) -> Drawn | None:
     titles = "frequency (Hz)", f"density ({f'({unit})' if '/' in unit else unit}²/Hz)"
     colours = {"periodogram": BLUE, smooth: ORANGE}
     return _panel(layers, titles, 0.45 * HALF, colours=colours, log=(least, most)), (
-        "Spectrum of the residuals. White noise stays within the grey band at 95 of 100 frequencies; smooth line: "
-        "the autoregression that the intervals assume for the noise. Dotted: the natural frequency."
+        "Spectrum of the residuals. Grey: 95 % band of white noise. Smooth line: the autoregressive noise model of the "
+        "intervals. Dotted: the natural frequency."
     )
 
 
@@ -259,7 +259,7 @@ def _forest(shown: Mapping[str, Any]) -> Drawn | None:
         "spec": {"width": (HALF - 2 * ROOM) / len(quantities), "height": 11 * len(methods), "layer": layers},
         "resolve": {"scale": {"x": "independent"}},
     }, (
-        f"95 % intervals{': thin of a repeat, thick of this record' if shown['values'] else ' of this record'}; grey: "
-        "the primary method's. Blue agrees with it, grey bars are tied with it, orange is off: neither interval covers "
-        "the other's value. At an edge: beyond the plot."
+        f"95 % intervals{': thin of a repeat, thick of this record' if shown['values'] else ' of this record'}. Grey "
+        "region: the primary method. Blue bars agree with it, grey bars are tied with it; for orange bars neither "
+        "interval covers the other value. Values at an edge lie outside of the plot."
     )

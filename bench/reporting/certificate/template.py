@@ -1,4 +1,4 @@
-"""Pages without network: a head, a style and tables that all share, as templates of this folder."""
+"""Render HTML pages that load nothing else, from the templates of this folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def rendered(name: str, **values: Any) -> str:
-    """Return the page of a template that extends ``base.html.j2`` and makes its tables by ``tables.html.j2``."""
+    """Return the page of a template, which extends ``base.html.j2`` and uses the macros of ``tables.html.j2``."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     templates = Environment(

@@ -198,7 +198,7 @@ def conclusions(site: Site) -> list[Markup]:
     tiers = [{row.label for row in advice.first_tier} for advice in usable]
     counts = Counter(label for tier in tiers for label in tier)
     most = [label for label in in_order(counts) if counts[label] == max(counts.values())]
-    names = Markup(" and ").join(map(site.method, most))
+    names = Markup(", ").join(map(site.method, most))
     each = " each" if len(most) > 1 else ""
     sentences = [f"{names}: in the first tier of {counts[most[0]]} of {len(usable)} situations{each}."]
     fastest = Counter(advice.fastest.label for advice in usable)

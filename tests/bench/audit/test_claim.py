@@ -36,10 +36,10 @@ MALFORMED = {
     "no YAML": ("a: [", "claim="),
     "no source": (CLAIM.replace("source:", "from:"), "source"),
     "unknown field": (CLAIM.replace("known: [m]", "knwon: [m]"), "did you mean known"),
-    "unknown field below": (CLAIM.replace("n: 25", "samples: 25"), "samples=25: no such field"),
+    "unknown field below": (CLAIM.replace("n: 25", "samples: 25"), "samples=25: not a field"),
     "year": (CLAIM.replace("2026", "26"), "source.year=26"),
     "address": (CLAIM.replace("https://", "file:/"), "source.url="),
-    "equation of nothing": (CLAIM.replace("m*x''", "m"), "x'' is wanted"),
+    "equation of nothing": (CLAIM.replace("m*x''", "m"), "it must contain x''"),
     "equation": (CLAIM.replace("k*x", "k*(x"), "equation="),
     "name in the equation": (CLAIM.replace("k*x =", "q*x ="), "q is unknown"),
     "code in the equation": (CLAIM.replace("k*x =", "k*x.__class__ ="), "names, numbers"),
@@ -49,7 +49,7 @@ MALFORMED = {
     "zero": (CLAIM.replace("c: 0.4", "c: 0"), "parameters.c=0"),
     "nan": (CLAIM.replace("c: 0.4", "c: .nan"), "parameters.c=nan"),
     "unknown name known": (CLAIM.replace("known: [m]", "known: [mass]"), "known=mass"),
-    "masses": (CLAIM.replace("displacement: 1.0", "displacement: [1, 2]"), "one a mass"),
+    "masses": (CLAIM.replace("displacement: 1.0", "displacement: [1, 2]"), "one per mass"),
     "at rest": (CLAIM.replace("displacement: 1.0", "displacement: 0"), "away from rest"),
     "times": (CLAIM.replace("to: 10", "to: -10"), "times="),
     "both": (CLAIM.replace("n: 25", "n: 25, step: 0.1"), "times="),
@@ -70,7 +70,7 @@ MALFORMED = {
     "case": (CLAIM.replace("quantity: c,", "quantity: c, case: other,"), "reported.0.case=other"),
     "draws": (CLAIM.replace("quantity: c,", "quantity: c, draws: 0,"), "reported.0.draws=0"),
     "negative error": (CLAIM.replace("value: 0.39", "value: -1, form: percent error"), "not negative"),
-    "field of a reading": (CLAIM.replace("{known: false}", "{knwon: false}"), "knwon=False: no such field"),
+    "field of a reading": (CLAIM.replace("{known: false}", "{knwon: false}"), "knwon=False: not a field"),
     "field of a case": (CLAIM + "cases: {b: {noise: {value: loud}}}", "cases.b.noise.value"),
     "start of a stranger": (CLAIM.replace("{c: 1.0}", "{q: 1.0}"), "given.starting_value=q"),
 }
@@ -112,7 +112,7 @@ def test_the_command_says_it_and_writes_it(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "mine.yaml").write_text(CLAIM)
     assert main(["audit", str(tmp_path / "mine.yaml"), f"out={tmp_path / 'out'}"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    for part in ("2 within", "one draw does not decide", "assumed: the noise is white", "missing: more than one draw",
+    for part in ("2 within", "one draw does not determine", "assumed: the noise is white", "missing: more than one draw",
                  "the search began", "times the bound", "other readings: the same, bound 0.0"):  # fmt: skip
         assert part in said
     content = json.loads((tmp_path / "out" / "mine.json").read_text())

@@ -60,7 +60,7 @@ def test_twenty_random_times() -> None:
     assert [f.bound for f in result.findings[:2]] == pytest.approx(expected[:2], rel=1e-6)
     assert expected[:2] == pytest.approx([0.308, 8.73], rel=2e-3)
     assert [f.verdict for f in result.findings] == ["within"] * 4
-    undecided = "one draw does not decide which is nearer to the truth, 'PINN' and 'least squares'"
+    undecided = "one draw does not determine which is more accurate, 'PINN' and 'least squares'"
     assert list(map(compared, result.rivals)) == [f"for mu: {undecided}", f"for k: {undecided}"]
     # the chance of an error at least so large, from the normal distribution, the last digit printed allowed for
     chance = 2 * stats.norm.sf((0.1253 - 0.00005) / expected[0])
@@ -219,17 +219,17 @@ def test_where_a_number_falls(value: float, verdict: str) -> None:
     [
         (
             (0.41, 0.42, 0.9),
-            "for c: one draw does not decide which is nearer to the truth, 'a and e' and 'b'; the errors of 'd' are "
+            "for c: one draw does not determine which is more accurate, 'a and e' and 'b'; the errors of 'd' are "
             "larger",
         ),
         (
             (0.41, 0.8, 0.9),
-            "for c: 'a and e' has an error as an efficient estimator may have it; the errors of 'b' and 'd' are larger",
+            "for c: the error of 'a and e' is typical of an efficient estimator; the errors of 'b' and 'd' are larger",
         ),
         (
             (0.7, 0.8, 0.9),
-            "for c: the errors of 'a and e' and 'b' and 'd' are larger than an efficient estimator's; noise does not "
-            "order them",
+            "for c: the errors of 'a and e' and 'b' and 'd' are larger than those of an efficient estimator; noise does "
+            "not explain them",
         ),
     ],
 )

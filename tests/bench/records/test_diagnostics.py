@@ -357,7 +357,7 @@ def test_the_exit_status_is_1_where_nothing_is_to_be_trusted(
     assert main(["method=output_error", written(tmp_path, "t [s],x [m]", record())]) == status
     out = capsys.readouterr().out
     assert f": {trust}\n" in out
-    assert ("Withdrawn value" in out) == (status == 1)
+    assert ("Rejected value" in out) == (status == 1)
 
 
 @pytest.mark.parametrize(

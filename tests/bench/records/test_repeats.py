@@ -152,5 +152,5 @@ def test_five_files_are_one_answer_with_each_of_them_alone(tmp_path: Path) -> No
     assert high / low < 1.05
     assert answer.as_dict()["runs"]["run1.csv"]["estimates"]["k_over_m"]["value"] == pytest.approx(81.04, rel=0.01)
     page = repr(answer)
-    assert "Run alone" in page
+    assert "Single run" in page
     assert "left out" in page

@@ -99,7 +99,7 @@ def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     assert panel.agreements["counted"].tolist() == [2]
     files = track_table([panel], "again")
     assert "2 / 0 / 1" in files["table11.md"]
-    assert "2 trust, 0 use with caution, 1 do not trust (withdrawn)" in files["table11.md"]
+    assert "2 trust, 0 use with caution, 1 do not trust (rejected)" in files["table11.md"]
     assert [line["withdrawn"] for line in lines(files) if line["sibling"] == "all"] == ["1"]
 
 
