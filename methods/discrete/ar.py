@@ -48,7 +48,7 @@ class AR(PoleIdentifier):
         order=200,
     )
 
-    def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
+    def from_poles(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
         return groups_of(solve(*equations(sets, offset)), step)
 
 

@@ -67,7 +67,7 @@ class ARRecursive(PoleIdentifier):
             for i, a in enumerate(answers)
         ]
 
-    def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
+    def from_poles(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
         return np.array(self._path(sets, step, offset)[-1])
 
     def _path(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:

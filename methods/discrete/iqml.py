@@ -69,7 +69,7 @@ class IQML(PoleIdentifier):
             raise InputError("method.rounds", self.rounds, "at least 1")
         super().__post_init__()
 
-    def poles_read(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
+    def from_poles(self, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
         columns, target = equations(sets, offset)
         first = solve(columns, target)
         converged = [reweighted(x, y, a, self.rounds) for x, y, a in zip(columns, target, first, strict=True)]

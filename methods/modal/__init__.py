@@ -1,1 +1,1 @@
-"""Free decays read as modes: logarithmic decrement, matrix pencil, eigensystem realisation."""
+"""Identification from free decays: logarithmic decrement, matrix pencil, eigensystem realisation."""

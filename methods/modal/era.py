@@ -1,22 +1,22 @@
-"""Eigensystem realisation: the free decay of several masses as a linear system, without a search.
+"""Eigensystem realisation algorithm (ERA) for the free decay of several masses.
 
-Displacements of all degrees of freedom (DOF) at even steps h are realised as ``y_j = C A^j s`` with two states a DOF
-(J.-N. Juang, R. S. Pappa, J. Guidance, Control, and Dynamics 8:620, 1985; :mod:`methods.modal.realisation`):
-eigenvalues z of A and mode shapes ``C w``. ``s = log(z) / h`` are the poles. For one DOF this is the matrix pencil
+Displacements of all degrees of freedom (DOF) at even steps h are realised as ``y_j = C A^j s`` with two states per DOF
+(J.-N. Juang, R. S. Pappa, J. Guidance, Control, and Dynamics 8:620, 1985; :mod:`methods.modal.realisation`), with
+eigenvalues z of A and mode shapes ``C w``. The poles are ``s = log(z) / h``. For one DOF this is the matrix pencil
 (:mod:`methods.modal.matrix_pencil`) with another number of rows.
 
-**From poles and shapes to parameters.** Displacement shapes Phi and velocity shapes ``Phi S``, S the poles on the
-diagonal, are a basis Psi of the state ``[x, x']``, so ``Psi S Psi^-1`` is the state matrix, and its lower half is
-``[-M^-1 K, -M^-1 C]``: the acceleration that belongs to each unit state. Put into the system's residual, as a measured
-motion is in a regression, these give linear equations for its groups (:class:`methods.regression.equation.Regression`).
+**From poles and shapes to parameters.** Displacement shapes Phi and velocity shapes ``Phi S``, with the poles on the
+diagonal of S, form a basis Psi of the state ``[x, x']``. The state matrix is ``Psi S Psi^-1``, whose lower half
+``[-M^-1 K, -M^-1 C]`` has the acceleration of each unit state. Inserted into the equation of motion like a measured
+motion, these give linear equations for the groups (:class:`methods.regression.equation.Regression`).
 
-**Weights.** There are more entries than groups (8 for the 5 of two masses in a chain), known with very different
-errors. Synthetic records are drawn from the realised response and its misfit, realised again, and the covariance of
-what the equations then miss weighs them: generalised least squares. The same draws give the covariance of the groups
+**Weights.** There are more entries than groups (8 for the 5 of a chain of two masses), with very different errors.
+Synthetic records of the realised response and its misfit are realised again, and the covariance of their equation
+residuals weights the equations (generalised least squares). The same records give the covariance of the groups
 (parametric bootstrap). With ``bootstrap=0`` there are neither weights nor an uncertainty.
 
-``rows`` of the samples are the block rows: a half, a square Hankel matrix for one DOF; no trial was made of others.
-Even sampling is needed, and the displacement of every DOF.
+The block rows are ``rows`` times the samples: by default a half, a square Hankel matrix for one DOF; other values were
+not tried. Even sampling and the displacement of every DOF are required.
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ from methods.regression.identifier import RegressionIdentifier, answer, covarian
 from methods.starts.search_range import unevenness
 
 REALNESS = 1e-6
-"""The state matrix of poles and shapes that come in conjugate pairs has an imaginary part below this part of it."""
+"""Largest imaginary part of a state matrix, relative to its size; with conjugate pairs it is zero."""
 NO_VIBRATION = (
-    "its poles are not those of a vibration of this system: take a longer record, more samples a cycle or less noise"
+    "its poles are not those of a vibration of this system: "
+    "a longer record, more samples per cycle or less noise are required"
 )
-UNDETERMINED = "the realised matrices do not determine the groups: take more samples, or samples of more motion"
+UNDETERMINED = "the realised matrices do not determine the groups: more samples or more motion are required"
 
 
 @dataclass(frozen=True)
 class ERA(RegressionIdentifier):
-    """Block rows ``rows`` times the samples; ``bootstrap`` synthetic records for weights and covariance."""
+    """ERA; ``rows``: block rows over samples; ``bootstrap``: synthetic records for weights and covariance."""
 
     rows: float = 0.5
     bootstrap: int = 200
@@ -54,8 +55,8 @@ class ERA(RegressionIdentifier):
         start="not used",
         scale="groups",
         reconstruction="own",
-        uncertainty="covariance of a parametric bootstrap, Student t with N - (groups and start) degrees of freedom",
-        settings_source="order 2 a DOF by the system; square Hankel matrix as in Juang and Pappa (1985)",
+        uncertainty="covariance of a parametric bootstrap, Student t with N - (groups + initial state) degrees of
+        freedom", settings_source="order 2 per DOF by the system; square Hankel matrix as in Juang and Pappa (1985)",
         tuning="none",
         title="Eigensystem realisation",
         order=190,
@@ -66,60 +67,64 @@ class ERA(RegressionIdentifier):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 < self.rows < 1:
-            raise InputError("method.rows", self.rows, "a part of the number of samples, a half say")
+            raise InputError("method.rows", self.rows, "a fraction of the number of samples, such as 0.5")
 
     def objection(self, problem: Problem) -> str | None:
         return super().objection(problem) or _sampling_objection(problem)
 
     def fit(self, regression: Regression, rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Realise all problems at once, and their synthetic records."""
+        """Realise all problems, and their synthetic records, at once."""
         y, times = regression.values[0].swapaxes(0, 1), regression.times[0]
         rates, shapes = self._realised(y)
         rows = state_rows(rates, shapes, step_of(times))
         answers = [Estimate.failed(regression.system, Status.DIVERGED, NO_VIBRATION) for _ in rngs]
-        there = np.flatnonzero(np.all(np.isfinite(rows), axis=(1, 2))).tolist()
-        responses = [RealisedResponse.of(np.log(rates[i]) / step_of(times), shapes[i], times, y[i]) for i in there]
-        drawn = [rows[:0]] * len(there)
-        if self.bootstrap and len(there):
-            left = max(1.0 - (len(regression.names) + 2 * len(y[0])) / y[0].size, 1.0 / y[0].size)
+        valid = np.flatnonzero(np.all(np.isfinite(rows), axis=(1, 2))).tolist()
+        responses = [RealisedResponse.of(np.log(rates[i]) / step_of(times), shapes[i], times, y[i]) for i in valid]
+        drawn = [rows[:0]] * len(valid)
+        if self.bootstrap and len(valid):
+            freedom = max(1.0 - (len(regression.names) + 2 * len(y[0])) / y[0].size, 1.0 / y[0].size)
             sets = []
-            for i, response in zip(there, responses, strict=True):
+            for i, response in zip(valid, responses, strict=True):
                 centre = response(times)
-                noise = np.sqrt(np.mean((centre - y[i]) ** 2, axis=1, keepdims=True) / left)
+                noise = np.sqrt(np.mean((centre - y[i]) ** 2, axis=1, keepdims=True) / freedom)
                 sets.append(centre + noise * rngs[i].standard_normal((self.bootstrap, *centre.shape)))
-            drawn = np.split(state_rows(*self._realised(np.concatenate(sets)), step_of(times)), len(there))
-        for i, response, own_rows in zip(there, responses, drawn, strict=True):
-            answers[i] = _answer(regression, rows[[i]], response, own_rows)
+            drawn = np.split(state_rows(*self._realised(np.concatenate(sets)), step_of(times)), len(valid))
+        for i, response, drawn_rows in zip(valid, responses, drawn, strict=True):
+            answers[i] = _answer(regression, rows[[i]], response, drawn_rows)
         return answers
 
     def _realised(self, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Realise samples (sets, n, N), N at least 4 n + 1, with as many rows and columns as states and one shift."""
+        """Realise samples (sets, n, N), N at least 4 n + 1, with at least as many rows and columns as required."""
         n, samples = sets.shape[1:]
         return realise(sets, int(np.clip(round(self.rows * samples), 2 * n + 1, samples + 1 - 2 * n)), 2 * n)
 
 
 def _answer(regression: Regression, rows: np.ndarray, response: RealisedResponse, drawn: np.ndarray) -> Estimate:
-    """Answer with the groups of realised ``rows`` (1, n, 2n), weighted by those of drawn records, if any."""
+    """Return the estimate of the groups from realised ``rows`` (1, n, 2n), weighted by those of synthetic records."""
     unknowns, spread = _weighted(regression, rows, drawn)
     if not np.all(np.isfinite(unknowns)):
         return Estimate.failed(regression.system, Status.DIVERGED, UNDETERMINED)
-    said = [f"{name} came out negative" for name, value in zip(regression.names, unknowns[0], strict=True) if value < 0]
-    return replace(answer(regression, unknowns[0], spread, "; ".join(said)), reconstructions=(response,))
+    messages = [
+        f"the estimate of {name} is negative"
+        for name, value in zip(regression.names, unknowns[0], strict=True)
+        if value < 0
+    ]
+    return replace(answer(regression, unknowns[0], spread, "; ".join(messages)), reconstructions=(response,))
 
 
 def _sampling_objection(problem: Problem) -> str | None:
     times, n = problem.records[0].channels[0].times, problem.system.n_dof
-    # rows and columns enough for two states a DOF, a shift, and a sample for the noise
+    # rows and columns for two states per DOF, a shift, and a sample for the noise
     least = 4 * n + 1
     if not least <= times.size <= MAX_SAMPLES:
-        return f"it takes {least} to {MAX_SAMPLES} samples a channel; thin a longer record"
+        return f"it supports {least} to {MAX_SAMPLES} samples per channel; decimate a longer record"
     return unevenness(times)
 
 
 def state_rows(z: np.ndarray, shapes: np.ndarray, step: float) -> np.ndarray:
-    """``[-M^-1 K, -M^-1 C]``, (sets, n, 2n), of eigenvalues z and displacement shapes at a step of time.
+    """Compute ``[-M^-1 K, -M^-1 C]``, (sets, n, 2n), from eigenvalues z and displacement shapes at a time step.
 
-    NaN where poles and shapes are not closed under conjugation (a negative real z has no continuous real system).
+    NaN where poles and shapes are not closed under conjugation (a negative real z has no real continuous system).
     """
     n = shapes.shape[1]
     rates = np.log(z) / step
@@ -138,7 +143,7 @@ def state_rows(z: np.ndarray, shapes: np.ndarray, step: float) -> np.ndarray:
 
 
 def _equations(regression: Regression, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (sets, 2n², groups) and target of the residual at the unit states, whose accelerations ``rows`` hold."""
+    """Return columns (sets, 2n², groups) and target of the equations for unit states with accelerations ``rows``."""
     sets, n, states = rows.shape
     units = np.broadcast_to(np.eye(states)[:, None], (states, sets, states))
     motion = Motion(np.zeros(states), units[:n], units[n:], rows.swapaxes(0, 1), np.zeros((n, sets, states)))
@@ -146,9 +151,9 @@ def _equations(regression: Regression, rows: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _weighted(regression: Regression, rows: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Groups (1, q) by generalised least squares and their covariance, from realised rows of synthetic records.
+    """Estimate groups (1, q) and their covariance by generalised least squares, with weights from synthetic records.
 
-    Without enough of these, by least squares, all entries alike.
+    Without enough of these, return ordinary least squares and no covariance.
     """
     equations = _equations(regression, rows)
     plain = solve(*equations)
@@ -160,7 +165,7 @@ def _weighted(regression: Regression, rows: np.ndarray, drawn: np.ndarray) -> tu
     missed = np.cov(columns @ plain[0] - target, rowvar=False)
     scale = np.sqrt(np.diag(missed))
     scale = np.where(scale > 0, scale, 1.0)
-    # a ridge of the rounding's size: entries may be exact, as those of a data set without noise are
+    # regularised against rounding, since entries are exact for data without noise
     root = np.linalg.cholesky(missed / np.outer(scale, scale) + 1e-9 * np.eye(entries)) * scale[:, None]
 
     def fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -171,7 +176,7 @@ def _weighted(regression: Regression, rows: np.ndarray, drawn: np.ndarray) -> tu
 
 @dataclass(frozen=True, eq=False)
 class RealisedResponse:
-    """The realised free decay as a function of time; can be pickled. ``rates`` (2n,), ``shapes`` (n, 2n) complex."""
+    """The realised free decay as a function of time, with complex ``rates`` (2n,) and ``shapes`` (n, 2n)."""
 
     rates: np.ndarray
     shapes: np.ndarray
@@ -179,7 +184,7 @@ class RealisedResponse:
 
     @staticmethod
     def of(rates: np.ndarray, shapes: np.ndarray, times: np.ndarray, y: np.ndarray) -> RealisedResponse:
-        """With the modal amplitudes that fit the samples y (n, N) best; shapes and rates stay."""
+        """Fit the modal amplitudes to samples y (n, N), with given shapes and rates."""
         waves = np.exp(rates * (times - times[0])[:, None])
         columns = (shapes[:, None] * waves).reshape(-1, rates.size)
         stacked = np.concatenate([columns.real, -columns.imag], axis=1)
@@ -187,6 +192,6 @@ class RealisedResponse:
         return RealisedResponse(rates, shapes * (parts[: rates.size] + 1j * parts[rates.size :]), float(times[0]))
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement (m), shape (n_dof, n_times), at times (s)."""
+        """Evaluate the displacement, (n_dof, n_times), at times."""
         waves = np.exp(self.rates[:, None] * (np.asarray(times, float) - self.origin))
         return np.asarray((self.shapes @ waves).real)

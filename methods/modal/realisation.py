@@ -1,9 +1,9 @@
-"""Realise a sum of exponentials from its samples: the subspace of a Hankel matrix and its shift.
+"""Realisation of a sum of exponentials by the shift invariance of a Hankel matrix's column space.
 
-Samples of n channels at even steps, ``y_j = C A^j s``, are stacked in a block Hankel matrix ``H[i, j] = y_{i+j}``.
-Without noise its columns span as many dimensions as there are states. The singular vectors of the largest singular
-values are the observability matrix ``[C; CA; CA²; ...]`` in some coordinates, and its shift by one block is A:
-eigenvalues z and mode shapes ``C w``. For one channel this is the matrix pencil in the form of total least squares.
+Samples of n channels at even steps, ``y_j = C A^j s``, form a block Hankel matrix ``H[i, j] = y_{i+j}``, whose rank
+without noise is the number of states. The dominant singular vectors are the observability matrix ``[C; CA; CA²; ...]``
+in some coordinates, and its shift by one block gives A, with eigenvalues z and mode shapes ``C w``. For one channel
+this is the matrix pencil in the form of total least squares.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 MAX_SAMPLES = 600
-"""The decomposition costs the cube of the samples, and the bootstrap repeats it."""
+"""Largest number of samples; the cost of a decomposition is cubic, and the bootstrap repeats it."""
 BATCH = 2_000_000
-"""Matrix entries decomposed at once."""
+"""Largest number of matrix entries decomposed at once."""
 CLEAR = 1e-3
-"""Part of the largest singular value; those above it follow from products to 1e-10, at half the cost."""
+"""Singular values above this fraction of the largest are computed from the Gram matrix, to 1e-10."""
 
 
 def step_of(times: np.ndarray) -> float:
@@ -24,14 +24,13 @@ def step_of(times: np.ndarray) -> float:
 
 
 def realise(sets: np.ndarray, rows: int, states: int, about_level: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Find eigenvalues z (sets, states) and shapes (sets, n, states), complex, of even samples (sets, n, N).
+    """Estimate eigenvalues z (sets, states) and shapes (sets, n, states), complex, from even samples.
 
     Args:
-        sets: the samples.
-        rows: block rows of the Hankel matrix, of which there are N + 1 - ``rows`` columns.
-        states: at most as many as there are columns, and rows in all block rows but one.
-        about_level: leave out the eigenvalue 1 of an unknown constant. It adds a constant to each row, so that taking
-            off the mean of each leaves the span of the columns as it is.
+        sets: The samples, (sets, n, N).
+        rows: Number of block rows of the Hankel matrix, which has N + 1 - ``rows`` columns.
+        states: Number of states, at most that of columns, and of rows in all block rows but one.
+        about_level: Remove the eigenvalue 1 of an unknown constant, by subtracting the mean of each row.
     """
     n, columns = sets.shape[1], sets.shape[2] + 1 - rows
     batch = max(1, BATCH // (n * rows * columns))
@@ -52,10 +51,10 @@ def _realise(sets: np.ndarray, columns: int, states: int, about_level: bool) -> 
 
 
 def leading_vectors(matrices: np.ndarray, count: int) -> np.ndarray:
-    """Find left singular vectors (sets, rows, count) of the largest singular values of matrices (sets, rows, columns).
+    """Return the dominant left singular vectors (sets, rows, count) of matrices (sets, rows, columns).
 
-    They are eigenvectors of the matrices' products with their transposes, which square the singular values; where the
-    smallest of those that are wanted is not clear, the matrix itself is decomposed.
+    They are computed as eigenvectors of Gram matrices, or by singular value decomposition where the smallest of these
+    singular values is too small for that.
     """
     wide = matrices.shape[1] <= matrices.shape[2]
     transposed = matrices.swapaxes(1, 2)

@@ -1,29 +1,31 @@
-"""Several modes from free decays without a search: realisations of rising order, and the poles that stay.
+"""Several modes from free decays: stabilisation diagram of realisations of increasing order.
 
-Samples of n channels at even steps, ``y_j = 2 Re Σ c_k z_k^j`` and a constant each, fill Hankel matrices, whose leading
-singular vectors shift as the poles z do (:mod:`methods.modal.realisation`). Two methods differ in the matrix:
+Samples of n channels at even steps, ``y_j = 2 Re Σ c_k z_k^j`` plus a constant each, form Hankel matrices, whose
+dominant singular vectors give the poles z by shift invariance (:mod:`methods.modal.realisation`). Two methods differ in
+the matrix:
 
-* matrix pencil: those of the channels side by side, a third of the samples long (Y. Hua, T. K. Sarkar, IEEE Trans.
-  Acoustics, Speech and Signal Processing 38:814, 1990), so that the poles come from the shift in time alone;
-* eigensystem realisation: channels below each other, square in time (J.-N. Juang, R. S. Pappa, J. Guidance, Control,
-  and Dynamics 8:620, 1985), so that the shift is one of shapes as well. For one channel only the length differs.
+* matrix pencil: the matrices of the channels are concatenated horizontally, with a third of the samples as rows (Y.
+  Hua, T. K. Sarkar, IEEE Trans. Acoustics, Speech and Signal Processing 38:814, 1990);
+* eigensystem realisation: the channels are stacked vertically, square in time (J.-N. Juang, R. S. Pappa, J. Guidance,
+  Control, and Dynamics 8:620, 1985). For one channel only the number of rows differs.
 
-**Modes.** The one decomposition is read at orders 2, 4, ... :data:`MOST_ORDER`. A pole stays from one order to the next
-where frequency, damping ratio and shape (modal assurance criterion) agree within 1 %, 10 % and 0.95 (usual values: B.
-Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999). What stays over :data:`STAYS` orders, and lowers the
-misfit by more than its unknowns cost in Schwarz's information criterion (Ann. Stat. 6:461, 1978), is a mode; a number
-that is told takes so many, the clearest first. The answer is the order that has most of them, and has them clearest.
+**Modes.** One decomposition is evaluated at orders 2, 4, ... :data:`MOST_ORDER`. A pole is stable from one order to the
+next where frequency and damping ratio agree within 1 % and 10 %, and the modal assurance criterion of the shapes
+exceeds 0.95 (usual values: B. Peeters, G. De Roeck, Mech. Syst. Signal Process. 13:855, 1999). A mode is a pole that is
+stable over :data:`STAYS` orders and improves Schwarz's information criterion (Ann. Stat. 6:461, 1978); with a given
+number of modes, the most significant ones are selected. The estimate is taken from the order that contains most modes
+with the largest significance.
 
-**Length.** First the whole record, then :data:`TIME_CONSTANTS` of the slowest mode: to first order that is within 2 %
-of the bound for one mode, while what comes later adds noise to the matrix. Records above :data:`MOST_SAMPLES` are
-thinned to means of neighbours, which leaves exponentials what they are and white noise white, as far as
-:data:`LEAST_A_CYCLE` samples a cycle are left at the highest line of their spectrum; then they are cut.
+**Length.** The first pass uses the whole record, the second :data:`TIME_CONSTANTS` time constants of the slowest mode:
+for one mode this is within 2 % of the bound to first order, and later samples mainly add noise. Records longer than
+:data:`MOST_SAMPLES` are averaged over neighbouring samples, which preserves exponentials and white noise, while
+:data:`LEAST_A_CYCLE` samples per cycle remain at the highest line of the spectrum; then they are truncated.
 
-**Standard errors** follow to first order. With ``Y = O X`` (columns and rows of powers of the poles), p the rows of the
-pseudoinverse of O without its last block and q the columns of that of X, a small change moves a pole by
-``δz = p (δY₂ - z δY₁) q``, Y₁ and Y₂ being Y without its last and first block (Hua, Sarkar, 1990), and the amplitudes
-of least squares with it. Coloured noise is made white before: an autoregression of each channel's residuals filters the
-samples, which leaves exponentials what they are; as many samples as its order has are lost.
+**Standard errors** are of first order. With ``Y = O X`` (columns and rows of powers of the poles), p the rows of the
+pseudoinverse of O without its last block and q the columns of that of X, a small change of Y changes a pole by
+``δz = p (δY₂ - z δY₁) q``, where Y₁ and Y₂ are Y without its last and first block (Hua, Sarkar, 1990), and accordingly
+the amplitudes. Coloured noise is whitened first: an autoregression of each channel's residuals filters the samples,
+which preserves exponentials and loses as many samples as its order.
 """
 
 from __future__ import annotations
@@ -57,17 +59,17 @@ TIME_CONSTANTS = 5.0
 STAYS = 5
 FREQUENCY_STAYS, DAMPING_STAYS, SHAPE_STAYS = 0.01, 0.1, 0.95
 LINE_CHANCE = 1e-3
-"""Of a line as high as one that counts, in noise alone."""
+"""Probability that noise alone causes a line above the threshold."""
 FLOOR_LINES = 51
-"""Neighbours of a line whose median power is its floor."""
-NO_MODE = "no pole stays from order to order: take a longer record, more samples a cycle or less noise"
+"""Number of neighbouring lines whose median is the noise floor."""
+NO_MODE = "no pole is stable over the orders: a longer record, more samples per cycle or less noise are required"
 
 
 @dataclass(frozen=True, eq=False)
 class Realised:
-    """Damped waves in even samples: ``z`` (k,) on and above the real axis, ``shapes`` (channels, k) of ``Re(b z^j)``.
+    """Damped waves ``Re(b z^j)``: poles ``z`` (k,) on and above the real axis, ``shapes`` b (channels, k).
 
-    ``wald`` (k,): amplitudes squared over their variance, were the poles known and the residuals white.
+    ``wald`` (k,): squared amplitudes over their variance, for known poles and white residuals.
     """
 
     z: np.ndarray
@@ -77,13 +79,13 @@ class Realised:
 
     @property
     def degrees(self) -> int:
-        """Samples less unknowns."""
+        """Return the residual degrees of freedom."""
         return max(self.residuals.size - 2 * self.z.size * (1 + len(self.shapes)) - len(self.shapes), 1)
 
     @staticmethod
     def fitted(z: np.ndarray, values: np.ndarray) -> Realised:
-        """Fit amplitudes and a constant of each channel by least squares to values (channels, n)."""
-        z = z[(z.imag >= 0) & (values.shape[1] * np.log(np.abs(z)) < 1)]  # what grows more is noise
+        """Fit amplitudes and a constant of each channel to values (channels, n) by least squares."""
+        z = z[(z.imag >= 0) & (values.shape[1] * np.log(np.abs(z)) < 1)]  # faster growth is due to noise
         powers = np.exp(np.log(z) * np.arange(values.shape[1])[:, None])
         columns = np.column_stack([powers.real, -powers.imag, np.ones(len(powers))])
         inverse = np.linalg.pinv(columns, rcond=1e-12)
@@ -98,27 +100,27 @@ class Realised:
 
 @dataclass(frozen=True)
 class _StabilisedModes(ModalIdentifier):
-    """Block rows of the Hankel matrix: ``rows`` of the samples."""
+    """Base of both methods; ``rows``: block rows of the Hankel matrix over the number of samples."""
 
     rows: float = 0.5
 
     scope: ClassVar[tuple[type, ...]] = (FreeDecays,)
-    below_each_other: ClassVar[bool]
+    stacked: ClassVar[bool]
 
     def __post_init__(self) -> None:
         if not 0 < self.rows < 1:
-            raise InputError("method.rows", self.rows, "a part of the number of samples, a third or a half say")
+            raise InputError("method.rows", self.rows, "a fraction of the number of samples, such as 1/3 or 1/2")
 
     def objection(self, problem: ModalProblem) -> str | None:
-        """It needs free decays at even steps."""
+        """Require free decays at even steps."""
         if (other := super().objection(problem)) is not None or not isinstance(problem.data, FreeDecays):
             return other
         if problem.data.times.size < LEAST_SAMPLES:
-            return f"it needs at least {LEAST_SAMPLES} samples"
+            return f"it requires at least {LEAST_SAMPLES} samples"
         return unevenness(problem.data.times)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
-        """Realise the whole record; then as much of it as the slowest mode lasts, with its noise made white."""
+        """Realise the whole record, then the part in which the slowest mode decays, with whitened noise."""
         assert isinstance(problem.data, FreeDecays)
         step, size = step_of(problem.data.times), np.std(problem.data.values, axis=1, keepdims=True)
         values = problem.data.values / np.where(size > 0, size, 1.0)
@@ -136,12 +138,12 @@ class _StabilisedModes(ModalIdentifier):
             length = int(np.clip(TIME_CONSTANTS * thin / decay, LEAST_SAMPLES, whole))
         filters = whitening(waves.residuals)
         white = np.array([np.convolve(*pair, "valid") for pair in zip(means, filters, strict=True)])
-        waves, chosen, said = stable(self._orders(white), problem.count, band)
+        waves, chosen, message = stable(self._orders(white), problem.count, band)
         if not chosen.size:
             return ModalEstimate((), status=Status.DIVERGED, message=NO_MODE)
         z = waves.z[chosen]
         covariances, shape_sds = self._deviations(waves, chosen)
-        # of the means of the first samples, and of their filter, which begins where it has all it needs
+        # undo averaging and filtering in the shapes; the filter starts at the first complete window
         gains = np.mean(z[:, None] ** (np.arange(thin) / thin), axis=1)
         gains = gains * (filters @ z ** np.arange(filters.shape[1])[::-1, None]) / size
         shapes, shape_sds = waves.shapes[:, chosen] / gains, shape_sds / np.abs(gains)
@@ -154,34 +156,34 @@ class _StabilisedModes(ModalIdentifier):
                 np.log(z) / span, covariances / span**2, shapes.T, shape_sds.T, shares, strict=True
             )
         ]
-        return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), waves.degrees, message=said)
+        return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), waves.degrees, message=message)
 
     def _deviations(self, waves: Realised, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Covariances (modes, 2, 2) of log z, real and imaginary, and standard errors (channels, modes) of shapes."""
+        """Return covariances (modes, 2, 2) of log z and standard errors (channels, modes) of shapes."""
         n, samples = waves.residuals.shape
         upper = waves.z.imag > 0
         z = np.concatenate([waves.z, waves.z[upper].conj()])
         parts = np.concatenate([waves.shapes, waves.shapes[:, upper].conj()], axis=1)
         parts = np.where(z.imag == 0, parts, 0.5 * parts)
-        moved = pole_slopes(z, parts, self._rows(samples), samples, self.below_each_other)
+        slopes = pole_slopes(z, parts, self._rows(samples), samples, self.stacked)
         powers = z ** np.arange(samples)[:, None]
         inverse = np.linalg.pinv(np.column_stack([powers, np.ones(samples)]))[:-1]
-        turned = (inverse @ (np.arange(samples)[:, None] * powers / z))[chosen]
-        shapes = -np.einsum("ml,cl,ldt->cmdt", turned, parts, moved)
+        amplitude_slopes = (inverse @ (np.arange(samples)[:, None] * powers / z))[chosen]
+        shapes = -np.einsum("ml,cl,ldt->cmdt", amplitude_slopes, parts, slopes)
         shapes[np.arange(n), :, np.arange(n)] += inverse[chosen]
         noise = np.sqrt(n * np.sum(waves.residuals**2, axis=1) / waves.degrees)[:, None]
-        rates = (noise * moved[chosen] / z[chosen][:, None, None]).reshape(chosen.size, -1)
+        rates = (noise * slopes[chosen] / z[chosen][:, None, None]).reshape(chosen.size, -1)
         both = np.stack([rates.real, rates.imag], axis=1)
-        # the mean square of real and imaginary part of 2 c
+        # mean square of real and imaginary part of 2 c
         return both @ both.swapaxes(1, 2), 2.0**0.5 * np.linalg.norm(noise * np.abs(shapes), axis=(-2, -1))
 
     def _orders(self, values: np.ndarray) -> list[Realised]:
-        """Realise values (channels, n) at rising orders."""
+        """Realise values (channels, n) at increasing orders."""
         n, samples = values.shape
         rows = self._rows(samples)
         windows = np.lib.stride_tricks.sliding_window_view(values, samples + 1 - rows, axis=1).swapaxes(0, 1)
         windows = windows - np.mean(windows, axis=2, keepdims=True)
-        block = n if self.below_each_other else 1
+        block = n if self.stacked else 1
         hankel = windows.reshape(rows * block, -1)
         most = min(MOST_ORDER, hankel.shape[0] - block, hankel.shape[1] - 1, samples // 4)
         main = leading_vectors(hankel[None], most)[0]
@@ -197,13 +199,13 @@ class _StabilisedModes(ModalIdentifier):
 
 @dataclass(frozen=True)
 class MatrixPencilModes(_StabilisedModes):
-    """Pencil parameter ``rows`` times the samples."""
+    """Matrix pencil with parameter ``rows`` times the samples."""
 
     rows: float = 1.0 / 3.0
 
-    below_each_other: ClassVar[bool] = False
+    stacked: ClassVar[bool] = False
     card: ClassVar[ModalCard] = ModalCard(
-        "matrix pencil with total least squares, all channels at once; poles that stay over orders 2 to 40",
+        "matrix pencil with total least squares, all channels at once; poles stable over orders 2 to 40",
         "pencil parameter N/3: Hua and Sarkar (1990); stability 1 %, 10 %, MAC 0.95: Peeters and De Roeck (1999)",
         "Matrix pencil",
         100,
@@ -212,11 +214,11 @@ class MatrixPencilModes(_StabilisedModes):
 
 @dataclass(frozen=True)
 class ERAModes(_StabilisedModes):
-    """Block rows ``rows`` times the samples."""
+    """Eigensystem realisation with ``rows`` times the samples as block rows."""
 
-    below_each_other: ClassVar[bool] = True
+    stacked: ClassVar[bool] = True
     card: ClassVar[ModalCard] = ModalCard(
-        "eigensystem realisation, all channels at once; poles that stay over orders 2 to 40",
+        "eigensystem realisation, all channels at once; poles stable over orders 2 to 40",
         "square in time: Juang and Pappa (1985); stability 1 %, 10 %, MAC 0.95: Peeters and De Roeck (1999)",
         "Eigensystem realisation",
         110,
@@ -224,37 +226,39 @@ class ERAModes(_StabilisedModes):
 
 
 def thinning(values: np.ndarray) -> int:
-    """Decide of how many neighbours of values (channels, n) a mean is taken: 1 of a short record."""
+    """Return the number of neighbouring samples to average for values (channels, n); 1 for a short record."""
     from scipy.ndimage import median_filter
 
     samples = values.shape[1]
     if samples <= MOST_SAMPLES:
         return 1
     power = np.sum(np.abs(np.fft.rfft(values * np.hanning(samples), axis=1)) ** 2, axis=0)
-    # white noise's power is exponential: chance 2^-x of x times its median
+    # the power of white noise is exponential: it exceeds x times its median with probability 2^-x
     lines = np.flatnonzero(power > np.log2(power.size / LINE_CHANCE) * median_filter(power, FLOOR_LINES))
     highest = int(lines[-1]) if lines.size else power.size
     return max(1, min(-(-samples // MOST_SAMPLES), samples // (LEAST_A_CYCLE * max(highest, 1))))
 
 
 def stable(orders: list[Realised], count: int | None, band: np.ndarray) -> tuple[Realised, np.ndarray, str]:
-    """Choose an order and the waves that are modes there, with natural rates (1/sample) in a band; say why so many."""
+    """Select an order and its waves that are modes, with natural frequencies (rad/sample) in a band; and a message."""
     rates = [np.log(waves.z) for waves in orders]
     chains = linked(rates, [waves.shapes for waves in orders], orders[0].residuals.shape[1])
     cost = 2 * (1 + len(orders[0].shapes)) * np.log(orders[0].residuals.size)
     clear = [float(np.median([orders[order].wald[i] for order, i in chain])) for chain in chains]
     inside = [i for i, chain in enumerate(chains) if band[0] <= abs(rates[chain[-1][0]][chain[-1][1]]) <= band[1]]
     modes = {i for i in inside if len(chains[i]) >= min(STAYS, len(orders) / 2) and clear[i] > cost}
-    said = f"{len(modes)} poles stay over {STAYS} of the orders 2 to {2 * len(orders)} and lower the criterion"
+    message = (
+        f"{len(modes)} poles are stable over {STAYS} of the orders 2 to {2 * len(orders)} and improve the criterion"
+    )
     chosen = sorted(modes if count is None else inside, key=lambda i: (i in modes, clear[i]), reverse=True)
     chosen = chosen[: count or MOST_MODES]
-    members = [[i for chain in chosen for at, i in chains[chain] if at == order] for order in range(len(orders))]
+    members = [[i for chain in chosen for place, i in chains[chain] if place == order] for order in range(len(orders))]
 
     def merit(order: int) -> tuple[int, float]:
         return len(members[order]), float(np.sum(np.log(orders[order].wald[members[order]])))
 
     best = max(range(len(orders)), key=merit)
-    return orders[best], np.array(members[best], int), said
+    return orders[best], np.array(members[best], int), message
 
 
 def linked(
@@ -264,10 +268,17 @@ def linked(
     frequency: float = FREQUENCY_STAYS,
     damping: float = DAMPING_STAYS,
 ) -> list[list[tuple[int, int]]]:
-    """Link poles (1/sample) that stay from one order to the next: order and index of each.
+    """Link the poles of decaying vibrations that are stable from one order to the next.
 
-    Only those of decaying vibrations are; ``shapes`` (channels, k) of each order. A damping ratio is compared to no
-    less than one decay over all ``samples``.
+    Args:
+        orders: Continuous poles (1/sample) of each order.
+        shapes: Their shapes, (channels, k) for each order.
+        samples: Length of the record; damping is compared relative to at least one decay over this length.
+        frequency: Largest relative difference of natural frequencies.
+        damping: Largest relative difference of damping ratios.
+
+    Returns:
+        Chains of (order, index).
     """
     chains: list[list[tuple[int, int]]] = []
     before: dict[int, list[tuple[int, int]]] = {}
@@ -297,13 +308,13 @@ def linked(
     return chains
 
 
-def pole_slopes(z: np.ndarray, parts: np.ndarray, rows: int, samples: int, below_each_other: bool) -> np.ndarray:
-    """Differentiate poles z (k,), closed under conjugation, by each sample of ``Σ c_k z_k^j``: (k, channels, samples).
+def pole_slopes(z: np.ndarray, parts: np.ndarray, rows: int, samples: int, stacked: bool) -> np.ndarray:
+    """Differentiate poles z (k,), closed under conjugation, by each sample of ``Σ c_k z_k^j``, (k, channels, samples).
 
-    ``parts`` (channels, k) are the c; see the module on the formula.
+    ``parts`` (channels, k): amplitudes c; see the module for the formula.
     """
     left, right = z[:, None, None] ** np.arange(rows), z[:, None, None] ** np.arange(samples + 1 - rows)
-    if below_each_other:
+    if stacked:
         left = parts.T[..., None] * left
     else:
         right = parts.T[..., None] * right
@@ -315,7 +326,7 @@ def pole_slopes(z: np.ndarray, parts: np.ndarray, rows: int, samples: int, below
 
 
 def whitening(residuals: np.ndarray) -> np.ndarray:
-    """Filters (channels, length) that make noise as in these residuals white and of size 1."""
+    """Return filters (channels, length) that whiten these residuals to unit variance."""
     noises = [autoregression(channel) for channel in residuals]
     filters = np.zeros((len(noises), 1 + max(noise.order for noise in noises)))
     for taps, noise in zip(filters, noises, strict=True):

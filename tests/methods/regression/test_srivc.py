@@ -159,7 +159,7 @@ def test_noise_alone_is_not_trusted() -> None:
     for seed in range(4):
         noise = np.random.default_rng(seed).standard_normal(40)
         estimate = fit(Problem(SDOF(), (Record((Channel(TIMES, noise),), (force(),)),)))
-        assert estimate.status is not Status.OK or "do not trust" in estimate.message
+        assert estimate.status is not Status.OK or "unreliable" in estimate.message
 
 
 def test_what_it_cannot_take_is_said() -> None:

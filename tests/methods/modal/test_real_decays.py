@@ -8,7 +8,7 @@ import pytest
 from bench import Channel, Problem, Record, Status
 from bench.entrants.registry import make_method
 from bench.systems.linear import SDOF
-from methods.modal.overdamped import real_decays
+from methods.modal.real_decays import real_decays
 
 SLOW, FAST = 1.5, 5.2
 TIMES = np.linspace(0, 10, 25)

@@ -1,11 +1,11 @@
-"""Two real decays where a reading of poles ends outside of them: an overdamped mass whose fast decay noise hides.
+"""Fit of two real decays for an overdamped mass whose fast decay is hidden by noise.
 
-Above a damping ratio of 1 the faster pole is small after one step, and noise may turn its sign: a pole that no damped
-mass has. The samples then determine positive poles nearly as well, and often have no best ones among them, since a
-still faster decay fits a little better. So k/m and c/m are means of their logarithms over all pairs of rates on a grid,
-weighed by their likelihood; amplitudes, an offset and the noise are integrated out (G. L. Bretthorst, Bayesian Spectrum
-Analysis and Parameter Estimation, 1988, chapter 3). There is no answer where a negative pole explains the samples
-better than noise accounts for, or where two decays do not describe them.
+Above a damping ratio of 1 the faster pole z is small, and noise may make its estimate negative, which is impossible for
+a damped mass. Positive poles then fit the samples nearly as well, but often without a maximum of the likelihood, since
+a faster decay always fits slightly better. k/m and c/m are therefore posterior means of their logarithms over a grid of
+pairs of rates, with amplitudes, an offset and the noise integrated out (G. L. Bretthorst, Bayesian Spectrum Analysis
+and Parameter Estimation, 1988, chapter 3). There is no estimate where a negative pole fits significantly better, or
+where two decays do not fit the samples.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from __future__ import annotations
 import numpy as np
 
 RATES = 64
-"""Of the grid, evenly spaced in their logarithms."""
+"""Number of rates on the grid, evenly spaced in their logarithms."""
 SLOWEST, FASTEST = 0.1, 4.0
-"""Least rate times the record, and largest rate times the step: then 2 % of an amplitude are left after a step."""
+"""Least rate times the record, and largest rate times the step (decay to 2 % in one step)."""
 NEGATIVE = -np.linspace(0.05, 0.95, 10)
-"""Negative poles that are compared."""
+"""Negative poles compared with the positive ones."""
 WORSE = 4.0
-"""Two standard errors, squared: what positive poles may lose against a negative one, in variances of the noise."""
+"""Largest excess of the sum of squares over that with a negative pole, in noise variances: two standard errors."""
 DESCRIBES = 0.003
-"""Largest part of the mean square that may be left: noisier than 25 dB, a damped vibration passes for two decays."""
+"""Largest residual share; with more noise than 25 dB a damped vibration could pass for two decays."""
 
 
 def real_decays(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
-    """k/m and c/m, (sets, 2), of two real decays at even times (n,) in samples (sets, n); NaN where there are none."""
+    """Estimate k/m and c/m, (sets, 2), of two real decays from samples (sets, n) at even times; NaN if rejected."""
     n, step = times.size, float(times[-1] - times[0]) / (times.size - 1)
     rates = np.geomspace(SLOWEST / (n * step), FASTEST / step, RATES)
     slow, fast = np.triu_indices(RATES, 1)
@@ -35,7 +35,7 @@ def real_decays(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray
     energy = np.sum((sets - offset * sets.mean(axis=1, keepdims=True)) ** 2, axis=1)
     negative = _with_negative_pole(rates, sets, step, offset)
     accepted = (least < DESCRIBES * energy) & (least < negative * (1.0 + WORSE / dof))
-    # amplitudes and noise are integrated out, with flat priors of the logarithms of noise and rates
+    # amplitudes and noise are integrated out, with flat priors on the logarithms of noise and rates
     weights = (squares / least[:, None]) ** (-0.5 * (dof + 2))
     logs = np.stack([np.log(pairs[:, 0] * pairs[:, 1]), np.log(pairs.sum(axis=1))], axis=1)
     groups = np.exp(weights @ logs / np.sum(weights, axis=1, keepdims=True))
@@ -43,7 +43,7 @@ def real_decays(times: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray
 
 
 def _with_negative_pole(rates: np.ndarray, sets: np.ndarray, step: float, offset: bool) -> np.ndarray:
-    """Least sum of squares (sets,) that a positive and a negative pole, or two negative ones, leave."""
+    """Return the least residual sum of squares (sets,) with one or two negative poles."""
     poles = np.concatenate([np.exp(-rates * step), NEGATIVE])
     first, second = np.triu_indices(poles.size, 1)
     below = poles[second] < 0
@@ -52,9 +52,9 @@ def _with_negative_pole(rates: np.ndarray, sets: np.ndarray, step: float, offset
 
 
 def _remainders(poles: np.ndarray, sets: np.ndarray, offset: bool) -> np.ndarray:
-    """Sum of squares (sets, pairs) that powers of ``poles`` (pairs, 2), and a constant, leave of ``sets`` (sets, n)."""
+    """Return residual sums of squares (sets, pairs) after fitting powers of poles (pairs, 2), and an offset."""
     waves = poles[:, None] ** np.arange(sets.shape[1])[:, None]
-    # the first and their difference: two like decays are nearly one
+    # one decay and the difference, since similar decays are nearly dependent
     difference = np.diff(waves, axis=-1) / (np.diff(poles)[:, None] + 1e-300)
     level = [np.ones_like(difference)] * offset
     basis = np.linalg.qr(np.concatenate([waves[..., :1], difference, *level], axis=-1))[0]
