@@ -55,8 +55,8 @@ class ERA(RegressionIdentifier):
         start="not used",
         scale="groups",
         reconstruction="own",
-        uncertainty="covariance of a parametric bootstrap, Student t with N - (groups + initial state) degrees of
-        freedom", settings_source="order 2 per DOF by the system; square Hankel matrix as in Juang and Pappa (1985)",
+        uncertainty="covariance of a parametric bootstrap, Student t with N - (groups + 2 per DOF) degrees of freedom",
+        settings_source="order 2 per DOF by the system; square Hankel matrix as in Juang and Pappa (1985)",
         tuning="none",
         title="Eigensystem realisation",
         order=190,

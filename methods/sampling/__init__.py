@@ -1,1 +1,1 @@
-"""Samplers of the posterior: emcee and the No-U-Turn sampler."""
+"""Samplers of the posterior: an ensemble sampler and the No-U-Turn sampler."""

@@ -1,7 +1,7 @@
-"""The answer that draws from a posterior are.
+"""The estimate from draws of a posterior.
 
-The point value of a quantity is the posterior median (:class:`bench.Draws`); the reconstruction is the mean response
-over draws: of all curves the one of least expected square error.
+The point estimate of a quantity is the posterior median (:class:`bench.Draws`); the reconstruction is the mean response
+over draws, which minimises the expected squared error.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from methods.sampling.posterior import Posterior
 
 @dataclass(frozen=True, eq=False)
 class MeanResponse:
-    """The mean displacement over draws, as a function of time; can be pickled. States have shape (n_dof, n_draws)."""
+    """The mean displacement over draws as a function of time; states have shape (n_dof, n_draws)."""
 
     system: System
     parameters: dict[str, np.ndarray]
@@ -26,13 +26,13 @@ class MeanResponse:
     forces: tuple[Force, ...] = ()
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement (m), shape (n_dof, n_times), at increasing times (s)."""
+        """Evaluate the displacement, (n_dof, n_times), at increasing times."""
         start = (self.displacement, self.velocity)
         return np.asarray(simulate(self.system, self.parameters, start, times, self.forces).displacement.mean(axis=1))
 
 
 def thinned(draws: np.ndarray, most: int) -> np.ndarray:
-    """At most so many of draws (..., size), evenly spread over them, shape (n, size)."""
+    """Select at most ``most`` evenly spaced draws of (..., size), as (n, size)."""
     flat = draws.reshape(-1, draws.shape[-1])
     return np.asarray(flat[np.linspace(0, len(flat) - 1, min(most, len(flat))).astype(int)])
 
@@ -40,7 +40,7 @@ def thinned(draws: np.ndarray, most: int) -> np.ndarray:
 def estimate_from_draws(
     posterior: Posterior, phi: np.ndarray, traces: Mapping[str, float], cost: Cost, curves: int, message: str = ""
 ) -> Estimate:
-    """Make the answer of draws of phi (n, size); the parameters at the mode are added to the traces."""
+    """Return the estimate from draws of phi (n, size), with the parameters at the mode as a trace."""
     model = posterior.model
     system, n = model.system, model.system.n_dof
     theta, few = phi[:, : model.size], thinned(phi, curves)[:, : model.size]

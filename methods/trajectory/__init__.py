@@ -1,1 +1,1 @@
-"""Fits of whole trajectories: multiple shooting, and output error from one cold start."""
+"""Fits of whole trajectories: multiple shooting and output error (single shooting)."""

@@ -1,13 +1,13 @@
-"""Fit and noise in turn, for many problems at once, and the best maximum of each.
+"""Alternation of fit and noise estimation for many problems at once, and the best maximum of each.
 
-Where the motion follows from parameters and initial state, multiple shooting and output error have the same maximum of
-the same posterior: the states at the cuts of shooting are functions of the parameters and the initial state, and at a
-solution the joins hold. Both come here with the guesses of :mod:`methods.trajectory.screening`, which are searched by
-Levenberg-Marquardt, all problems and guesses together: fit, ``sigma² = RSS / (N - p)``, fit again from there, until it
-settles; p is the number of directions that the data determine, ``trace(H_data H^-1)``.
+Multiple shooting and output error maximise the same posterior, since at a solution of the continuity constraints the
+states at the nodes of shooting are functions of parameters and initial state. Both use this module with the guesses of
+:mod:`methods.trajectory.screening`. All problems and guesses are searched together by Levenberg-Marquardt: fit,
+``sigma² = RSS / (N - p)``, and repeat until convergence; p is the number of directions that the data determine,
+``trace(H_data H^-1)``.
 
 Where all parameters are identifiable without a prior (a known force, an added mass), the likelihood may have no maximum
-at positive ones, as where the noise hides the damping: then a very wide prior about the first guess holds them.
+at positive parameters, for instance if noise hides the damping; a very wide prior about the first guess is then used.
 """
 
 from __future__ import annotations
@@ -22,21 +22,23 @@ from methods.starts.wide_prior import left_open, very_wide
 from methods.trajectory.screening import Guesses, Rules
 
 LEFT = 1e-6
-"""What a search may still gain where it counts as ended at a maximum, in minus twice the log-posterior."""
+"""Largest remaining decrease of minus twice the log-posterior at a maximum."""
 LEFT_AT_KINKS = 1e-3
-"""The same where a system bends suddenly: so does its likelihood, and there no step gains what its slopes promise."""
-HELD = "the likelihood has no maximum at positive parameters: held by a prior of a factor of 20 about the data's start"
-OPEN = "the data leave a parameter open here, so there is no uncertainty"
+"""The same for a non-smooth system, whose likelihood has kinks where predicted decreases are not reached."""
+WIDE_PRIOR = (
+    "the likelihood has no maximum at positive parameters: a prior of a factor of 20 about the first guess was used"
+)
+OPEN = "the data do not determine a parameter, so no uncertainty is given"
 
 
 @dataclass(frozen=True, eq=False)
 class Maximum:
-    """A vector of unknowns, and there the residuals (N,), the derivatives (N, size) of the predictions and the noise.
+    """A maximum ``theta`` of the posterior, with residuals (N,), slopes (N, size) of the predictions, and noise there.
 
-    ``covariance``: inverse of the Gauss-Newton Hessian, None where the data leave a direction open. ``used``: degrees
-    of freedom that the data spent. ``certificate``: see :class:`Fits`. ``objectives``: minus the log posterior where
-    the search from each guess ended. ``converged``: whether the search ended at a maximum, of a linear system that from
-    every guess. ``done``: whether it ended before its last trial step.
+    ``covariance``: inverse of the Gauss-Newton Hessian, None where it is singular. ``used``: degrees of freedom used by
+    the data. ``certificate``: see :class:`Fits`. ``objectives``: minus the log posterior at the end of each search.
+    ``converged``: the search (of a linear system, that from every guess) ended at a maximum. ``done``: it ended before
+    the iteration limit.
     """
 
     model: OutputError
@@ -54,7 +56,7 @@ class Maximum:
     done: bool = True
 
     def estimate(self) -> Estimate:
-        """Return the answer; without uncertainty, and said so, where the data leave a parameter open."""
+        """Return the estimate; without uncertainty, and with a message, where the covariance is None."""
         cost = Cost(self.iterations, self.iterations)
         message = "; ".join(filter(None, [self.message, OPEN if self.covariance is None else ""]))
         estimate = estimate_at(self.model, self.theta, self.covariance, self.used, cost, message)
@@ -70,7 +72,7 @@ def best_maxima(
         return [None] * len(models)
     fits = fit(batch, guesses.cases, guesses.thetas, rules, guesses.sigma)
     places = [np.flatnonzero((guesses.cases == i) & np.isfinite(fits.profile)) for i in range(len(models))]
-    solved = [i for i, own in enumerate(places) if own.size]
+    solved = [i for i, ends in enumerate(places) if ends.size]
     best = np.array([places[i][np.argmin(fits.profile[places[i]])] for i in solved], int)
     covariances = batch[guesses.cases[best]].covariances(fits.point[best], fits.sigma[best])
     maxima: list[Maximum | None] = [None] * len(models)
@@ -96,10 +98,11 @@ def best_maxima(
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Where each case ended: noise as the residuals have it, without a floor, and minus twice the log-posterior.
+    """The ends of the searches of all cases.
 
-    ``settled``: noise and fit no longer change each other. ``certificates``: ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` of the standardised
-    residuals, zero at a minimum; J in the Frobenius norm.
+    ``sigma``: noise of the residuals, without a floor. ``profile``: minus twice the log-posterior. ``settled``: the
+    alternation of fit and noise converged. ``certificates``: ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` of the standardised residuals, with
+    J in the Frobenius norm; zero at a minimum.
     """
 
     point: SimulatedData
@@ -116,11 +119,16 @@ class Fits:
 def fit(
     batch: OutputError, cases: np.ndarray, thetas: np.ndarray, rules: Rules, first_sigma: np.ndarray | None = None
 ) -> Fits:
-    """Fit and noise in turn, from one vector a case, until the noise settles; each case goes on by itself.
+    """Alternate fit and noise estimation until the noise converges, independently for each case.
 
-    ``first_sigma`` (cases, channels): the noise to begin with; None: that of the residuals.
+    Args:
+        batch: The models of all problems.
+        cases: Index of the problem of each case, (cases,).
+        thetas: Initial guess of each case, (cases, size).
+        rules: Settings of the search.
+        first_sigma: Initial noise, (cases, channels); that of the residuals where None.
     """
-    left = LEFT if batch.system.linear or batch.system.smooth else LEFT_AT_KINKS
+    most_left = LEFT if batch.system.linear or batch.system.smooth else LEFT_AT_KINKS
     current, n, samples = batch.for_screening(cases, thetas), cases.size, batch.channel_of.size
     point = current[cases].point(thetas)
     used, iterations = np.full(n, float(batch.size)), np.zeros(n, int)
@@ -142,13 +150,13 @@ def fit(
         point.put(going, reached)
         iterations[going] += end.iterations
         finite = np.isfinite(end.at.cost)
-        converged[going], done[going] = finite & (end.left < left), end.done
+        converged[going], done[going] = finite & (end.left < most_left), end.done
         used[going[finite]] = degrees_used(end.at.slopes[finite], samples)
         residuals[going] = model.data - reached.predicted
         before = searched_at[going] = sigma[going]
         sigma[going] = model.noise(residuals[going], used[going])
         moved = np.max(np.abs(np.log(sigma[going] / before)), axis=1) >= rules.sigma_tolerance
-        # where the answer moves faster than its guess did, or fits better, the steps were too long
+        # integration steps are too long where the motion became faster or the fit better
         coarse = batch.coarse(chosen, reached.theta, model.noise(residuals[going], used[going], 0.0))
         settled[going] = finite & end.done & ~(moved | coarse)
         going = going[finite & end.done & (moved | coarse)]
@@ -161,20 +169,20 @@ def fit(
         residuals[ended] = batch.data[cases[ended]] - reached.predicted
     model = batch[cases]
     free, profile = model.noise(residuals, used, 0.0), model.profile_of(point.theta, residuals)
-    at = model.standardised(point, np.maximum(free, SIGMA_FLOOR * model.rms))
-    gradient = np.linalg.norm(np.swapaxes(at.slopes, 1, 2) @ at.residuals[..., None], axis=(1, 2))
-    lengths = np.linalg.norm(at.slopes, axis=(1, 2)) * np.linalg.norm(at.residuals, axis=1)
+    standardised = model.standardised(point, np.maximum(free, SIGMA_FLOOR * model.rms))
+    gradient = np.linalg.norm(np.swapaxes(standardised.slopes, 1, 2) @ standardised.residuals[..., None], axis=(1, 2))
+    lengths = np.linalg.norm(standardised.slopes, axis=(1, 2)) * np.linalg.norm(standardised.residuals, axis=1)
     certificates = gradient / np.maximum(lengths, 1e-300)
     return Fits(point, free, used, profile, iterations, converged, done, settled, certificates)
 
 
-def with_open_held(
+def with_wide_prior(
     maximum: Maximum, first: np.ndarray, join: Callable[[Sequence[OutputError]], OutputError], rules: Rules
 ) -> Maximum | None:
-    """Fit again with a very wide prior where the maximum leaves a parameter open; return it as it is where none.
+    """Fit again with a very wide prior where the data do not determine a parameter; otherwise return the maximum.
 
-    The prior is about the data's ``first`` guess in the open parameters, and about the maximum in the others: there it
-    says next to nothing. ``join`` makes a batch of a problem. None where the second search has no finite end.
+    The prior is centred at the ``first`` guess for undetermined parameters, and at the maximum for the others. ``join``
+    returns a batch of one problem. None where the second search has no finite end.
     """
     model, k = maximum.model, len(maximum.model.free)
     which = leaves_open(maximum)
@@ -187,11 +195,11 @@ def with_open_held(
     again = best_maxima([wide], join([wide]), Guesses.of_one([theta]), rules)[0]
     if again is None:
         return None
-    return replace(again, iterations=maximum.iterations + again.iterations, message=HELD)
+    return replace(again, iterations=maximum.iterations + again.iterations, message=WIDE_PRIOR)
 
 
 def leaves_open(maximum: Maximum) -> np.ndarray:
-    """Return which log-parameters the data leave more open than the very wide prior would, where none need be."""
+    """Return which log-parameters are determined less by the data than by the very wide prior; none with a prior."""
     model, k = maximum.model, len(maximum.model.free)
     if model.prior is not None or not model.problem.scale_known:
         return np.zeros(k, bool)

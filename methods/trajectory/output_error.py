@@ -1,17 +1,17 @@
-"""Output error: maximum a posteriori by simulation, single shooting, from several starts or from one cold one.
+"""Output error (single shooting): maximum a posteriori estimation by simulation, from several or one initial guess.
 
-The response is simulated from the initial state, and parameters, unknown initial states and offsets are moved until it
-fits: the objective, noise estimate and covariance of multiple shooting (:mod:`methods.trajectory.shooting`), without
-states between the samples. The misfit has one minimum for each half cycle that the phase may slip over the record, and
-a search from more than about half a cycle away ends in one of the others. So it starts from the separate minima of a
-scan of the data (:mod:`methods.trajectory.screening`), and the best end is kept.
+The response is simulated from the initial state; parameters, unknown initial states and offsets are fitted. Objective,
+noise estimate and covariance are those of multiple shooting (:mod:`methods.trajectory.shooting`). The misfit has one
+minimum for each half cycle that the phase may slip over the record, and a search from more than about half a cycle away
+ends in a wrong one. The searches therefore start from the local minima of a scan (:mod:`methods.trajectory.screening`),
+and the best end is kept.
 
-``cold=True`` shows what that costs to leave out: it has one start. That is the prior's nominal values or, without a
-prior, under a known force the equation error's estimate (:mod:`methods.starts.equation_error`) whose response is
-nearest to the data, else parameters of unit size in the natural units of the problem; the initial state is what fits
-the data best there. Where a known mass was added in some records and there is no prior, the records of the lightest and
-of the heaviest load are first fitted alone, each from that start: their two values of k over the whole mass determine
-the mass. Its end is reported as it stands, as it would be by an engineer who trusted the optimiser.
+``cold=True`` uses one initial guess, to show the effect of the scan: the prior's nominal values; without a prior, under
+a known force the equation-error estimate (:mod:`methods.starts.equation_error`) with the best response; otherwise
+parameters of unit size in natural units. The initial state is the best-fitting one there. Where a known mass was added
+in some records and there is no prior, the records with the lightest and with the heaviest load are first fitted
+separately from this guess, and their values of k over the total mass determine the mass. The end of the search is
+returned without checks of its basin.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import screening
 from methods.starts.equation_error import regression_starts
 from methods.starts.scan import records_by_load, unloaded
-from methods.trajectory.fit import Maximum, best_maxima, with_open_held
+from methods.trajectory.fit import Maximum, best_maxima, with_wide_prior
 from methods.trajectory.screening import Guesses, Rules, screen, screen_alone
 
 COLD_DAMPING = 1.0
-"""First damping of the search from one start: far from the data a Gauss-Newton step goes anywhere."""
+"""Initial damping of the search from one guess, since far from a minimum Gauss-Newton steps are unreliable."""
 POOR = 0.5
-"""A response that leaves more than this part of the mean square of the data is said to be poor."""
-NO_START = "no start gave a finite response; give a prior nearer to the system"
-BAD_START = "the response at the start values is not finite, or too fast; give a prior nearer to the system"
-STOPPED = "it was stopped at max_evaluations"
+"""A fit is poor if its residuals exceed this fraction of the data's mean square."""
+NO_START = "no initial guess gave a finite response; give a prior closer to the system"
+BAD_START = "the response at the initial guess is not finite, or too fast; give a prior closer to the system"
+STOPPED = "the search was stopped at max_evaluations"
 
 
 @dataclass(frozen=True)
 class SingleShooting(SearchingIdentifier):
-    """Output error from at most ``starts`` screened starts, or from one ``cold`` one.
+    """Output error from at most ``starts`` screened initial guesses, or from a ``cold`` one.
 
-    ``screen_iterations`` and ``margin`` as in multiple shooting. Fit and noise in turn, at most ``sigma_rounds`` times,
-    until the noise changes by less than ``sigma_tolerance``; each fit takes at most ``max_evaluations`` trial steps.
+    ``screen_iterations`` and ``margin`` as in multiple shooting. Fit and noise alternate at most ``sigma_rounds``
+    times, until the noise changes by less than ``sigma_tolerance``; each fit takes at most ``max_evaluations`` steps.
     """
 
     cold: bool = False
@@ -68,18 +68,18 @@ class SingleShooting(SearchingIdentifier):
     max_evaluations: int = 200
 
     card: ClassVar[Card] = Card(
-        summary="output error (single shooting) from screened starts, maximum a posteriori with the noise estimated",
+        summary="output error (single shooting) from screened guesses, maximum a posteriori with the noise estimated",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="inverse Gauss-Newton Hessian in the log-parameters, Student t with N - p degrees of freedom",
-        settings_source="starts of multiple shooting, rounds of the oracle, tolerance below the noise level's error",
+        settings_source="guesses of multiple shooting, rounds of the oracle, tolerance below the noise level's error",
         tuning="none",
         title="Output error",
         order=90,
         variants={
             "output_error_cold": {
-                "summary": "output error (single shooting) from one cold start",
+                "summary": "output error (single shooting) from one initial guess without a scan",
                 "title": "Output error, one cold start",
                 "order": 95,
             },
@@ -106,11 +106,11 @@ class SingleShooting(SearchingIdentifier):
         )
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate all parameters, or the groups where nothing tells the scale. Uses no randomness."""
+        """Estimate all parameters, or the groups where the scale is not identifiable. Uses no randomness."""
         return self.estimate_many([problem], [rng])[0]
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate linear systems of one layout together, all others one by one."""
+        """Estimate linear systems of one layout in batches, all others one by one."""
         models = [OutputError(problem) for problem in problems]
         if self.cold:
             starts = self._cold_starts(problems)
@@ -126,9 +126,9 @@ class SingleShooting(SearchingIdentifier):
         return [answers[i] for i in range(len(models))]
 
     def _screened(self, models: Sequence[OutputError]) -> list[Maximum | None]:
-        """The best end of each problem's screened guesses, of linear systems of one layout or of one problem.
+        """Return the best end from the screened guesses of linear systems of one layout, or of one other problem.
 
-        A nonlinear system is first fitted with its motion roughly integrated.
+        A nonlinear system is first fitted with a less accurate integration.
         """
         if models[0].system.linear:
             batch = OutputError.batch(models)
@@ -141,12 +141,12 @@ class SingleShooting(SearchingIdentifier):
                 fine = self._from([(models[0], ends[0].theta)])[0]
                 ends = [fine and replace(fine, iterations=ends[0].iterations + fine.iterations)]
         return [
-            end and (with_open_held(end, first, _joined, self._rules) or end)
+            end and (with_wide_prior(end, first, _joined, self._rules) or end)
             for end, first in zip(ends, guesses.first, strict=True)
         ]
 
     def _from(self, starts: Sequence[tuple[OutputError, np.ndarray]]) -> list[Maximum | None]:
-        """Where the search of each problem from its vector ends."""
+        """Search each problem from its vector; return the ends."""
         maxima: list[Maximum | None] = [None] * len(starts)
         models = [model for model, _ in starts]
         for places in batches(models, [not model.system.linear for model in models]):
@@ -157,7 +157,7 @@ class SingleShooting(SearchingIdentifier):
         return maxima
 
     def _cold_starts(self, problems: Sequence[Problem]) -> list[tuple[dict[str, float], int]]:
-        """The cold start of each problem, and the iterations that it took: none but where two loads give the mass."""
+        """Return the initial guess of each problem, and the iterations of the separate fits to two loads."""
         starts = [(cold_start(problem), 0) for problem in problems]
         for i, problem in enumerate(problems):
             by_load = records_by_load(problem) if problem.prior is None else {}
@@ -171,63 +171,63 @@ class SingleShooting(SearchingIdentifier):
                 for load, end in zip(loads, ends, strict=True)
                 if end is not None
             }
-            together = unloaded(problem, alone) if len(alone) == 2 else None
-            starts[i] = (together or starts[i][0], sum(end.iterations for end in ends if end is not None))
+            combined = unloaded(problem, alone) if len(alone) == 2 else None
+            starts[i] = (combined or starts[i][0], sum(end.iterations for end in ends if end is not None))
         return starts
 
 
 def _joined(models: Sequence[OutputError]) -> OutputError:
-    """The batch of problems of one layout; a nonlinear system's is one within reach."""
+    """Return the batch of problems of one layout; that of a nonlinear system excludes motions that are too fast."""
     if models[0].system.linear:
         return OutputError.batch(models)
-    return ReachableOutputError.batch([ReachableOutputError(m.problem, m.gauge, model=m) for m in models])
+    return LimitedOutputError.batch([LimitedOutputError(m.problem, m.gauge, model=m) for m in models])
 
 
 @dataclass(frozen=True, eq=False)
-class ReachableOutputError(OutputError):
-    """A ``model`` of a nonlinear system, not finite where the motion is too fast for the samples.
+class LimitedOutputError(OutputError):
+    """A ``model`` of a nonlinear system whose predictions are NaN where the motion is too fast for the samples.
 
-    Its integration there would outlast every fit; the search takes a shorter step.
+    The integration there would be too slow; the search takes a shorter step instead.
     """
 
     model: OutputError = field(kw_only=True)
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions (cases, N) and derivatives (cases, N, size); a neighbour that diverged gives no derivative."""
+        """Return predictions (cases, N) and slopes (cases, N, size); slopes that are not finite are set to zero."""
         predicted = np.full((len(theta), self.channel_of.size), np.nan)
         slopes = np.zeros((*predicted.shape, self.size))
-        good = np.flatnonzero(~_out_of_reach(self.model, theta))
+        good = np.flatnonzero(~_are_too_fast(self.model, theta))
         if good.size:
             predicted[good], derivatives = self.model.jacobian(theta[good])
             slopes[good] = np.where(np.isfinite(derivatives), derivatives, 0.0)
         return predicted, slopes
 
 
-def _out_of_reach(model: OutputError, theta: np.ndarray) -> np.ndarray:
-    """Return which vectors (cases, size) move a nonlinear system faster than the samples show."""
+def _are_too_fast(model: OutputError, theta: np.ndarray) -> np.ndarray:
+    """Return which vectors (cases, size) cause motions faster than the samples resolve."""
     p, out = model.parameters(theta), np.zeros(len(theta), bool)
     for state, record in zip(model.states(theta), model.problem.records, strict=True):
         rig = record.rig(model.system)
         for times in {c.times.tobytes(): c.times for c in record.channels if c.n > 1}.values():
-            for i, own in enumerate(state):
-                out[i] |= bool(too_fast(rig, {name: v[i : i + 1] for name, v in p.items()}, own, times)[0])
+            for i, initial in enumerate(state):
+                out[i] |= bool(too_fast(rig, {name: v[i : i + 1] for name, v in p.items()}, initial, times)[0])
     return out
 
 
 def cold_start(problem: Problem) -> dict[str, float]:
-    """The one start of a cold fit, in the units of the (scaled) problem; see the module's docstring."""
+    """Return the initial guess of a cold fit, in the units of the (scaled) problem; see the module."""
     if problem.prior is not None:
         return dict(problem.prior.nominal)
     regression = regression_starts(problem) if problem.forced else []
-    good = [p for p in regression if all(np.isfinite(value) and value > 0 for value in p.values())]
-    if not good:
+    positive = [p for p in regression if all(np.isfinite(value) and value > 0 for value in p.values())]
+    if not positive:
         return dict.fromkeys(problem.system.names, 1.0)
     quick = screening(OutputError(problem))
-    return min(good, key=lambda p: quick.profile(_vector(quick, p)))
+    return min(positive, key=lambda p: quick.profile(_vector(quick, p)))
 
 
 def _vector(model: OutputError, start: dict[str, float]) -> np.ndarray:
-    """Theta at a start; not a number where its matrices are singular."""
+    """Return the vector of unknowns for parameters; NaN where their matrices are singular."""
     try:
         return model.vector(start)
     except np.linalg.LinAlgError:
@@ -235,10 +235,10 @@ def _vector(model: OutputError, start: dict[str, float]) -> np.ndarray:
 
 
 def _answer(model: OutputError, maximum: Maximum | None, failure: str) -> Estimate:
-    """Return the estimate at a maximum, with a message of what is wrong with it; a failure without one."""
+    """Return the estimate at a maximum, with messages; a failure without a maximum."""
     if maximum is None:
         return Estimate.failed(model.system, Status.DIVERGED, failure)
-    left = float(np.sum((maximum.residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
-    poor = f"the response leaves {left:.0%} of the data's mean square: a wrong minimum, or mostly noise"
-    sentences = [maximum.message, poor if left > POOR else "", "" if maximum.done else STOPPED]
+    share = float(np.sum((maximum.residuals / model.rms[model.channel_of]) ** 2)) / model.data.size
+    poor = f"residuals are {share:.0%} of the data's mean square: a wrong minimum, or mostly noise"
+    sentences = [maximum.message, poor if share > POOR else "", "" if maximum.done else STOPPED]
     return replace(maximum, message="; ".join(filter(None, sentences))).estimate()

@@ -1,8 +1,8 @@
 """Multiple shooting as a sparse nonlinear programme, solved by IPOPT through CasADi.
 
-The states at the cuts are unknowns beside the log-parameters and the offsets; that the motion joins at each cut is a
-constraint (H. G. Bock, K.-J. Plitt, IFAC Proceedings 17(2):1603, 1984). The programme is built once for a shape of
-problem and reused: data, times, forces, prior and noise are its parameters.
+The states at the shooting nodes, the log-parameters and the offsets are unknowns; continuity of the motion at each node
+is a constraint (H. G. Bock, K.-J. Plitt, IFAC Proceedings 17(2):1603, 1984). The programme is built once per structure
+of a problem and reused: data, times, forces, prior and noise are its parameters.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 
 from bench import System
-from methods.trajectory.stepped import SteppedOutputError, forces_at, rates, step, stepped_motion
+from methods.trajectory.runge_kutta import SteppedOutputError, forces_at, rates, step, stepped_motion
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What a programme depends on; problems of one shape share it.
+    """The structure on which a programme depends; problems with equal shapes share it.
 
-    ``records``: by record, the rig that moved, the number of cuts, and the channels as (measures, dof, offset, cut of
-    each sample). ``exact`` asks for the exact Hessian in place of Gauss-Newton's, whose steps in the logarithm of a
-    parameter that the data press towards zero go too far, again and again.
+    ``records``: for each record the rig, the number of nodes, and the channels as (measures, dof, offset, node of each
+    sample). ``exact``: use the exact Hessian, since Gauss-Newton steps in the logarithm of a parameter that tends to
+    zero are repeatedly too long.
     """
 
     records: tuple[tuple[System, int, tuple[tuple[str, int, bool, tuple[int, ...]], ...]], ...]
@@ -34,7 +34,7 @@ class Shape:
 
     @staticmethod
     def of(model: SteppedOutputError, substeps: int, exact: bool, max_iterations: int) -> Shape:
-        """Collect the shape of a problem."""
+        """Return the shape of a problem."""
         records = tuple(
             (
                 record.rig(model.system),
@@ -54,15 +54,15 @@ def shoot(
 ) -> tuple[np.ndarray, int]:
     """Solve the programme at given noise; return the vector of unknowns and the iterations.
 
-    The first guess is the motion at ``theta``, with displacements as they were measured.
+    The initial guess is the motion at ``theta``, with displacements replaced by measured ones.
 
     Args:
-        model: a single problem in natural units.
-        theta: its unknowns, where the motion is finite.
-        sigma: the noise of each channel.
-        substeps: Runge-Kutta steps between two cuts.
-        exact: whether the Hessian is the exact one.
-        max_iterations: of IPOPT, at most.
+        model: A single problem in natural units.
+        theta: Its unknowns, where the motion is finite.
+        sigma: Noise of each channel.
+        substeps: Runge-Kutta steps between two nodes.
+        exact: Use the exact Hessian.
+        max_iterations: Iteration limit of IPOPT.
     """
     solver = _solver(Shape.of(model, substeps, exact, max_iterations))
     guess, fixed, independent = _unknowns(model, theta, substeps)
@@ -74,7 +74,7 @@ def shoot(
 
 @lru_cache(maxsize=32)
 def _solver(shape: Shape) -> Any:
-    """IPOPT on ``½ |misfit|²`` subject to ``joins = 0`` over ``w = [log-parameters, offsets, states at the cuts]``."""
+    """Build the solver of ``½ |misfit|²`` subject to ``joins = 0``, w = [log-parameters, offsets, node states]."""
     import casadi as ca
 
     system = shape.records[0][0]
@@ -128,7 +128,7 @@ def _solver(shape: Shape) -> Any:
 
 
 def _symbols(name: str, sizes: list[tuple[int, int]]) -> tuple[Any, list[Any]]:
-    """A vector of symbols and its parts, as matrices of these sizes."""
+    """Return a vector of symbols and its parts as matrices of the given sizes."""
     import casadi as ca
 
     ends = np.cumsum([0, *[rows * columns for rows, columns in sizes]])
@@ -140,7 +140,7 @@ def _symbols(name: str, sizes: list[tuple[int, int]]) -> tuple[Any, list[Any]]:
 
 @lru_cache(maxsize=32)
 def _interval(system: System, substeps: int) -> Any:
-    """The state after one interval: (state, log-parameters, length, forces of its steps one below the other)."""
+    """Return the state transition over an interval: (state, log-parameters, length, forces of its steps)."""
     import casadi as ca
 
     n, one_step = system.n_dof, step(system)
@@ -153,10 +153,10 @@ def _interval(system: System, substeps: int) -> Any:
 
 
 def _given(model: SteppedOutputError, sigma: np.ndarray, substeps: int) -> np.ndarray:
-    """The programme's parameters, matrices column by column.
+    """Return the programme's parameters, with matrices by column.
 
-    The last is a common scale of the misfits, the smallest sigma relative to its channel, so that the objective is of
-    order one at most.
+    The last one is a common scale of the misfits, the smallest sigma relative to its channel, so that the objective is
+    at most of order one.
     """
     parts: list[np.ndarray] = []
     noise = iter(sigma)
@@ -171,7 +171,7 @@ def _given(model: SteppedOutputError, sigma: np.ndarray, substeps: int) -> np.nd
 
 
 def _unknowns(model: SteppedOutputError, theta: np.ndarray, substeps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A first guess of the programme's unknowns, which of them are fixed, and the places of those of ``theta``."""
+    """Return an initial guess of the programme's unknowns, which are fixed, and the indices of those of ``theta``."""
     system, moving = model.system, 2 * model.system.n_dof
     p = np.array([float(value) for value in model.parameters(theta).values()])
     offsets = model.offsets(theta)[list(model.offset_channels)]
@@ -184,17 +184,17 @@ def _unknowns(model: SteppedOutputError, theta: np.ndarray, substeps: int) -> tu
         cuts, rig = model.cuts[number], record.rig(system)
         path = stepped_motion(rig, p[None], state[None], model.steps(number, substeps), False)[0, :, 0].copy()
         for channel, places in zip(record.channels, cuts.samples, strict=True):
-            own = next(shift)
+            offset = next(shift)
             if channel.measures == "displacement":
-                path[places, channel.dof] = channel.values - own
+                path[places, channel.dof] = channel.values - offset
         if record.initial_state is None:
             starts += range(place, place + moving)
         else:
             path[0, :moving] = state
-        held = np.zeros(path.shape, bool)
-        held[0, 0 if record.initial_state is not None else moving :] = True  # hidden states start at zero
+        is_fixed = np.zeros(path.shape, bool)
+        is_fixed[0, 0 if record.initial_state is not None else moving :] = True  # hidden states start at zero
         parts.append(path.ravel())
-        fixed.append(held.ravel())
+        fixed.append(is_fixed.ravel())
         place += path.size
     logs = [system.names.index(name) for name in model.free]
     independent = np.array([*logs, *starts, *range(p.size, p.size + offsets.size)], int)

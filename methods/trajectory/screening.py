@@ -1,7 +1,7 @@
-"""The initial guesses that are worth a fit, of a batch of problems, by the rules that shooting and output error share.
+"""Screening of initial guesses for shooting and output error, for a batch of problems.
 
-The parameter sets of :mod:`methods.starts.candidates` take a few output-error steps each; kept are separate ends that
-could still win.
+The candidates of :mod:`methods.starts.candidates` are improved by a few output-error iterations each; distinct ends
+within a margin of the best are kept.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from methods.starts.search_range import is_unresolved
 
 @dataclass(frozen=True)
 class Rules:
-    """Rules of the choice of guesses and of convergence: the settings of the methods by the same names.
+    """Settings of the screening and of convergence, named as those of the methods.
 
     At most ``starts`` guesses are kept after ``screen_iterations`` steps, within ``margin`` of the best in minus twice
     the log-posterior. Fit and noise alternate at most ``sigma_rounds`` times, until the noise changes by less than
-    ``sigma_tolerance``; a fit takes at most ``iterations`` trial steps, the first of them with ``damping``.
+    ``sigma_tolerance``; a fit takes at most ``iterations`` steps with the initial ``damping``.
     """
 
     starts: int
@@ -38,10 +38,10 @@ class Rules:
 
 @dataclass(frozen=True, eq=False)
 class Guesses:
-    """Initial guesses that are worth a fit, best first: problem numbers (n,) and vectors (n, size).
+    """Screened initial guesses, best first: problem indices ``cases`` (n,) and vectors ``thetas`` (n, size).
 
-    ``first`` (problems, size): the first guess of each problem before any step. ``sigma`` (n, channels): the noise to
-    begin with, where it is not that of the residuals.
+    ``first`` (problems, size): first candidate of each problem. ``sigma`` (n, channels): initial noise, that of the
+    residuals where None.
     """
 
     cases: np.ndarray
@@ -51,12 +51,12 @@ class Guesses:
 
     @staticmethod
     def of_one(thetas: Sequence[np.ndarray]) -> Guesses:
-        """Collect guesses for a single problem."""
+        """Return guesses for a single problem."""
         return Guesses(np.zeros(len(thetas), int), np.stack(thetas), thetas[0][None])
 
 
 def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> Guesses:
-    """Choose the guesses for each of the models of a batch."""
+    """Screen the candidates of each model of a batch."""
     sets = [candidates(model, rules.starts + 1) for model in models]
     cases = np.repeat(np.arange(len(sets)), [len(guesses) for guesses in sets])
     thetas = np.zeros((cases.size, batch.size))
@@ -77,8 +77,8 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
         places = np.flatnonzero(cases == number)
         best = distinct_minima(model, values[places], settled.theta[places], aliases[places])
         kept.append(list(places[best[: rules.starts]]))
-    # beyond half the sampling rate the best fit may be a narrow basin, and the most probable one another; and a few
-    # steps do not yet order the basins of several degrees of freedom
+    # above half the sampling rate the best fit may lie in a narrow, less probable basin, and a few iterations do not
+    # order the basins of several degrees of freedom
     compared = {
         i: np.flatnonzero(cases == i) if model.system.n_dof > 1 else np.array(kept[i])
         for i, model in enumerate(models)
@@ -89,7 +89,7 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
         if not end.evidence.size:  # no basin has a covariance
             continue
         place = end.first(models[i])
-        if place or len(considered) > len(kept[i]):  # else the best fit stands first anyway
+        if place or len(considered) > len(kept[i]):  # otherwise the best fit is first already
             kept[i] = kept[i][:1]
             settled.theta[kept[i][0]] = end.thetas[place]
     worth = [i for places in kept for i in places if values[i] <= values[places[0]] + rules.margin]
@@ -97,6 +97,6 @@ def screen(models: Sequence[OutputError], batch: OutputError, rules: Rules) -> G
 
 
 def screen_alone(model: OutputError, rules: Rules) -> Guesses:
-    """Choose the guesses for one problem of any system: on the first samples of a long record, roughly integrated."""
+    """Screen the candidates of one problem, on the first samples of a nonlinear system with coarse integration."""
     short = head(model)
     return screen([short], OutputError.batch([screening(short)]), rules)

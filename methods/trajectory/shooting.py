@@ -1,23 +1,23 @@
 """Direct multiple shooting: maximum a posteriori by a sparse nonlinear programme (CasADi, IPOPT).
 
-The record is cut at every sample and at every knot of a known force. The states at the cuts are unknowns beside the
-log-parameters, the initial states and the offsets of the sensors; that the motion joins at each cut is a constraint
-(H. G. Bock, K.-J. Plitt, IFAC Proceedings 17(2):1603, 1984; :mod:`methods.trajectory.programme`). So the trajectory can
-follow the data from the first iteration on, while a single trajectory from a wrong frequency cannot.
+There is a shooting node at every sample and at every knot of a known force. The states at the nodes, the
+log-parameters, the initial states and the offsets of the sensors are unknowns; continuity at each node is a constraint
+(H. G. Bock, K.-J. Plitt, IFAC Proceedings 17(2):1603, 1984; :mod:`methods.trajectory.programme`). The trajectory can
+therefore follow the data from the first iteration on, which a single trajectory at a wrong frequency cannot.
 
-Objective: ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``. The noise is estimated: fit, then ``sigma² =
-RSS / (N - p)`` for each channel, then fit again from there (:mod:`methods.trajectory.fit`). The covariance is the
-inverse of the Gauss-Newton Hessian, with Student's t at ``N - p`` degrees of freedom. Starts come from the data alone
-(:mod:`methods.trajectory.screening`).
+The objective is ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²``. The noise, ``sigma² = RSS / (N - p)``
+for each channel, is estimated in alternation with the fit (:mod:`methods.trajectory.fit`). The covariance is the
+inverse of the Gauss-Newton Hessian, with Student's t at ``N - p`` degrees of freedom. Initial guesses come from the
+data (:mod:`methods.trajectory.screening`).
 
-The same maximum can be had without cuts, where the search gets there: problems are solved many at a time, linear ones
-with their exact motion, others by the same steps; and by the programme where a search there does not end at a maximum,
-or where the record of a nonlinear system is long. Where the programme of a linear system has no solution either, as
-where the likelihood rises towards no damping, the answer is where a search without cuts ends, and its message says so;
-that of a nonlinear system, as with dry friction, is found by continuation (:mod:`methods.trajectory.continuation`).
+Single shooting has the same maximum and is tried first, for many problems at once: with the exact motion of linear
+systems, and with Runge-Kutta steps for others. The programme is used where these searches do not converge, and for long
+records of nonlinear systems. Where the programme of a linear system has no solution either, for instance because the
+likelihood increases towards zero damping, the end of single shooting is returned with a message. Nonlinear systems,
+for instance with dry friction, are then solved by continuation (:mod:`methods.trajectory.continuation`).
 
-Errors are taken to be normal; with ``likelihood="student"``, from the answer so found on, to be Student's t with four
-degrees of freedom, so that outliers count for little (:mod:`methods.trajectory.student`).
+Errors are normal; with ``likelihood="student"`` the estimate is refined under Student's t errors with four degrees of
+freedom, which give little weight to outliers (:mod:`methods.trajectory.student`).
 """
 
 from __future__ import annotations
@@ -33,32 +33,32 @@ from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.candidates import LONGEST
 from methods.starts.wide_prior import very_wide
 from methods.trajectory.continuation import solve_by_continuation
-from methods.trajectory.fit import HELD, Maximum, best_maxima, leaves_open, with_open_held
+from methods.trajectory.fit import WIDE_PRIOR, Maximum, best_maxima, leaves_open, with_wide_prior
 from methods.trajectory.programme import shoot
+from methods.trajectory.runge_kutta import SteppedOutputError
 from methods.trajectory.screening import Guesses, Rules, screen, screen_alone
-from methods.trajectory.stepped import SteppedOutputError
 from methods.trajectory.student import Likelihood, with_student_errors
 
 MOST_ITERATIONS = 60
-"""Trial steps of a search without cuts."""
+"""Iteration limit of single shooting."""
 MOST_ITERATIONS_ALONE = 200
-"""The same where the programme has no solution, as output error's."""
-NO_START = "no start gave a finite response; give a prior nearer to the system"
-NO_SOLUTION = "IPOPT found no solution from any start; raise max_iterations or give a prior"
-NO_PROGRAMME = "the programme has no solution: this is where a search without cuts ends"
-AS_GOOD = 0.1
-"""A maximum is as good as another where minus twice its log-posterior, the motion integrated exactly, is this close."""
+"""The same where the programme has no solution."""
+NO_START = "no initial guess gave a finite response; give a prior closer to the system"
+NO_SOLUTION = "IPOPT found no solution from any initial guess; raise max_iterations or give a prior"
+NO_PROGRAMME = "multiple shooting has no solution: this is the end of single shooting"
+TIED = 0.1
+"""Maxima are tied if minus twice their log-posteriors differ by less, with an accurate integration."""
 
 
 @dataclass(frozen=True)
 class Shooting(SearchingIdentifier):
-    """CasADi multiple shooting with the Gauss-Newton Hessian; settings below, the method in the module's docstring.
+    """Multiple shooting with the Gauss-Newton Hessian.
 
-    At most ``starts`` separate starts get ``screen_iterations`` output-error steps; each is then solved by shooting
-    if minus twice its log-posterior is within ``margin`` of the best. The integration may err by ``integration_error``
-    of the motion, or by ``noise_share`` of the standard error that the data allow, whichever is larger.
-    Fit and noise alternate at most ``sigma_rounds`` times, until the noise changes by less than ``sigma_tolerance``.
-    ``likelihood="student"`` takes the answer on to the maximum with Student t errors, which expect outliers.
+    At most ``starts`` distinct initial guesses get ``screen_iterations`` output-error steps; shooting starts from those
+    whose minus twice log-posterior is within ``margin`` of the best. The error of the integration is at most
+    ``integration_error`` of the motion, or ``noise_share`` of the data's standard error, whichever is larger. Fit and
+    noise alternate at most ``sigma_rounds`` times, until the noise changes by less than ``sigma_tolerance``.
+    ``likelihood="student"`` refines the estimate under Student's t errors.
     """
 
     starts: int = 3
@@ -86,7 +86,7 @@ class Shooting(SearchingIdentifier):
                 "summary": "multiple shooting, then Student t errors in place of normal ones",
                 "uncertainty": "expected information of the t errors in the log-parameters, Student t with N - p "
                 "degrees of freedom",
-                "tuning": "none beyond shooting's; 4 degrees of freedom of the errors are the literature's",
+                "tuning": "as shooting; 4 degrees of freedom of the errors as in the literature",
                 "title": "Multiple shooting, t errors",
                 "order": 15,
             },
@@ -98,16 +98,16 @@ class Shooting(SearchingIdentifier):
     works_in = "natural units"
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Estimate all parameters, or the groups where nothing tells the scale, by shooting. Uses no randomness."""
+        """Estimate all parameters, or groups where the scale is not identifiable, by shooting. Uses no randomness."""
         return self._answer(problem, None)
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Estimate all problems together, where that ends at the same maximum; the others by shooting, one by one."""
+        """Estimate problems in batches by single shooting where it converges, the others one by one."""
         maxima = self.maxima([OutputError(problem) for problem in problems])
         return [self._answer(problem, maximum) for problem, maximum in zip(problems, maxima, strict=True)]
 
     def maxima(self, models: Sequence[OutputError]) -> list[Maximum | None]:
-        """Return the maxima that searches without cuts find, in order; None where shooting has to."""
+        """Return the maxima by single shooting; None where multiple shooting is required."""
         maxima: list[Maximum | None] = [None] * len(models)
         short = [m.system.linear or all(c.n <= LONGEST for _, c in m.channels) for m in models]
         for places in batches(models, [not is_short for is_short in short]):
@@ -119,12 +119,12 @@ class Shooting(SearchingIdentifier):
             ends = best_maxima(group, batch, guesses, self._rules)
             for i, end, first in zip(places, ends, guesses.first, strict=True):
                 if end is not None and end.converged:
-                    end = with_open_held(end, first, self._joined, self._rules)
+                    end = with_wide_prior(end, first, self._joined, self._rules)
                     maxima[i] = end if end is not None and end.converged and end.covariance is not None else None
         return maxima
 
     def _joined(self, models: Sequence[OutputError]) -> OutputError:
-        """The batch of problems of one layout, by the exact motion of a linear system, or by steps."""
+        """Return the batch of problems of one layout, with the exact motion of a linear system or Runge-Kutta steps."""
         return OutputError.batch(list(models) if models[0].system.linear else [self._stepped(m) for m in models])
 
     def _stepped(self, model: OutputError) -> SteppedOutputError:
@@ -137,7 +137,7 @@ class Shooting(SearchingIdentifier):
         )
 
     def _answer(self, problem: Problem, maximum: Maximum | None) -> Estimate:
-        """The answer at a maximum that was found together with others, else by shooting; a failure as a sentence."""
+        """Return the estimate at a given maximum, or by multiple shooting where it is None."""
         try:
             maximum = self._shot(OutputError(problem)) if maximum is None else maximum
             if self.likelihood == "student":
@@ -147,39 +147,39 @@ class Shooting(SearchingIdentifier):
             return Estimate.failed(problem.system, reason.status, str(reason), reason.cost)
 
     def _shot(self, model: OutputError) -> Maximum:
-        """The maximum with normal errors, by shooting."""
+        """Return the maximum with normal errors by multiple shooting."""
         guesses = screen_alone(model, self._rules)
         if not guesses.cases.size:
             raise NoEstimate(NO_START)
         maximum, starts = self._by_programme(model, guesses.thetas), list(guesses.thetas)
         if model.prior is None and model.problem.scale_known and (maximum is None or np.any(leaves_open(maximum))):
-            # the likelihood rises towards a parameter of zero or without limit: the data say that it is small or large
+            # the likelihood increases towards a parameter of zero or infinity
             first = {name: float(value) for name, value in model.parameters(guesses.first[0]).items()}
             prior, k = very_wide(first), len(first)
             model = OutputError(replace(model.problem, prior=prior))
-            for theta in starts:  # some had run away
+            for theta in starts:  # some guesses diverged
                 theta[:k] = np.clip(theta[:k], prior.log_mean - prior.log_sds, prior.log_mean + prior.log_sds)
             maximum = self._by_programme(model, np.stack(starts), exact=True)
-            maximum = None if maximum is None else replace(maximum, message=HELD)
+            maximum = None if maximum is None else replace(maximum, message=WIDE_PRIOR)
         if maximum is None or (model.system.linear and maximum.covariance is None):
-            return self._without_cuts(model, starts)
+            return self._by_single_shooting(model, starts)
         if not model.system.linear and maximum.covariance is None:
-            # a parameter ran down to zero, where it has no uncertainty; and a better maximum may be elsewhere
+            # a parameter vanished, without an uncertainty, and a better maximum may exist
             other = solve_by_continuation(self._stepped(model), starts, self._rules, [maximum.theta])
-            if other is not None and model.profile(other.theta) < model.profile(maximum.theta) + AS_GOOD:
+            if other is not None and model.profile(other.theta) < model.profile(maximum.theta) + TIED:
                 return other
         return maximum
 
     def _by_programme(self, model: OutputError, starts: np.ndarray, exact: bool = False) -> Maximum | None:
-        """The best maximum near the programme's solutions from these starts; None where there is none."""
+        """Return the best maximum near the programme's solutions from these guesses; None where there is none."""
         stepped = self._stepped(model)
         batch, cases = SteppedOutputError.batch([stepped]), np.zeros(len(starts), int)
         residuals = model.data - batch.for_screening(cases, starts)[cases].point(starts).predicted
         solutions, noise, spent = [], [], 0
-        for theta, left in zip(starts, residuals, strict=True):
-            if not np.all(np.isfinite(left)):
+        for theta, residual in zip(starts, residuals, strict=True):
+            if not np.all(np.isfinite(residual)):
                 continue
-            free, sigma = (model.noise(left, float(model.size), floor=floor) for floor in (0.0, SIGMA_FLOOR))
+            free, sigma = (model.noise(residual, float(model.size), floor=floor) for floor in (0.0, SIGMA_FLOOR))
             substeps = int(batch.needed(cases[:1], theta[None], free[None])[0])
             solution, iterations = shoot(stepped, theta, sigma, substeps, exact, self.max_iterations)
             spent += iterations
@@ -194,11 +194,11 @@ class Shooting(SearchingIdentifier):
             return None
         return replace(maximum, iterations=spent + maximum.iterations)
 
-    def _without_cuts(self, model: OutputError, starts: Sequence[np.ndarray]) -> Maximum:
-        """Search without cuts, where the programme has no solution; a nonlinear system by continuation.
+    def _by_single_shooting(self, model: OutputError, starts: Sequence[np.ndarray]) -> Maximum:
+        """Estimate where the programme has no solution: by single shooting, or by continuation for nonlinear systems.
 
-        The programme has none where the likelihood rises towards a parameter of zero, as towards no damping, and where
-        friction holds the motion. The other quantities are identifiable all the same.
+        This occurs where the likelihood increases towards zero damping, and where friction stops the motion. Other
+        quantities may still be identifiable.
         """
         if not model.system.linear:
             maximum = solve_by_continuation(self._stepped(model), starts, self._rules)

@@ -1,12 +1,12 @@
-"""Errors that are normal, or Student's t, which expects outliers; and the maximum a posteriori with the latter.
+"""Normal and Student's t errors, and the maximum a posteriori estimate with the latter.
 
 Student's t with few, fixed degrees of freedom is the standard robust likelihood (K. L. Lange, R. J. A. Little,
-J. M. G. Taylor, J. Am. Stat. Assoc. 84:881, 1989): a sample counts by ``w = (v + 1) / (v + (r / s)²)``, so one far off
-counts for next to nothing. ``s`` is the scale of each channel, which is estimated.
+J. M. G. Taylor, J. Am. Stat. Assoc. 84:881, 1989): a sample has the weight ``w = (v + 1) / (v + (r / s)²)``, which is
+small for an outlier. The scale ``s`` of each channel is estimated.
 
-The maximum is found from that with normal errors by iteratively reweighted least squares, which is the EM algorithm
-(Lange et al., section 3): each step lowers the weighted misfit, and is taken only where it raises the posterior itself.
-Fit and scale alternate as fit and noise do for normal errors.
+The search starts from the maximum with normal errors and uses iteratively reweighted least squares, the EM algorithm
+(Lange et al., section 3): each step decreases the weighted misfit and is accepted only if it increases the posterior.
+Fit and scale alternate like fit and noise for normal errors.
 """
 
 from __future__ import annotations
@@ -32,34 +32,35 @@ from methods.trajectory.screening import Rules
 
 Likelihood = Literal["normal", "student"]
 SCALE_ROUNDS, SCALE_TOLERANCE = 200, 1e-8
-"""Iterations of the fixed point that the scale is, and the relative change at which they end."""
+"""Largest number of fixed-point iterations for the scale, and the relative change at which they end."""
 RULES = Rules(starts=1, screen_iterations=0, margin=0.0, sigma_rounds=12, sigma_tolerance=1e-4, iterations=60)
-"""Fit and scale in turn, from a maximum with normal errors."""
+"""Settings of the alternation of fit and scale, from a maximum with normal errors."""
 UNSETTLED = (
-    "the search with Student t errors did not settle: the noise is too far from any such law, or the samples few"
+    "the search with Student t errors did not converge: the noise is too far from this distribution, or there are too "
+    "few samples"
 )
-FEW = "fewer than twice as many samples as unknowns: fitted with normal errors, since no outlier can be told from noise"
+FEW = "fewer than twice as many samples as unknowns: fitted with normal errors, since outliers cannot be identified"
 
 
 @dataclass(frozen=True)
 class NormalErrors:
-    """Independent normal errors; ``location`` and ``scale``: Fisher information of a sample, in units of its scale."""
+    """Independent normal errors; ``location``, ``scale``: Fisher information of a sample in units of its scale."""
 
     location: float = 1.0
     scale: float = 2.0
 
     def log_likelihood(self, z: np.ndarray) -> np.ndarray:
-        """Of errors (n, N) over their scales, shape (n,), without the scales' own term, up to a constant."""
+        """Return the log-likelihood of scaled errors (n, N), (n,), up to terms of the scales."""
         return np.asarray(-0.5 * np.einsum("ni,ni->n", z, z))
 
     def scales(self, model: OutputError, residuals: np.ndarray, used: float | np.ndarray) -> np.ndarray:
-        """The scale of each channel that residuals (..., N) show, with ``used`` degrees of freedom spent."""
+        """Estimate the scale of each channel from residuals (..., N), with ``used`` degrees of freedom."""
         return model.noise(residuals, used, floor=0.0)
 
 
 @dataclass(frozen=True)
 class StudentErrors:
-    """Independent errors of Student's t with ``dof`` degrees of freedom; the information: Lange et al., appendix B."""
+    """Independent Student's t errors with ``dof`` degrees of freedom; information: Lange et al., appendix B."""
 
     dof: float = 4.0
 
@@ -72,15 +73,15 @@ class StudentErrors:
         return 2.0 * self.dof / (self.dof + 3.0)
 
     def log_likelihood(self, z: np.ndarray) -> np.ndarray:
-        """As for normal errors."""
+        """Return the log-likelihood as for normal errors."""
         return np.asarray(-0.5 * (self.dof + 1.0) * np.sum(np.log1p(z**2 / self.dof), axis=-1))
 
     def weights(self, z: np.ndarray) -> np.ndarray:
-        """How much samples count that are off by z scales."""
+        """Return the weights of samples with errors of z scales."""
         return np.asarray((self.dof + 1.0) / (self.dof + z**2))
 
     def scales(self, model: OutputError, residuals: np.ndarray, used: float | np.ndarray) -> np.ndarray:
-        """As for normal errors: ``s² = sum w r² / (N - used)``, with the weights at s itself."""
+        """Estimate scales by the fixed point of ``s² = sum w r² / (N - used)`` with the weights at s."""
         sizes, least = model.noise(residuals, used, floor=0.0), 1e-12 * model.rms
         for _ in range(SCALE_ROUNDS):
             sizes = np.maximum(sizes, least)
@@ -96,10 +97,10 @@ NORMAL, STUDENT = NormalErrors(), StudentErrors()
 
 @dataclass(frozen=True, eq=False)
 class StudentOutputError(OutputError):
-    """The likelihood of a ``model`` of one problem with Student t errors; ``noise`` gives their scale.
+    """The likelihood of a ``model`` of one problem with Student t errors; ``noise`` returns their scale.
 
-    A step of the search is that of least squares weighted at the present residuals; degrees of freedom are counted
-    with the expected information of the errors.
+    A step of the search is a least-squares step weighted at the current residuals; degrees of freedom follow from the
+    expected information of the errors.
     """
 
     model: OutputError = field(kw_only=True)
@@ -114,15 +115,15 @@ class StudentOutputError(OutputError):
         return self.model.data.ravel()
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The model's predictions (cases, N) and their derivatives (cases, N, size)."""
+        """Return the model's predictions (cases, N) and their derivatives (cases, N, size)."""
         return self.model.jacobian(theta)
 
     def noise(self, residuals: np.ndarray, used: float | np.ndarray, floor: float = SIGMA_FLOOR) -> np.ndarray:
-        """The scale of each channel, (cases, channels), at least ``floor`` of the channel's size."""
+        """Return the scale of each channel, (cases, channels), at least ``floor`` of the channel's size."""
         return np.maximum(STUDENT.scales(self.model, residuals, used), floor * self.rms)
 
     def standardised(self, point: SimulatedData, sigma: np.ndarray) -> Linearisation:
-        """Weighted residuals over the scales, then distances from the prior; the cost is the likelihood's."""
+        """Return weighted residuals over the scales, then those of the prior, with the cost of the t likelihood."""
         normal, n = super().standardised(point, sigma), self.channel_of.size
         z, roots = normal.residuals[:, :n], np.ones_like(normal.residuals)
         roots[:, :n] = np.sqrt(STUDENT.weights(z))
@@ -142,14 +143,14 @@ class StudentOutputError(OutputError):
         damping: float = FIRST_DAMPING,
         polished: bool = False,
     ) -> tuple[SimulatedData, Minimum]:
-        """Search as with normal errors; the end is linearised with the expected information of the errors."""
+        """Search as with normal errors; linearise the end with the expected information of the errors."""
         _, end = super().search(start, sigma, iterations, damping, polished)
         point = self.point(end.at.unknowns)
         expected = super().standardised(point, sigma / np.sqrt(STUDENT.location))
         return point, replace(end, at=replace(expected, cost=end.at.cost))
 
     def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-        """Minus twice the log-posterior at the scales that residuals (cases, N) show, up to a constant."""
+        """Return minus twice the log-posterior at the scales of residuals (cases, N), up to a constant."""
         scales = self.noise(residuals, float(self.size))
         errors = STUDENT.log_likelihood(residuals / scales[:, self.channel_of])
         value = 2.0 * np.log(scales) @ self.counts - 2.0 * errors + np.sum(self.penalty(theta) ** 2, axis=1)
@@ -157,9 +158,9 @@ class StudentOutputError(OutputError):
 
 
 def student_fits(model: OutputError, thetas: np.ndarray) -> Fits:
-    """Search maxima with Student t errors near vectors (cases, size), which may be anywhere that ``model`` is finite.
+    """Search maxima with Student t errors from vectors (cases, size) at which ``model`` is finite.
 
-    ``sigma`` of the result is the scale of each channel.
+    The field ``sigma`` of the result is the scale of each channel.
     """
     return fit(StudentOutputError.batch([StudentOutputError.of(model)]), np.zeros(len(thetas), int), thetas, RULES)
 
@@ -183,7 +184,7 @@ def with_student_errors(maximum: Maximum, batch: OutputError) -> Maximum:
     iterations = maximum.iterations + int(fits.iterations[0])
     if not (fits.converged[0] and fits.settled[0]):
         raise NoEstimate(UNSETTLED, cost=Cost(iterations, iterations))
-    # the noise at which normal errors would be as informative
+    # the noise at which normal errors would have the same information
     sigma, slopes = fits.sigma[0] / np.sqrt(STUDENT.location), fits.point.slopes[0]
     return replace(
         maximum,

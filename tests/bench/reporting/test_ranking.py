@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from bench.reporting.page.elsewhere import elsewhere
 from scipy.stats import bootstrap, studentized_range
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
-from bench.reporting.page.elsewhere import elsewhere
 from bench.reporting.ranking import LOST, ON_BOUND, first_tier, fits_of, ranked, ranking, tied, tiers
 from bench.reporting.tables.leaderboard import leaderboard
 from bench.scenario.force import ForceSpec

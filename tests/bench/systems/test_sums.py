@@ -182,7 +182,10 @@ BAD: dict[str, tuple[Callable[[], Sum], str]] = {
     "two signs": (lambda: Sum(("spring", "cubic", "softening")), "cubic, softening: these terms exclude each other"),
     "nothing left": (lambda: Sum(("spring",), fixed=(("k", 0.0),)), "terms=spring: name at least one"),
     "a fixed mass": (lambda: Sum(("spring",), fixed=(("m", 1.0),)), "fixed.m=1.0: the mass cannot be fixed"),
-    "a fixed parameter of no term": (lambda: Sum(("spring",), fixed=(("mu", 1.0),)), "fixed.mu=1.0: parameters of these terms: k"),
+    "a fixed parameter of no term": (
+        lambda: Sum(("spring",), fixed=(("mu", 1.0),)),
+        "fixed.mu=1.0: parameters of these terms: k",
+    ),
     "a negative value": (lambda: Sum(("spring",), fixed=(("k", -1.0),)), "0 or more"),
     "length 0": (lambda: Sum(("pendulum",), fixed=(("l", 0.0),)), "a finite number, positive"),
     "a value that is not finite": (lambda: Sum(("spring",), fixed=(("k", float("nan")),)), "a finite number"),

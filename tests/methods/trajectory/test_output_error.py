@@ -186,7 +186,7 @@ def test_a_start_that_cannot_be_simulated_is_a_sentence() -> None:
     prior = Prior({"m": 1.2, "c": 0.5, "k": 7.0, "k3": 1e14}, {"m": 0.02, "c": 1.0, "k": 0.5, "k3": 0.5})
     estimate = fit(Problem(problem.system, problem.records, prior), cold=True)
     assert estimate.status is Status.DIVERGED
-    assert "start values" in estimate.message
+    assert "initial guess" in estimate.message
 
 
 def test_settings_out_of_range_are_refused() -> None:

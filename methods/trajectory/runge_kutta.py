@@ -1,13 +1,12 @@
-"""The likelihood of problems of any system, by Runge-Kutta steps with their derivatives, evaluated by CasADi.
+"""The likelihood of any system by Runge-Kutta steps with sensitivities, evaluated by CasADi.
 
-Records are cut at every sample and every knot of a force; between two cuts stand as many steps as frequency and noise
-call for: the error over a record is kept below what is allowed (:func:`methods.starts.integration.radians_a_step`).
+There is a node at every sample and every knot of a force; the number of steps between nodes follows from frequency and
+noise, so that the error over a record is below the limit (:func:`methods.starts.integration.radians_a_step`).
 
-One step maps the state and its derivatives by the log-parameters (and by the initial state) to those at its end: the
-classical step of order four, differentiated symbolically. A set of parameters is carried along all steps in one call
-and by itself: the other sets of a batch change nothing. Where a system bends suddenly, as a modulus does, the
-derivative is that of the side on which the state is. CasADi needs no compiler, and takes as long for a set of
-parameters alone as in a batch.
+One classical step of order four, differentiated symbolically, maps the state and its derivatives by the log-parameters
+(and by the initial state) to those at its end. Each set of parameters is integrated independently of the batch. At a
+kink of the equation of motion, the derivative is one-sided. CasADi requires no compiler, and takes the same time per
+set of parameters in a batch as alone.
 """
 
 from __future__ import annotations
@@ -24,38 +23,38 @@ from bench import Ops, OutputError, Record, Steps, System, fastest_rates, ops_fr
 from methods.starts.integration import radians_a_step
 
 SUBSTEPS = np.array([1, 2, 3, *(n * 2**i for i in range(5) for n in (4, 6)), 128])
-"""Numbers of steps between two cuts: few, so that few functions are built."""
+"""Possible numbers of steps between two nodes; few, so that few functions are built."""
 ROUGH_RADIANS = 0.4
-"""Steps where guesses are compared, in radians of the fastest rate: they err by a part in 5000 of the phase."""
+"""Step for comparing guesses, in radians of the fastest rate, with a relative phase error of 1/5000."""
 ROUGHLY = 64
-"""At most so many steps there: a motion that is faster than that is no guess anyway."""
+"""Largest number of steps between nodes for comparing guesses; faster motions are no useful guesses."""
 DIFFERENCE = 1e-6
-"""Step of the differences by which rates are found, in natural units."""
+"""Step of the finite differences for rates, in natural units."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cuts:
-    """Where a record is cut, the times ``grid``, and the cut of each sample, channel by channel."""
+    """The shooting nodes of a record at times ``grid``, and the node of each sample of each channel."""
 
     grid: np.ndarray
     samples: tuple[np.ndarray, ...]
 
     @staticmethod
     def of(record: Record) -> Cuts:
-        """Cut at every sample and every knot of a force."""
+        """Place nodes at every sample and every knot of a force."""
         knots = [f.times[f.times < record.duration] for f in record.forces]
         grid = np.unique(np.concatenate([[0.0], *[c.times for c in record.channels], *knots]))
-        # cuts that differ by rounding alone are one
+        # merge nodes that differ by rounding only
         grid = grid[np.concatenate([[True], np.diff(grid) > 1e-11 * max(record.duration, 1e-300)])]
         return Cuts(grid, tuple(np.abs(grid - c.times[:, None]).argmin(axis=1) for c in record.channels))
 
 
 @dataclass(frozen=True, eq=False)
 class SteppedOutputError(OutputError):
-    """The likelihood of a problem whose motion is integrated by ``substeps`` steps between two cuts; 1 at first.
+    """The likelihood of a problem whose motion is integrated by ``substeps`` steps between two nodes, initially 1.
 
-    The integration may err by ``integration_error`` of the motion, or by ``noise_share`` of the standard error that
-    the data allow, whichever is larger.
+    The error of the integration is at most ``integration_error`` of the motion, or ``noise_share`` of the data's
+    standard error, whichever is larger.
     """
 
     integration_error: float = 1e-8
@@ -72,19 +71,19 @@ class SteppedOutputError(OutputError):
         return tuple(Cuts.of(record) for record in self.problem.records)
 
     def steps(self, number: int, count: int) -> Steps:
-        """Make ``count`` steps between the cuts of record ``number``."""
+        """Return ``count`` steps between the nodes of record ``number``."""
         grid, record = self.cuts[number].grid, self.problem.records[number]
         return Steps.over(grid, np.full(grid.size - 1, count), record.forces, self.system.n_dof)
 
     @property
     def exact_slopes(self) -> bool:
-        """Those of the steps are exact."""
+        """Return True: sensitivities of the steps are exact."""
         return True
 
     def readings_and_slopes(
         self, number: int, p: dict[str, np.ndarray], state: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the sensors of a record would show, and its derivatives, by each case's own number of steps."""
+        """Return the simulated measurements of a record and their derivatives."""
         values = np.stack([p[name] for name in self.system.names], axis=1)
         counts = np.broadcast_to(self.substeps, len(values))
         groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
@@ -93,7 +92,7 @@ class SteppedOutputError(OutputError):
         return shown[..., 0], shown[..., 1:]
 
     def _shown(self, number: int, count: int, p: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Readings and derivatives of some cases by ``count`` steps between cuts, shape (cases, N, 1 + q)."""
+        """Return measurements and derivatives of some cases by ``count`` steps between nodes, (cases, N, 1 + q)."""
         record, n = self.problem.records[number], self.system.n_dof
         rig = record.rig(self.system)
         path = stepped_motion(rig, p, start, self.steps(number, count), record.initial_state is None)
@@ -107,20 +106,20 @@ class SteppedOutputError(OutputError):
         return np.concatenate(parts, axis=1)
 
     def for_screening(self, cases: np.ndarray, theta: np.ndarray) -> Self:
-        """The same with as many steps as it takes to compare initial guesses ``theta``."""
+        """Return the model with enough steps to compare initial guesses ``theta``."""
         counts = np.minimum(self._longest * self._fastest(cases, theta) / ROUGH_RADIANS, ROUGHLY)
         return self._with(cases, _up(counts), np.ones_like(self.substeps))
 
     def refined(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> Self:
-        """The same with as many steps as answers near ``theta`` need, for all cases of a problem alike."""
+        """Return the model with enough steps for estimates near ``theta``, equal for all cases of a problem."""
         return self._with(cases, self.needed(cases, theta, sigma), self.substeps)
 
     def coarse(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Whether an answer at ``theta`` needs more steps, shape (cases,)."""
+        """Return which estimates ``theta`` require more steps, (cases,)."""
         return np.asarray(self.needed(cases, theta, sigma) > self.substeps[cases])
 
     def needed(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Steps between two cuts for answers at ``theta`` (cases, size) and noise ``sigma`` (cases, channels)."""
+        """Return the steps between nodes for estimates ``theta`` (cases, size) and noise ``sigma`` (cases, channels)."""
         relative = np.min(sigma / self[cases].rms, axis=1) / np.sqrt(self.channel_of.size)
         allowed = np.maximum(self.integration_error, self.noise_share * relative)
         rates, duration = self._fastest(cases, theta), max(record.duration for record in self.problem.records)
@@ -129,11 +128,11 @@ class SteppedOutputError(OutputError):
 
     @cached_property
     def _longest(self) -> float:
-        """The longest interval between two cuts."""
+        """Return the longest interval between two nodes."""
         return max(float(np.max(np.diff(cuts.grid), initial=0.0)) for cuts in self.cuts)
 
     def _fastest(self, cases: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """The fastest rate of the system at rest and at the starts of all records, each case by itself; (cases,)."""
+        """Return the fastest rate of each case at rest and at the initial states of all records, (cases,)."""
         p = self.parameters(theta)
         rates = [fastest_rates(self.system, p, state.T, DIFFERENCE) for state in self[cases].states(theta)]
         return np.asarray(np.fmax.reduce(np.concatenate(rates), axis=0, initial=0.0))
@@ -149,17 +148,17 @@ class SteppedOutputError(OutputError):
 
 
 def _up(wanted: np.ndarray) -> np.ndarray:
-    """The least of the numbers of steps that are at least those wanted."""
+    """Round up to the next possible number of steps."""
     return np.asarray(SUBSTEPS[np.searchsorted(SUBSTEPS, np.minimum(wanted, SUBSTEPS[-1]))])
 
 
 def forces_at(record: Record, times: np.ndarray, n_dof: int) -> np.ndarray:
-    """The known force on each DOF, shape (n_times, n_dof)."""
+    """Return the known force on each DOF, (n_times, n_dof)."""
     return np.array(record.force(times, n_dof)).reshape(n_dof, -1).T
 
 
 def casadi_ops() -> Ops:
-    """The functions that a residual may call, for CasADi's symbols."""
+    """Return the functions available to equations of motion, for CasADi's symbols."""
     import casadi as ca
 
     def solve(matrix: Any, right: Any) -> list[Any]:
@@ -171,10 +170,10 @@ def casadi_ops() -> Ops:
 
 @lru_cache(maxsize=64)
 def rates(system: System) -> Any:
-    """Rate of the state: (state, log-parameters, force on each DOF) -> velocities, accelerations, hidden rates.
+    """Return the function (state, log-parameters, force on each DOF) -> velocities, accelerations, hidden rates.
 
-    The mass matrix is the derivative of the residual by the accelerations: as a symbolic expression it is then as
-    sparse as it is in truth, and the programme of ten masses eighteen times shorter than by unit accelerations.
+    The mass matrix is the symbolic derivative of the residual by the accelerations, which keeps its sparsity: for ten
+    masses the expression is eighteen times shorter than with unit accelerations.
     """
     import casadi as ca
 
@@ -191,7 +190,7 @@ def rates(system: System) -> Any:
 
 @lru_cache(maxsize=64)
 def step(system: System) -> Any:
-    """One step: (state, log-parameters, length, forces (n_dof, 3) at its start, middle and end) -> state."""
+    """Return a step: (state, log-parameters, length, forces (n_dof, 3) at its start, middle and end) -> state."""
     import casadi as ca
 
     rate = rates(system)
@@ -203,7 +202,7 @@ def step(system: System) -> Any:
 
 
 def _with_slopes(function: Any, by_start: int) -> Any:
-    """The function of state *and* derivatives that follows from a function of state, log-parameters and others."""
+    """Extend a function of state, log-parameters and other inputs to the derivatives of the state."""
     import casadi as ca
 
     s, logs, *others = (ca.SX.sym("in", function.sparsity_in(i)) for i in range(function.n_in()))
@@ -225,17 +224,17 @@ def _rates_with_slopes(system: System, by_start: int, number: int) -> Any:
 
 
 def stepped_motion(system: System, p: np.ndarray, start: np.ndarray, steps: Steps, by_start: bool) -> np.ndarray:
-    """The states at the points of the grid of steps and their derivatives, set by set.
+    """Compute the states on the grid of steps and their derivatives, for each set of parameters.
 
     Args:
-        system: any.
-        p: the parameters in the system's order, shape (sets, n_parameters).
-        start: displacements, then velocities, shape (sets, 2 n_dof); hidden states start at zero.
-        steps: from time 0.
-        by_start: whether the derivatives by the start are wanted, too.
+        system: The system.
+        p: Parameters in the system's order, (sets, n_parameters).
+        start: Initial displacements, then velocities, (sets, 2 n_dof); hidden states start at zero.
+        steps: Steps from time 0.
+        by_start: Include derivatives by the initial state.
 
     Returns:
-        The states, then their derivatives by the log-parameters and by the start, shape (sets, n_grid, 1 + q, n_state);
+        The states, then their derivatives by the log-parameters and the initial state, (sets, n_grid, 1 + q, n_state);
         not finite where the motion diverges.
     """
     sets, moving = start.shape
@@ -256,9 +255,9 @@ def stepped_motion(system: System, p: np.ndarray, start: np.ndarray, steps: Step
 def stepped_accelerations(
     system: System, p: np.ndarray, states: np.ndarray, forces: np.ndarray, dof: int
 ) -> np.ndarray:
-    """The acceleration of a DOF and its derivatives, shape (sets, n, 1 + q), at ``states`` (sets, n, 1 + q, n_state).
+    """Compute the acceleration of a DOF and its derivatives, (sets, n, 1 + q), at states (sets, n, 1 + q, n_state).
 
-    ``forces`` (n, n_dof) act then; ``p`` as in :func:`stepped_motion`.
+    ``forces`` (n, n_dof): the known forces; ``p`` as in :func:`stepped_motion`.
     """
     number, columns = states.shape[1:3]
     shown = np.empty(states.shape[:3])
@@ -271,7 +270,7 @@ def stepped_accelerations(
 
 
 def _evaluated(function: Any, inputs: Sequence[np.ndarray], shared: tuple[int, ...]) -> Iterator[np.ndarray]:
-    """What a function gives for one set after the other, in one array; ``shared`` inputs are the same for all."""
+    """Yield the result of a function for each set, in one reused array; ``shared`` inputs are equal for all sets."""
     buffer, evaluate = function.buffer()
     result = np.empty(function.nnz_out(0))
     buffer.set_res(0, result.data)

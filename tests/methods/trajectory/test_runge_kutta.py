@@ -13,7 +13,7 @@ from bench.dynamics.stepper import rk4_path
 from bench.systems import SDOF, BoucWen, Coulomb, Duffing, Pendulum
 
 pytest.importorskip("casadi")
-from methods.trajectory.stepped import SUBSTEPS, SteppedOutputError, stepped_accelerations, stepped_motion
+from methods.trajectory.runge_kutta import SUBSTEPS, SteppedOutputError, stepped_accelerations, stepped_motion
 
 KNOTS = np.linspace(0.0, 2.0, 21)
 GRID = np.linspace(0.0, 2.0, 41)
