@@ -28,10 +28,12 @@ LINK = re.compile(r"\[(?P<text>[^\[\]]*)\]\((?P<target>[^)#\s]+)(?P<part>#[^)\s]
 GLOSSARY = "reference/glossary.md"
 ENTRY = re.compile(r"^### (?P<term>.+)\n(?P<meaning>.+)$", re.MULTILINE)
 NOT_PROSE = re.compile(
-    r"(^```.*?^```|^#.*?$|^:::.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)",
+    r"(^```.*?^```|^#.*?$|^:::.*?$|^\?\?\?.*?$|^\|.*?$|`[^`\n]*`|!?\[[^\[\]]*\]\([^)]*\)|<!--.*?-->|<[^>\n]+>)",
     re.DOTALL | re.MULTILINE,
 )
 """Parts of a page that get no link to the glossary: code, headings, tables, links, comments and tags."""
+LINKED_TO_GLOSSARY = re.compile(r"results/.*\.md|which_method\.md|trust\.md|readme\.md")
+"""Pages outside of docs/ that link to the glossary too."""
 COMMON_WORDS = ("alternative", "archive", "audit", "card", "cell", "identifiable", "round", "store", "track", "verdict")
 """Terms that are ordinary words too; they are linked behind an article only."""
 
@@ -58,13 +60,13 @@ def on_page_read_source(page: Any, **_: Any) -> str | None:
 
 def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: Files, **_: Any) -> str:
     """Fill in numbers and generated tables, redirect links to their place in the site, and link to the glossary."""
-    documents = import_module("bench.reporting.documents")
-    if any(documents.used(markdown)):
+    source, documents = page.file.src_uri, import_module("bench.reporting.documents")
+    written_here = (ROOT / "docs" / source).is_file()
+    if (written_here or source == README) and any(documents.used(markdown)):
         markdown = documents.filled(markdown, _facts())
     for mark, generate in GENERATED.items():
         if mark in markdown:
             markdown = markdown.replace(mark, generate())
-    source = page.file.src_uri
 
     def redirected(link: re.Match[str]) -> str:
         if re.match(r"\w+:|/", link["target"]):
@@ -78,9 +80,8 @@ def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: File
         return link[0]
 
     markdown = LINK.sub(redirected, markdown)
-    if (ROOT / "docs" / source).is_file() and source not in (GLOSSARY, "index.md"):
-        glossary = posixpath.relpath(GLOSSARY, posixpath.dirname(source) or ".")
-        markdown = linked_to_glossary(markdown, glossary)
+    if source not in (GLOSSARY, "index.md") and (written_here or LINKED_TO_GLOSSARY.match(source)):
+        markdown = linked_to_glossary(markdown, posixpath.relpath(GLOSSARY, posixpath.dirname(source) or "."))
     return markdown
 
 
@@ -235,14 +236,8 @@ def method_table() -> str:
         ]
         principle = ". ".join([method.card.summary, *variants])
         names = ", ".join(f"`{known}`" for known in (name, *method.card.variants))
-        rows.append((names, principle, data_of(method.scope), method.card.start, method.card.uncertainty))
-    return table(("method", "principle", "data", "initial state", "uncertainty"), rows)
-
-
-def data_of(scope: Any) -> str:
-    """Return the data that a method supports."""
-    masses = "one mass" if scope.max_dof == 1 else "several masses"
-    return ", ".join([masses, "free or forced" if scope.forced else "free", *([] if scope.nonlinear else ["linear"])])
+        rows.append((names, principle, method.card.start, method.card.uncertainty))
+    return table(("method", "principle", "initial state", "uncertainty"), rows)
 
 
 def modal_table() -> str:
