@@ -130,7 +130,7 @@ method=ls data=ragged.csv                         | data=ragged.csv             
 method=ls data=bomb.gz                            | data=bomb.gz                     | MiB
 method=ls data=bomb.zip                           | data=bomb.zip                    | MiB
 # ---- verbs
-certify clean.csv                                 | argument=clean.csv               | write data=clean.csv
+$CELL clean.csv                                   | argument=clean.csv               | write data=clean.csv
 design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm amplitude=1rad | amplitude=1rad | length
 design want=mass:5% frequency=2 damping=0.02 noise=0.5mm | want=mass:5%                | k_over_m
 design $DECAY samples=20                          | duration=                        | of the test

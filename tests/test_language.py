@@ -24,8 +24,8 @@ ADJECTIVES = {"apart", "differentiable", "drawn", "elsewhere", "fresh", "frozen"
               "wider"}  # fmt: skip
 """Module names that are no nouns, besides those in -ed; modal, online and nonlinear are terms of the field."""
 PENDING = {f"bench/{room}" for room in (
-    "__init__.py", "atlas", "audit", "commands", "config", "conformance", "contract", "dynamics", "engine", "entrants",
-    "entry_points.py", "errors.py", "exchange", "face", "files.py", "information", "isolation", "likelihood", "modal",
+    "__init__.py", "atlas", "audit", "config", "conformance", "contract", "dynamics", "engine", "entrants",
+    "entry_points.py", "errors.py", "exchange", "files.py", "information", "isolation", "likelihood", "modal",
     "online", "planning", "records", "reporting", "rounds", "scenario", "scoring", "store", "systems", "twin",
 )} | {f"methods/{room}" for room in (
     "amortised", "discrete", "kalman", "modal", "network", "online", "pinn", "pinn_family", "regression", "rivals",

@@ -1,2 +1,1 @@
-"""The commands, one module a verb: ``python -m bench.<verb>``, and ``python -m bench`` in
-:mod:`bench.commands.main`."""
+"""The commands, one module per verb; :mod:`bench.commands.main` reads the command line."""

@@ -26,7 +26,7 @@ def atlas(
     test: Annotated[str, OneOf(tuple(TESTS)), "kind of test"] = "free_decay",
     part: Annotated[tuple[str, ...], "parts of the test, which are points and its slices [all]"] = (),
     method: Annotated[tuple[str, ...], OneOf(_every_method), "methods [all]"] = (),
-    points: Annotated[int | None, Within(ge=1), "the first so many points of the sequence or slice [all]"] = None,
+    points: Annotated[int | None, Within(ge=1), "number of points of the sequence or slice to compute [all]"] = None,
     workers: Workers = None,
     store: Annotated[Path, "folder of finished blocks"] = Path("outputs/atlas"),
     out: Annotated[Path, "folder of the atlas, its tables and maps"] = Path("results"),
@@ -34,13 +34,13 @@ def atlas(
     launcher: Annotated[
         Sequence[str],
         Others(("hydra/launcher", "hydra", "+hydra")),
-        "hydra/launcher=ray or submitit_slurm, whose nodes see the store; hydra.launcher.<option>=",
+        "hydra/launcher=ray or submitit_slurm, whose nodes must share the store; hydra.launcher.<option>=",
     ] = (),
     dry_run: DryRun = False,
 ) -> int:
-    """Compute the atlas: the error of every method over the space of tests, or what is missing of it.
+    """Compute the atlas: the error of every method over the space of tests.
 
-    Finished blocks are kept in the store, and the same command goes on from them.
+    Finished blocks are kept in the store, and the same command continues.
     """
     from bench.config.hydra_fields import check_of_hydra
     from bench.engine.pool import Limits
@@ -50,7 +50,7 @@ def atlas(
     if not dry_run:
         _check_packages()
     work = Work(store, out, Limits(workers or usable_cores()), fit, dry_run, tuple(launcher))
-    if not work.complete([block for own in blocks.values() for block in own], "fit"):
+    if not work.complete([block for of_part in blocks.values() for block in of_part], "fit"):
         return 0
     stated = {"test": test if test != "free_decay" else "", "part": ",".join(part), "points": points or ""}
     _write(test, blocks, work, " ".join([COMMAND, *(f"{k}={v}" for k, v in stated.items() if v)]))
@@ -58,14 +58,14 @@ def atlas(
 
 
 def _check_packages() -> None:
-    """Raise InputError before the work where the atlas could not be written after it."""
+    """Raise InputError, before the work, for a package without which the atlas cannot be written."""
     from bench.atlas.model import ensembles
 
     ensembles()
     try:
         from bench.reporting.pictures import maps  # noqa: F401
     except ModuleNotFoundError as error:
-        raise InputError("package", error.name, "installed: pip install 'vibration-bench[figures]'") from None
+        raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None
 
 
 def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: str) -> None:
@@ -82,9 +82,9 @@ def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: 
     if SAMPLED in blocks:
         frame = atlas_frame(blocks[SAMPLED], work.store)
         if frame.empty:
-            raise InputError("store", work.store, "a folder with finished blocks; without fit=false they are made")
+            raise InputError("store", work.store, "no finished blocks; leave fit=false out to compute them")
         page = next(page for page in PAGES if page.kind is TESTS[test])
         paths += [*written(frame, page, out, command)]
     if TESTS[test] is FreeDecay:
-        paths += [path for own in stored for path in save(draw_atlas(*own), out / "figures")]
+        paths += [path for pair in stored for path in save(draw_atlas(*pair), out / "figures")]
     print(*paths, sep="\n")

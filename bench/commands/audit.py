@@ -1,4 +1,4 @@
-"""The verb ``audit``: what the data of a published claim allow, and where its numbers fall."""
+"""The verb ``audit``: compare the numbers of a published claim with what its data allow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def audit(
-    claim: Annotated[Path, Bare(), "file of the claim, as those of claims/; see docs/how_to/audit_claim.md"],
+    claim: Annotated[Path, Bare(), "file of the claim, like those of claims/; see docs/how_to/audit_claim.md"],
     format: Annotated[Literal["text", "json"], "json: all numbers, as one object"] = "text",
     out: Annotated[
         Path | None, "folder of NAME.json, NAME.md (a paragraph to cite) and NAME.svg (a badge) [none]"
@@ -21,9 +21,10 @@ def audit(
 ) -> int:
     """Audit a published claim: what its data allow, and where the reported numbers fall.
 
-    Are published data consistent with the stated equation; is each quantity identifiable; the bound of one draw; the
-    scores of an efficient estimator, and how many of its draws do as well, or as badly; whether a comparison of methods
-    is decided; what a prior or a starting value has decided. Without noise only the bias is stated.
+    It checks whether published data agree with the stated equation and whether each quantity is identifiable, and
+    states the bound, the scores of an efficient estimator with the share of its draws that do as well or as badly,
+    whether a comparison of methods is decided, and the influence of prior and initial guess. Without noise only the
+    bias is stated.
     """
     from bench.audit.evidence import audit as audited
     from bench.audit.sentences import as_dict, badge, lines_of, paragraph, summary
@@ -49,7 +50,7 @@ def audit(
 
 
 def read(path: Path) -> StatedClaim:
-    """Read the file of a claim; raises InputError."""
+    """Read the file of a claim; raises InputError for a malformed one."""
     from bench.audit.claim import read_claim
     from bench.config.files import read_user_yaml
 

@@ -1,4 +1,4 @@
-"""The verb ``check``: the contract of somebody else's methods and systems."""
+"""The verb ``check``: whether a method or a system, also of another package, keeps the contract."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def check(
     timeout_s: Annotated[float, Within(gt=0, le=1e9), "time limit of one check, and the import"] = 300,
     format: Annotated[Literal["table", "json"], "json: one line per check"] = "table",
 ) -> int:
-    """Check that a method or a system keeps the contract, each check in its own process.
+    """Check that a method or a system keeps the contract; every check has its own process.
 
     A method: contract, seeds, state, honesty, units, difficult data, pickling and time. A system: its declaration
     against its equation. The package need not be installed.

@@ -1,4 +1,4 @@
-"""The command line of a verb: arguments, page of help and completion, from the fields that its function declares."""
+"""The command line of a verb: arguments, help and completion, derived from the parameters of its function."""
 
 from __future__ import annotations
 
@@ -15,11 +15,22 @@ from bench.scenario.declaration import Parsed, Within
 
 __all__ = ["Bare", "OneOf", "Others", "Parsed", "Within"]
 WIDE = 14
-"""Most letters of a field's name on a page of help that stand in a column of their own."""
+"""Largest width of the column of names on a page of help."""
 
 
 def read_arguments(verb: Callable[..., int], words: Sequence[str]) -> dict[str, Any]:
-    """Read the words of a command line as the arguments of a verb; raises InputError for the first that is wrong."""
+    """Read the words of a command line as the arguments of a verb.
+
+    Args:
+        verb: The function of the verb.
+        words: ``name=value``, or the value alone of a field that is marked :class:`Bare`.
+
+    Returns:
+        The arguments by parameter.
+
+    Raises:
+        InputError: for the first word that is wrong, or a required field that is missing.
+    """
     fields = fields_of(verb)
     rest = next((field for field in fields.values() if field.others), None)
     known = [name for name, field in fields.items() if not field.others]
@@ -47,19 +58,19 @@ def read_arguments(verb: Callable[..., int], words: Sequence[str]) -> dict[str, 
 
 
 def how_to_write(word: str, fields: Collection[Field]) -> str:
-    """Return what to write in place of a word that is no ``field=value``."""
+    """Return the remedy for a word that is not ``field=value``."""
     bare = word.lstrip("-")
     names = [field.name for field in fields]
     if bare in names:
         return f"write {bare}=<value>, without spaces or dashes"
     if word.startswith("-"):
-        return "options are --help and --version"
+        return "options are --help, --version, -v and -q"
     name = next((field.name for field in fields if word in field.choices), names[0] if names else "<field>")
     return f"write {name}={word}; see --help"
 
 
 def command_line(verb: Callable[..., int], values: Mapping[str, Any]) -> str:
-    """Return the command that calls a verb with these values of its parameters, without those of a default."""
+    """Return the command that calls a verb with these arguments; defaults are left out."""
     words = ["python", "-m", "bench", verb.__name__]
     for field in fields_of(verb).values():
         value = values[field.parameter]
@@ -85,7 +96,7 @@ def help_page(command: str, verb: Callable[..., int]) -> str:
 
 
 def completions(verb: Callable[..., int], word: str) -> list[str]:
-    """Return what a shell may put in place of the last word of a line."""
+    """Return the completions of the last word of a command line."""
     name, equals, _ = word.partition("=")
     fields = {name: field for name, field in fields_of(verb).items() if not field.others}
     offered = [f"{field}=" for field in fields]
@@ -95,7 +106,7 @@ def completions(verb: Callable[..., int], word: str) -> list[str]:
 
 
 def settings_of(words: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Read ``method.width=32 system.n=3``, one value each, as settings by group and name; raises InputError."""
+    """Read ``method.width=32 system.n=3`` as settings by group and name; raises InputError for several values."""
     from bench.config.overrides import read_overrides
 
     settings: dict[str, dict[str, Any]] = {}
@@ -108,14 +119,14 @@ def settings_of(words: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def file(field: str, path: Path, wanted: str = "name an existing file") -> Path:
-    """Return the path of a file to read, which is no pipe or device; raises InputError."""
+    """Return the path of a regular file; raises InputError for any other path."""
     if not os.path.isfile(path):
         raise InputError(field, path, f"{'not a file' if os.path.exists(path) else 'file not found'}; {wanted}")
     return path
 
 
 def folder(field: str, path: Path) -> Path:
-    """Return the path of a folder to read; raises InputError where it does not exist."""
+    """Return the path of a folder; raises InputError if it does not exist."""
     if not os.path.isdir(path):
         raise InputError(field, path, "folder not found; name an existing one")
     return path

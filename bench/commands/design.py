@@ -1,4 +1,4 @@
-"""The verb ``design``: a test that determines a quantity well enough, and what each method would do at a test."""
+"""The verb ``design``: tests that reach a wanted accuracy, and the expected accuracy of methods at a test."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from bench.scenario.declaration import value_of
 QUANTITIES = ("k_over_m", "c_over_m", "natural_frequency", "damping_ratio")
 ATLAS = Path("results/atlas.csv.gz")
 Uncertain = tuple[float, float]
-"""A value and the standard deviation of its logarithm."""
+"""A value, and the standard deviation of its logarithm."""
 Size = Annotated[float, Within(ge=1e-9, le=1e9)]
-"""Limits of every quantity (SI units)."""
+"""A positive quantity (SI units)."""
 
 
 def percentage(text: str) -> float:
-    """Read a percentage, with its sign."""
+    """Read a percentage, as ``5%``, as a fraction."""
     if not text.endswith("%"):
         raise ValueError("a percentage, as 5%")
     return value_of(Annotated[float, Within(ge=1e-6, le=1000.0)], text[:-1], "") / 100.0  # type: ignore[no-any-return]
 
 
 def wanted(text: str) -> tuple[str, float]:
-    """Read a quantity and the error of its logarithm: c_over_m:5%."""
+    """Read a quantity and the wanted standard deviation of its logarithm: ``c_over_m:5%``."""
     quantity, _, error = text.partition(":")
     if quantity not in QUANTITIES:
         raise ValueError(f"<quantity>:<error>%, of {', '.join(QUANTITIES)}")
@@ -37,13 +37,13 @@ def wanted(text: str) -> tuple[str, float]:
 
 
 def uncertain(text: str) -> Uncertain:
-    """Read a positive number, with or without a standard deviation: 2 or 2:10%."""
+    """Read a positive number with or without a standard deviation: ``2`` or ``2:10%``."""
     value, colon, deviation = text.partition(":")
     return value_of(Size, value, ""), percentage(deviation) if colon else 0.0
 
 
 def length(text: str) -> float:
-    """Read a length with its unit, in metres."""
+    """Read a length with its unit, and return it in m."""
     from bench.records.reading.units import unit_of
 
     parts = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\d\s].*)", text)
@@ -54,7 +54,7 @@ def length(text: str) -> float:
 
 
 def methods() -> Sequence[str]:
-    """Return the methods that can be chosen."""
+    """Return the names of the methods and their variants."""
     from bench.config.choices import choices
 
     return choices("method")
@@ -87,7 +87,7 @@ def design(
 ) -> int:
     """Design the smallest free decay that reaches a wanted accuracy.
 
-    With samples= and duration=: the errors of that test.
+    With samples= and duration=: state the errors of that test.
     """
     from bench.reporting.plans import decay_page, errors_of, proposals
 
@@ -95,7 +95,7 @@ def design(
     start = None if amplitude is None else amplitude / noise
     if (samples is None) != (duration is None):
         name = "samples" if samples is None else "duration"
-        raise InputError(name, "", f"{name}=..., of the test whose errors are sought")
+        raise InputError(name, "", f"give {name}= as well; both describe the test")
     if samples is not None and duration is not None:
         tests = errors_of(request, start, samples, duration)
     else:
@@ -120,7 +120,7 @@ def best_times(
     method: Method = None,
     verify: Verify = 0,
 ) -> int:
-    """Find the best sampling times of a free decay, beside even ones."""
+    """Find the best sampling times of a free decay, and compare them with even ones."""
     from bench.planning.free_decay import Decay
     from bench.reporting.plans import times_page
 
@@ -137,12 +137,12 @@ def best_force(
     samples: Few,
     duration: Duration,
     energy: Annotated[Size, "integral of the squared force (N² s)"],
-    mass: Annotated[Size, "mass as far as it is known (kg)"],
-    out: Annotated[Path | None, "file for the best force, a record without the motion"] = None,
+    mass: Annotated[Size, "approximate mass (kg)"],
+    out: Annotated[Path | None, "file for the best force over time"] = None,
     method: Method = None,
     verify: Verify = 0,
 ) -> int:
-    """Find the best force of a given energy, from rest, beside a hammer blow, noise and an even multisine."""
+    """Find the best force of a given energy, from rest, and compare it with a blow, noise and an even multisine."""
     from bench.reporting.plans import forced_test, forces_page
 
     request = _request(want, frequency, damping, noise, method, verify, out)
@@ -158,7 +158,7 @@ def longer(
     want: Annotated[tuple[str, float] | None, Parsed(wanted), "<quantity>:<error>%"] = None,
     method: Method = None,
 ) -> int:
-    """State what a record of a free decay would determine, were it longer or taken again."""
+    """State what a longer record of a free decay, or a repeated one, would determine."""
     from bench.config.atlas import efficient_methods
     from bench.config.overrides import read_overrides
     from bench.planning.taken import taken
@@ -187,8 +187,8 @@ def expected(
     from bench.atlas.point import FreeDecay
     from bench.reporting.plans import expected_page, read_atlas
 
-    ensembles()  # before the work, where the package is missing
-    if atlas == ATLAS and not atlas.exists():  # in another folder than the clone
+    ensembles()  # a missing package is reported before the work
+    if atlas == ATLAS and not atlas.exists():  # the working folder is not the clone
         atlas = Path(__file__).parents[2] / atlas
     file("atlas", atlas, "a file that python -m bench -m experiment=atlas has written")
     point = FreeDecay(samples, cycles, damping, snr, math.radians(phase % 180.0), initial_state == "known")
@@ -209,7 +209,7 @@ def _request(
     want: tuple[str, float], frequency: Uncertain, damping: Uncertain, noise: float, method: str | None, verify: int,
     out: Path | None = None,
 ) -> Any:  # fmt: skip
-    """Return the request; raises InputError, before any work, where it cannot be met or its file not be written."""
+    """Return the request; raises InputError, before any work, for a bad value and a file that cannot be written."""
     from bench.config.atlas import efficient_methods
     from bench.planning.search import Likely
     from bench.reporting.plans import PlanRequest
@@ -224,7 +224,7 @@ def _request(
 
 
 def _shown(text: str, out: Path | None, header: str, rows: Sequence[str]) -> int:
-    """Print a page, and write the rows of its best test where a file is named."""
+    """Print a page, and write the rows of its best test to the file that is named."""
     from bench.reporting.whole_file import write
 
     print(text)

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import Others, Within
-from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
+from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
 from bench.errors import InputError
 
 SCENARIO = ("system", "prior", "disturbance", "snr", "initial_state", "seed")
-"""Fields, or groups of them, that determine the data of a replicate."""
+"""Fields that determine the data of a replicate."""
 CELL = (*SCENARIO, "method", "replicates", "timeout_s", "memory_mb", "store", "workers")
 
 
@@ -20,7 +20,7 @@ def petab(
     replicate: Annotated[int, Within(ge=0, le=99_999), "number of the replicate"] = 0,
     out: Annotated[Path, "folder to write"] = Path("petab"),
 ) -> int:
-    """Export a replicate's data, equations and prior as a PEtab problem (version 1, with SBML), and its true values."""
+    """Export data, equations, prior and true values of a replicate as a PEtab problem (version 1, with SBML)."""
     from bench.config.experiment import sweep
     from bench.config.overrides import read_overrides
     from bench.exchange.petab import petab_files
@@ -36,7 +36,7 @@ def petab(
 
 def arviz(
     cell: CellIdentity,
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     out: Annotated[Path | None, "file to write [<cell>.nc]"] = None,
 ) -> int:

@@ -1,4 +1,4 @@
-"""What every command ends with: its exit status, and one line where it could not be done; streams that are safe."""
+"""Exit statuses and one-line errors of the commands, and robust standard streams."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted") -> int:
     """Run a command and return its exit status.
 
-    It is 2 for bad input, and where the machine does not give what the command needs: a file that cannot be read or
-    written, a full disk, no memory; 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP; each with a line on the error
-    stream. It is 141 where the reader of the output has gone. Anything else is a fault of the program: a traceback.
+    It is 2 for bad input and for faults of the machine (a file that cannot be read or written, a full disk, no memory),
+    130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP, each with a line on the error stream, and 141 for a closed pipe.
+    Any other exception is a bug and gives a traceback.
     """
     closed = _prepare_streams()
     try:
         interrupts_again()
         if closed:
-            raise InputError("output", "closed", f"an output that can be written; > {os.devnull} where none is wanted")
+            raise InputError("output", "closed", f"open it; > {os.devnull} discards the output")
         _check_folder()
         with ended_by_signals():
             status = body()
-        sys.stdout.flush()  # here, where a reader that has gone is no traceback
+        sys.stdout.flush()  # here, where a closed pipe is caught
         return status
     except InputError as error:
         return _refused(name, error)
@@ -54,7 +54,9 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
     except OSError as error:
         return _refused(name, _of_system(error))
     except MemoryError:
-        return _refused(name, InputError("memory", "exhausted", "ask for less, or give the machine more"))
+        return _refused(
+            name, InputError("memory", "exhausted", "reduce the problem, or use a machine with more memory")
+        )
 
 
 def _refused(name: str, error: InputError) -> int:
@@ -67,28 +69,28 @@ def _refused(name: str, error: InputError) -> int:
 
 
 def _of_system(error: OSError) -> InputError:
-    """Return what the system refused as bad input: a file by its name, or the output."""
+    """Return a system error as InputError, which names the file or the output."""
     reason = error.strerror or str(error)
     if error.filename is None and error.errno in FULL:
-        return InputError("output", "standard output", f"cannot be written: {reason}; make room, or send it elsewhere")
+        return InputError("output", "standard output", f"cannot be written: {reason}; free some space, or redirect it")
     field, value = ("file", error.filename) if error.filename is not None else ("system", type(error).__name__)
-    return InputError(field, value, f"{reason}; see to it, and run the command again")
+    return InputError(field, value, f"{reason}; correct this, then run the command again")
 
 
 def _check_folder() -> None:
-    """Raise InputError where the working folder has been removed."""
+    """Raise InputError if the working folder has been removed."""
     try:
         os.getcwd()
     except OSError as error:
         where = os.environ.get("PWD", ".")
-        raise InputError("folder", where, f"where you are: {error.strerror}; change to one that is there") from None
+        raise InputError("folder", where, f"working folder: {error.strerror}; change to an existing one") from None
 
 
 def _prepare_streams() -> bool:
-    """Make the streams safe to use; return whether the output was closed, so that nobody would see what is computed.
+    """Make the standard streams safe to use; return whether standard output was closed.
 
-    A stream that is closed is opened on nothing, or the next file to be opened would take its place. Letters that a
-    stream cannot hold become ``?``. What cannot be written to the error stream is lost, and ends nothing.
+    A closed stream is opened on the null device; otherwise the next file that is opened would take its number.
+    Characters that the encoding of a stream lacks become ``?``. Failed writes to the error stream are ignored.
     """
     closed = sys.stdout is None
     for number in range(3):
@@ -97,9 +99,9 @@ def _prepare_streams() -> bool:
         except OSError:
             os.dup2(os.open(os.devnull, os.O_RDWR), number)
     if closed:
-        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - as long as the process
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - open until the process ends
     if sys.stdin is None:
-        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - as long as the process
+        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - open until the process ends
     if sys.stderr is None or sys.stderr is sys.__stderr__:
         encoding, raw = getattr(sys.stderr, "encoding", "utf-8"), _Lossy(2, "w", closefd=False)
         sys.stderr = io.TextIOWrapper(raw, encoding, "backslashreplace", line_buffering=True, write_through=True)  # type: ignore[arg-type]
@@ -109,16 +111,16 @@ def _prepare_streams() -> bool:
 
 
 def _drop_output() -> None:
-    """Send what is printed from now on to nothing, so that Python's end does not complain once more."""
+    """Discard all further output, so that Python does not report the closed pipe again at exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class _Lossy(io.FileIO):
-    """A file whose writes never fail."""
+    """A file that ignores failed writes."""
 
     def write(self, content: object) -> int:
-        """Write what can be written."""
+        """Write the content, or ignore it where that fails."""
         with suppress(OSError):
             return super().write(content)  # type: ignore[arg-type]
         return len(content)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The verb ``identifiability``: what the data of a scenario determine, before any method runs."""
+"""The verb ``identifiability``: which quantities the data of a scenario determine."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def identifiability(
 ) -> int:
     """State which quantities the data of a scenario determine.
 
-    Structure: what is identifiable from perfect data, exactly. Practice: how well these samples at this noise determine
-    it, by the Cramér-Rao bound, and the prior's share. It uses the true values: it judges a scenario, and is no method.
+    Structure: what is identifiable from perfect data. Practice: the Cramér-Rao bound for these samples at this noise,
+    and the share of the variance due to the prior. The true values are used: this judges a scenario, not a record.
     """
     from bench.config.experiment import expand
     from bench.information.fisher import information
@@ -56,7 +56,7 @@ def identifiability(
 
 
 def check_packages() -> None:
-    """Raise InputError, before any work, where no picture can be drawn after it."""
+    """Raise InputError, before any work, if the packages of pictures are missing."""
     try:
         from bench.reporting.pictures import style  # noqa: F401
     except ImportError as error:

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 COMMAND = "python -m bench -m experiment=measured data_root=<folder>"
 MEMORY_MB = 16384.0
-"""Limit of a fit with its diagnostics, whose processes have limits of their own."""
+"""Memory limit of a fit with its diagnostics (MB)."""
 
 
 def measured(
-    data_root: Annotated[Path | None, "where records lie that do not travel with the package"] = None,
+    data_root: Annotated[Path | None, "folder of the records that the package does not contain"] = None,
     set: Annotated[tuple[str, ...], OneOf(set_names), "empty: all"] = (),
     method: Annotated[tuple[str, ...], "methods; empty: those of the track"] = (),
     system: Annotated[tuple[str, ...], "systems, or auto; empty: those of the sets"] = (),
-    timeout_s: Annotated[int, Within(ge=1), "s, limit of a fit"] = 120,
+    timeout_s: Annotated[int, Within(ge=1), "time limit of a fit (s)"] = 120,
     store: Annotated[Path, "folder of finished fits"] = Path("outputs/measured"),
     out: Annotated[Path, "folder of the table"] = Path("results"),
     dry_run: DryRun = False,
@@ -36,8 +36,7 @@ def measured(
 ) -> int:
     """Fit real records by every method: the measured track, Table 11.
 
-    Finished fits are kept in the store, and the same command goes on from them. A record that is not found is a row
-    that says so.
+    Finished fits are kept in the store, and the same command continues. A record that is not found is listed as such.
     """
     from bench.engine.pool import Limits
     from bench.records.track import tasks
@@ -53,7 +52,7 @@ def measured(
     fits = {name: list(tasks(name, of, methods, root, float(timeout_s))) for name, of in sets.items()}
     # one fit after another, since the time of a fit is a result
     work = Work(store, out, Limits(memory_mb=MEMORY_MB), fit, dry_run)
-    if not work.complete([task for some in fits.values() for task in some], "fit"):
+    if not work.complete([task for of_set in fits.values() for task in of_set], "fit"):
         return 0
     panels = [panel for name, of in sets.items() for panel in _panels(name, of, fits[name], store, root)]
     for file, content in track_table(panels, COMMAND).items():
@@ -65,13 +64,13 @@ def measured(
 def _panels(
     name: str, of: MeasuredSet, fits: Sequence[MeasuredFit], store: Path, root: Path | None
 ) -> Iterator[TrackPanel]:
-    """Yield the panel of each system of a set, of what the store has; it says so where the files are not there."""
+    """Yield the panel of each system of a set from the stored fits; missing files are a row of the panel."""
     from bench.records.free_run import free_runs
     from bench.reporting.tables.track_table import NOT_MADE, TrackPanel
 
     absent = {"status": f"not found under data_root={root or ''}: {of.folder}/{of.files[0]}"}
     for system in of.systems:
-        mine = [fit for fit in fits if fit.request.system == system]
-        rows = [row for fit in mine for row in fit.read(store) or [{**fit.head, "status": NOT_MADE}]]
+        of_system = [fit for fit in fits if fit.request.system == system]
+        rows = [row for fit in of_system for row in fit.read(store) or [{**fit.head, "status": NOT_MADE}]]
         panel = TrackPanel.of_rows(name, of, system, rows or [absent])
         yield replace(panel, free_runs=list(free_runs(of, system, panel.rows, root)))

@@ -1,4 +1,4 @@
-"""``share action=merge``: a submission, or another store, brought into a store."""
+"""``share action=merge``: add a submission, or another store, to a store."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import Within, file
-from bench.commands.stores import OWN, StoreFolder
+from bench.commands.stores import DEFAULT, StoreFolder
 from bench.errors import InputError
 
 
 def merge(
     submission: Annotated[Path, "submission, or folder of another store"],
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     verify: Annotated[float, Within(ge=0.1, le=1), "share of a submission's rows that is recomputed"] = 0.1,
-    seed: Annotated[int | None, Within(ge=0, le=2**63 - 1), "seed of the choice of these rows [drawn]"] = None,
+    seed: Annotated[int | None, Within(ge=0, le=2**63 - 1), "seed of the choice of these rows [random]"] = None,
     fresh: Annotated[
-        int, Within(ge=0, le=999), "data sets of a secret seed on which the method is tried, by file"
+        int, Within(ge=0, le=999), "number of data sets with a secret seed on which the method is tried"
     ] = 40,
     workers: Annotated[int | None, Within(ge=1, le=1024), "worker processes [one per core]"] = None,
 ) -> int:
     """Merge a submission, or another store, into a store.
 
-    Of a submission some rows, drawn at random over all its cells, are recomputed first, and the method is tried on
-    varied scenarios of a secret seed. Only where every score and status agrees, and its errors over the bound are there
-    as they were submitted, is anything added; tables show the cells as submitted. Of two answers to one question the
-    better is kept: one's own rather than a submitted one, a current one rather than a stale one, the one with more
-    successful fits; else the one that was there.
+    Rows of a submission, drawn at random over all its cells, are recomputed first, and the method is tried on varied
+    scenarios with a secret seed. Its cells are added only if every recomputed score and status agrees and the errors
+    over the bound are the same on the secret scenarios; tables mark them as submitted. Of two results of one cell the
+    store keeps the one that was computed here, then the current one, then the one with more successful fits, then its
+    own.
     Exit status: 0, 1 where a submission does not agree, 2 for bad input.
     """
     from bench.engine.runner import compute_bounds
@@ -66,7 +66,7 @@ def merge(
     if comparison is not None:
         print(wrapped(str(comparison)))
         if comparison.differs:
-            print("nothing was added: the method does not do on unknown data what it does on public ones")
+            print("nothing was added: the errors of the method differ between secret and public data")
             return 1
     facts = {
         **{name: manifest.get(name, "") for name in ("by", "made", "class", "benchmark")},

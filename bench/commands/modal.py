@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from bench.reporting.frame import Line
 
 Fits = dict[tuple[str, str], "list[TrackFit]"]
-"""By scenario and title of the method, the fits of its replicates."""
+"""The fits of all replicates by scenario and title of the method."""
 COMMAND = "python -m bench -m experiment=modal"
 
 
 def modal(
     scenario: Annotated[tuple[str, ...], OneOf(modal_scenario_names), "empty: all"] = (),
     method: Annotated[tuple[str, ...], "modal methods; empty: those of the track"] = (),
-    replicates: Annotated[int | None, Within(ge=1), "records of a scenario [those of the track]"] = None,
-    seed: Annotated[int, Within(ge=0, lt=2**63), "of all random streams"] = 0,
+    replicates: Annotated[int | None, Within(ge=1), "number of records per scenario [that of the track]"] = None,
+    seed: Annotated[int, Within(ge=0, lt=2**63), "random seed"] = 0,
     workers: Workers = None,
     store: Annotated[Path, "folder of finished fits"] = Path("outputs/modal"),
     out: Annotated[Path, "folder of the table"] = Path("results"),
@@ -37,9 +37,9 @@ def modal(
     fit: Fit = True,
     dry_run: DryRun = False,
 ) -> int:
-    """Identify the modes of free decays and hammer blows, beside the bound: the modal track, Table 12.
+    """Identify the modes of free decays and hammer blows: the modal track, Table 12.
 
-    Finished fits are kept in the store, and the same command goes on from them.
+    Finished fits are kept in the store, and the same command continues.
     """
     from bench.engine.pool import Limits
     from bench.reporting.tables.modal_table import modal_table
@@ -58,7 +58,7 @@ def modal(
 
 
 def _fits(scenarios: Iterable[ModalScenario], names: Sequence[str], count: int, seed: int) -> tuple[Fits, list[Line]]:
-    """Return the fits by scenario and method, and a line for each method that cannot serve a scenario."""
+    """Return the fits by scenario and method, and one line per method that is not applicable to a scenario."""
     from bench.entrants.modal import make_modal
     from bench.modal.paths import TrackFit
 
@@ -71,7 +71,7 @@ def _fits(scenarios: Iterable[ModalScenario], names: Sequence[str], count: int, 
             problem, title = of.draw(seed, 0)[0], method.card.title
             objection = method.objection(problem)
             if not names and not isinstance(problem.data, method.scope):
-                continue  # a method of the other kind of data
+                continue  # a method for the other kind of data
         except InputError as error:
             if names:
                 raise
@@ -84,20 +84,20 @@ def _fits(scenarios: Iterable[ModalScenario], names: Sequence[str], count: int, 
 
 
 def _scored(fits: Fits, scenario: str, store: Path) -> Iterator[Line]:
-    """Yield the lines of the bound and of each method on a scenario, or one that says why a method has no scores."""
+    """Yield the lines of the bound and of each method on a scenario; a method without scores has the reason."""
     from bench.modal.bound import modal_bound
     from bench.modal.score import bound_scores, modal_scores
     from bench.reporting.tables.modal_table import BOUND
 
-    mine = {title: tasks for (label, title), tasks in fits.items() if label == scenario}
-    truths = [task.scenario.draw(task.seed, task.replicate)[1] for task in next(iter(mine.values()), [])]
+    by_title = {title: tasks for (label, title), tasks in fits.items() if label == scenario}
+    truths = [task.scenario.draw(task.seed, task.replicate)[1] for task in next(iter(by_title.values()), [])]
     bounds = [modal_bound(truth) for truth in truths]
     lines = [{"method": BOUND, **row} for row in bound_scores(bounds)] if bounds else []
-    for title, tasks in mine.items():
+    for title, tasks in by_title.items():
         results = [task.read(store) for task in tasks]
         if any(result and result["status"] == "ok" for result in results):
             lines += [{"method": title, **row} for row in modal_scores(results, truths, bounds)]
         else:
-            said = Counter(result["message"] if result else "not run, or ended without a result" for result in results)
-            lines.append({"method": title, "message": said.most_common(1)[0][0]})
+            messages = Counter(r["message"] if r else "not run, or ended without a result" for r in results)
+            lines.append({"method": title, "message": messages.most_common(1)[0][0]})
     yield from ({"scenario": scenario, **line} for line in lines)

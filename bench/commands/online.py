@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from bench.commands.declaration import OneOf, Others, Parsed, Within
+from bench.commands.log import LOG
 from bench.commands.work import DryRun, Fit, Work, Workers
 from bench.config.online import VARYING, online_scenario, online_track, scenario_names, scenarios_from_system
 from bench.errors import InputError
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bench.reporting.frame import Line
 
 OWN = Path("outputs/online_own")
-"""Where what is made of a scenario of your own goes."""
+"""Folder of the results on the user's own scenarios."""
 COMMAND = "python -m bench -m experiment=online"
 
 
@@ -39,41 +39,41 @@ def force_of(text: str) -> Any:
 
 def online(
     scenario: Annotated[
-        tuple[str, ...], OneOf(scenario_names), f"those of the track [all]: {', '.join(scenario_names())}"
+        tuple[str, ...], OneOf(scenario_names), f"scenarios of the track [all]: {', '.join(scenario_names())}"
     ] = (),
     method: Annotated[tuple[str, ...], "trackers, or window_<batch method> [those of the track]"] = (),
-    system: Annotated[str, "a system of conf/system in place of the scenarios"] = "",
+    system: Annotated[str, "a system of conf/system, in place of the scenarios of the track"] = "",
     varying: Annotated[
         Sequence[str],
         Others(("system",)),
-        "system.varying.<parameter>=constant, step, ramp, sinusoid or random_walk, several with commas, or written "
-        "out: 'system.varying.k={kind: step, change: -0.3, at: 0.5}'",
+        "system.varying.<parameter>=constant, step, ramp, sinusoid or random_walk, several with commas, or in "
+        "full: 'system.varying.k={kind: step, change: -0.3, at: 0.5}'",
     ] = (),
-    snr: Annotated[float | None, "dB, of that system [20]"] = None,
-    samples: Annotated[int | None, Within(ge=50), "of that system [2000]"] = None,
-    rate: Annotated[float | None, Within(gt=0, le=1e9), "samples a second [20 a cycle]"] = None,
+    snr: Annotated[float | None, "signal-to-noise ratio (dB), with system= [20]"] = None,
+    samples: Annotated[int | None, Within(ge=50), "number of samples, with system= [2000]"] = None,
+    rate: Annotated[float | None, Within(gt=0, le=1e9), "sampling rate (1/s), with system= [20 per cycle]"] = None,
     force: Annotated[
         Mapping[str, Any] | None,
         Parsed(force_of),
-        "multisine, white, coloured, impulses or '{kind: white, told: false}'",
+        "multisine, white, coloured, impulses or '{kind: white, told: false}', with system=",
     ] = None,
-    replicates: Annotated[int | None, Within(ge=1), "at most so many [those of the track]"] = None,
-    seed: Annotated[int, Within(ge=0, lt=2**63), "of all random streams"] = 0,
+    replicates: Annotated[int | None, Within(ge=1), "number of replicates at most [those of the track]"] = None,
+    seed: Annotated[int, Within(ge=0, lt=2**63), "random seed"] = 0,
     workers: Workers = None,
     store: Annotated[Path, "folder of finished runs"] = Path("outputs/online"),
     out: Annotated[Path | None, "folder of table and picture [results, with system= outputs/online_own]"] = None,
     fit: Fit = True,
     dry_run: DryRun = False,
 ) -> int:
-    """Follow streams whose parameters change, sample by sample: the online track, Table 10.
+    """Track parameters that change during the record, sample by sample: the online track, Table 10.
 
-    Finished runs are kept in the store, and the same command goes on from them.
+    Finished runs are kept in the store, and the same command continues.
     """
     from bench.engine.pool import Limits
     from bench.online.paths import in_order
 
-    of_system = {"force": force, "snr": snr, "samples": samples, "rate": rate}
-    scenarios = _scenarios(scenario, system, of_system, varying)
+    stated = {"force": force, "snr": snr, "samples": samples, "rate": rate}
+    scenarios = _scenarios(scenario, system, stated, varying)
     trackings, refused = _trackings(scenarios, method, replicates, seed)
     work = Work(store, out or (OWN if system else Path("results")), Limits(workers or usable_cores()), fit, dry_run)
     if work.complete(in_order(trackings), "run"):
@@ -82,14 +82,14 @@ def online(
 
 
 def _scenarios(
-    names: Sequence[str], system: str, of_system: Mapping[str, Any], varying: Sequence[str]
+    names: Sequence[str], system: str, fields: Mapping[str, Any], varying: Sequence[str]
 ) -> list[OnlineScenario]:
-    """Return the scenarios of the track that are asked for, or those of a system of your own."""
+    """Return the named scenarios of the track, or those of a system of the user."""
     from bench.config.overrides import values_of
 
     if system and names:
-        raise InputError("scenario", ",".join(names), "left out, where system= is given")
-    stated = {name: value for name, value in of_system.items() if value is not None}
+        raise InputError("scenario", ",".join(names), "leave it out, since system= is given")
+    stated = {name: value for name, value in fields.items() if value is not None}
     courses = {}
     for word in varying:
         key, _, text = word.partition("=")
@@ -99,7 +99,7 @@ def _scenarios(
     if system:
         return scenarios_from_system(system, courses, **stated)
     for name, value in {**stated, **{f"{VARYING}{name}": values for name, values in courses.items()}}.items():
-        raise InputError(name, value, "with system=<name>; the track's scenarios have their own")
+        raise InputError(name, value, "use it with system=<name>; the scenarios of the track define their own")
     return [online_scenario(name) for name in names or scenario_names()]
 
 
@@ -147,11 +147,10 @@ def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out:
     scenarios = {task.scenario.label: task.scenario for task in tasks}
     lines, shown = [], []
     for scenario in scenarios.values():
-        own = [task for task in tasks if task.scenario is scenario or task.scenario == scenario]
-        found = _scored(scenario, own, store)
-        lines += [*found[0], *(line for line in refused if line["scenario"] == scenario.label)]
-        if found[1] is not None:
-            shown.append(found[1])
+        scored_lines, drawn = _scored(scenario, [task for task in tasks if task.scenario == scenario], store)
+        lines += [*scored_lines, *(line for line in refused if line["scenario"] == scenario.label)]
+        if drawn is not None:
+            shown.append(drawn)
     described = {name: scenario.describe() for name, scenario in scenarios.items()}
     for name, text in table(lines, described, COMMAND).items():
         write(out / name, text, out)
@@ -160,14 +159,14 @@ def _write(tasks: Sequence[Tracking], refused: Sequence[Line], store: Path, out:
         from bench.reporting.pictures.responses import ShownTrack, draw_online
         from bench.reporting.pictures.style import save
 
-        tracks = [ShownTrack(*own) for own in shown]
+        tracks = [ShownTrack(*content) for content in shown]
         print(*(save(draw_online(tracks), out / "figures") if tracks else []), sep="\n")
     except ImportError as error:
-        print(f"bench: no picture, since {error.name} is missing", file=sys.stderr)
+        LOG.warning("no picture: %s is not installed", error.name)
 
 
 def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) -> tuple[list[Line], Any]:
-    """A line a method, and what the picture of the first replicate shows."""
+    """Return one line per method, and the content of the picture of the first replicate."""
     from bench.online.bound import bound_variances
     from bench.online.paths import read_paths
     from bench.online.score import score, score_bound, scored
@@ -186,27 +185,26 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
     for task in tasks:
         kept = read_paths(store, task)
         title = _title(task.label, task.method)
-        what = {
+        head = {
             "scenario": scenario.label, "method": task.label, "title": title, "replicates": task.replicates,
         }  # fmt: skip
         good = {i: path for i, path in kept.items() if np.isfinite(path.means).all(axis=1).any()}
         if not good:
-            said = "no run gave an estimate" if kept else "not run yet"
-            lines.append({**what, "message": said})
+            lines.append({**head, "message": "no run gave an estimate" if kept else "not run yet"})
             continue
         scores = {
             name: score(scenario, [scored(streams[i], path, bounds[i], name) for i, path in good.items()])
             for name in quantities
         }
         costs = {**_micros(list(good.values())), "held_bytes": max(path.held_bytes for path in good.values())}
-        lines += tracked({**what, "ok": len(good), **costs}, scores)
+        lines += tracked({**head, "ok": len(good), **costs}, scores)
         if 0 in good:
             drawn[title] = (good[0], scores[quantities[0]].excess)
     return lines, (scenario.label, streams[0], bounds[0], quantities[0], drawn) if drawn else None
 
 
 def _micros(paths: Sequence[Followed]) -> dict[str, float]:
-    """Median, 99 % and largest wall time of a sample behind the first estimate."""
+    """Return the median, 99 % quantile and maximum of the time per sample after the first estimate (µs)."""
     from bench.online.follow import begun
 
     each = np.concatenate([path.micros[min(begun(path) + 1, len(path.micros) - 1) :] for path in paths])

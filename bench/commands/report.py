@@ -1,4 +1,4 @@
-"""The verb ``report``: the results as a site."""
+"""The verb ``report``: build the site of results."""
 
 from __future__ import annotations
 
@@ -7,29 +7,28 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import folder
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
+from bench.commands.stores import DEFAULT, ArchiveFolder, StoreFolder, named_store
 from bench.errors import InputError
 
 RESULTS = Path("results")
 
 
 def report(
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     results: Annotated[Path, "folder of tables and figures"] = RESULTS,
     out: Annotated[Path, "folder of the site"] = Path("build/site"),
 ) -> int:
-    """Build a site of a store: its results as pages that open without a network or server.
+    """Build the site of a store, whose pages open without a network or server; start with index.html.
 
-    It comes from stored cells, their arrays and the folder of results alone; the same store gives the same bytes. Open
-    index.html. The published results are in the documentation, which mkdocs builds.
+    The same store and results give the same bytes.
     """
     try:
         from bench.reporting.page.folder import check_folder, results_files, write_site
         from bench.reporting.page.site import site_files
 
         opened = named_store(store, archive, filled=True)
-        if results != RESULTS:  # an installed package has none, and shows what is in the store
+        if results != RESULTS:  # an installed package has no folder of results
             folder("results", results)
         check_folder(out)
         write_site(out, chain(site_files(opened, results), results_files(results)))

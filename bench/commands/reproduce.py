@@ -1,10 +1,10 @@
-"""The verb ``reproduce``: a stored cell run again."""
+"""The verb ``reproduce``: run a stored cell again."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
+from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
 from bench.exchange.comparison import SAME_DIGITS, TOLERANCE, score_differences
 from bench.exchange.recomputing import recompute, widest_limits
 from bench.isolation.machine import usable_cores
@@ -13,18 +13,19 @@ from bench.store.cell import Cell, stored_as_cell
 from bench.store.provenance import circumstances
 from bench.store.stored import StoredCell
 
-MOST_NAMED = 5
+MOST_LISTED = 5
+"""Number of scores whose differences are listed."""
 
 
 def reproduce(
     cell: CellIdentity,
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
 ) -> int:
-    """Run a stored cell again and compare it with the stored one.
+    """Run a stored cell again and compare it with the stored one, which is not changed.
 
-    identical: every score of every replicate agrees; within tolerance: no difference shows in a table; drifted: it
-    does, and the worst scores are named, with changes of code, packages and machine. The stored cell is left as it is.
+    identical: every score of every replicate agrees; within tolerance: the differences are too small to show in a
+    table; drifted: they are not. Differing scores are listed, with changes of code, packages and machine.
     Exit status: 0, 1 where the cell has drifted, 2 for bad input.
     """
     opened = named_store(store, archive)
@@ -33,11 +34,12 @@ def reproduce(
     limits = widest_limits([stored], usable_cores())
     again = recompute([(known, range(known.replicates))], limits)[known.identity]
     verdict, lines = compare(stored, again)
-    what, come = stored.cell, stored.provenance
-    commit = str(come.get("commit"))[:10] + (" with changes" if come.get("dirty") else "")
+    described, origin = stored.cell, stored.provenance
+    commit = str(origin.get("commit"))[:10] + (" with changes" if origin.get("dirty") else "")
     print(
-        f"{what['label']} on {what['system']}, {what['snr_db']:g} dB, initial state {what['initial_state']}, "
-        f"{len(stored.rows)} replicates, computed {come.get('started')} at commit {commit}"
+        f"{described['label']} on {described['system']}, {described['snr_db']:g} dB, "
+        f"initial state {described['initial_state']}, {len(stored.rows)} replicates, "
+        f"computed {origin.get('started')} at commit {commit}"
     )
     print("\n  ".join([f"run again: {verdict}", *lines, *changes(stored, known)]))
     print(opened.whereabouts(stored.identity))
@@ -45,9 +47,10 @@ def reproduce(
 
 
 def compare(stored: StoredCell, again: Sequence[Row]) -> tuple[str, list[str]]:
-    """Return the verdict on a cell that was run again, and the differences that lead to it."""
+    """Return the verdict on a cell that was run again, and the differences on which it rests."""
     gaps = score_differences(stored.rows, again, stored.rows)
-    worst = sorted((item for item in gaps.items() if item[1] > 0), key=lambda item: -item[1])[:MOST_NAMED]
+    differing = [item for item in gaps.items() if item[1] > SAME_DIGITS]
+    worst = sorted(differing, key=lambda item: -item[1])[:MOST_LISTED]
     lines = [f"{name}: relative difference up to {gap:.1g}" for name, gap in worst]
     pairs = list(zip(stored.rows, again, strict=True))
     changed = [f"replicate {old.replicate} was {old.status}, now {new.status}" for old, new in pairs
@@ -62,7 +65,7 @@ def compare(stored: StoredCell, again: Sequence[Row]) -> tuple[str, list[str]]:
 
 
 def changes(stored: StoredCell, cell: Cell) -> list[str]:
-    """Describe what has changed since a cell was computed: versions, packages, machine."""
+    """List what has changed since a cell was computed: versions, packages, machine."""
     now = circumstances(cell.version)
     then = {**{key: stored.provenance.get(key) for key in now}, **stored.provenance.get("packages", {})}
     versions = cell.version.changed_since(stored.version)

@@ -1,31 +1,31 @@
-"""The verb ``score``: a file of predictions of a round."""
+"""The verb ``score``: score a file of predictions of a round."""
 
 from __future__ import annotations
 
 import hashlib
-import sys
 from io import StringIO
 from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import Bare, file, folder
+from bench.commands.log import LOG
 from bench.errors import InputError, line_of
 
 MOST_SHOWN = 10
-"""Errors of a file that are printed."""
+"""Number of errors of a file that are printed."""
 
 
 def score(
     predictions: Annotated[Path, Bare(), "CSV: scenario,quantity,value,low,high,seconds"],
     round: Annotated[Path, Bare(), "folder of the round"],
-    secret: Annotated[Path | None, "folder of its seed and truth, of a round that is not opened yet"] = None,
-    name: Annotated[str | None, "name of what is scored [that of the file]"] = None,
+    secret: Annotated[Path | None, "folder of seed and truth, if the round is not yet opened"] = None,
+    name: Annotated[str | None, "name of the method [that of the file]"] = None,
     out: Annotated[Path | None, "folder of score.html, a page, and score.md, a line to cite"] = None,
 ) -> int:
-    """Score a file of predictions of a round, beside the predictions in the folder methods of seed and truth.
+    """Score a file of predictions of a round, and compare it with those in the folder methods of seed and truth.
 
-    Every quantity that the round asks for has a row, whose value is empty where there is no answer; low and high are
-    the ends of a 95 % interval, seconds the time of the fit. A file with an error is not scored. Without the truth it
+    The file has one row per quantity of each problem, without a value where there is no estimate; low and high are the
+    ends of a 95 % interval, seconds the time of the fit. A file with an error is not scored. Without the truth the file
     is only checked.
     Exit status: 0, 2 for bad input.
     """
@@ -38,21 +38,21 @@ def score(
     from bench.rounds.predictions import read_predictions, read_template
     from bench.rounds.scoring import score_rows
 
-    asked = read_template(folder("round", round))
+    template = read_template(folder("round", round))
     hidden = folder("secret", secret) if secret else round if (round / OPENED).exists() else None
     label = " ".join((name or predictions.stem).split())
     files = {path.stem: path for path in sorted((hidden / METHODS).glob("*.csv"))} if hidden else {}
     if label in files:
-        raise InputError("name", label, "a method that it is compared with is called so; give another name")
+        raise InputError("name", label, "a method of the comparison has this name; give another one")
     tables = {}
     for method, path in {label: file("predictions", predictions, "name the CSV of predictions"), **files}.items():
-        tables[method], decimal_comma, errors = read_predictions(path, asked)
+        tables[method], decimal_comma, errors = read_predictions(path, template)
         if errors:
             shown = [*map(line_of, errors[:MOST_SHOWN]), f"and {len(errors) - MOST_SHOWN} more"]
-            print(*(f"bench: {line}" for line in shown[: len(errors)]), sep="\n", file=sys.stderr)
+            LOG.error("\nbench: ".join(shown[: len(errors)]))
             return 2
         if decimal_comma:
-            print(f"bench: {path}: commas are read as decimal marks", file=sys.stderr)
+            LOG.warning("%s: commas are read as decimal marks", path)
     if hidden is None:
         values = tables[label]["value"]
         print(f"{predictions}: no errors, {values.count()} of {values.size} values given")

@@ -1,4 +1,4 @@
-"""The verb ``share``: results handed on to others, taken from others, and in the formats of other tools."""
+"""The verb ``share``: submit, merge, publish and export results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.errors import InputError
 
 def share(action: Annotated[Literal["submit", "merge", "export", "publish"], "what to do"]) -> int:
     """Share results: action=submit, merge, export or publish."""
-    raise InputError("form", "", f"petab, arviz or notebook, of action={action}")
+    raise InputError("form", "", f"action={action} needs form=petab, arviz or notebook")
 
 
 VARIANTS = {

@@ -1,4 +1,4 @@
-"""The verb ``status``: what is stored, failed, stale and missing."""
+"""The verb ``status``: stored, failed, stale and missing cells."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 from bench.commands.declaration import Others, Within
 from bench.commands.log import verbose
-from bench.commands.stores import OWN, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
+from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
 from bench.commands.watch import follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
@@ -31,11 +31,11 @@ FOREIGN = "foreign"
 
 
 def standings(store: Store) -> list[tuple[CellHead, str, str]]:
-    """Say of every stored cell whether it is current, stale, failed, foreign or damaged, and why."""
-    return [(head, *_standing(head)) for head in store.heads()]
+    """Return every stored cell with its state (done, stale, failed, foreign or damaged) and the reason."""
+    return [(head, *_state(head)) for head in store.heads()]
 
 
-def _standing(head: CellHead) -> tuple[str, str]:
+def _state(head: CellHead) -> tuple[str, str]:
     if head.problem:
         return CellState.DAMAGED.value, head.problem
     method, system = str(head.cell.get("method")), str(head.cell.get("data", {}).get("system"))
@@ -44,14 +44,14 @@ def _standing(head: CellHead) -> tuple[str, str]:
             return FOREIGN, f"no {kind} {name} is installed here"
     try:
         today = settings_version(method, system, head.cell.get("settings", {}))
-    except InputError as error:  # of a value that no installed package supplies
+    except InputError as error:  # a setting that no installed package supplies
         return FOREIGN, str(error)
     state, why = standing(head, method, today)
     return state.value, why
 
 
 def store_page(store: Store) -> str:
-    """Describe the store by method and state, with the reasons of what is not current."""
+    """Count the cells of a store by method and state, and state why cells are not current."""
     cells = standings(store)
     if not cells:
         return f"{store.folder}: no cells yet; python -m bench method=ls computes a first one"
@@ -63,16 +63,16 @@ def store_page(store: Store) -> str:
         heads = [head for head, _, _ in cells if head.label == label]
         fits, spent = sum(head.replicates for head in heads), sum(head.wall_s for head in heads)
         rows.append([label, *(str(counts[label, state] or "") for state in order), str(fits), f"{spent:.0f}"])
-    own = sum(head.stamp > 0 for head, _, _ in cells)
+    computed = sum(head.stamp > 0 for head, _, _ in cells)
     lines = [
         table(rows, ["method", *order, "fits", "fit s"]), "",
         wrapped(f"{len(cells)} cells: " + ", ".join(f"{total[state]} {state}" for state in order)),
-        f"store: {store.folder} ({own} cells)",
+        f"store: {store.folder} ({computed} cells)",
     ]  # fmt: skip
     if store.archive is not None:
-        lines.append(f"published archive: {store.archive.folder} ({len(cells) - own} cells)")
+        lines.append(f"published archive: {store.archive.folder} ({len(cells) - computed} cells)")
     for state in (CellState.STALE.value, CellState.FAILED.value, FOREIGN, CellState.DAMAGED.value):
-        reasons = Counter(why for _, own_state, why in cells if own_state == state)
+        reasons = Counter(why for _, cell_state, why in cells if cell_state == state)
         for why, n in reasons.most_common(MOST_REASONS):
             labels = sorted({head.label for head, *reason in cells if reason == [state, why]} - {"?"})[:6]
             named = f" ({', '.join(labels)})" if labels else ""
@@ -82,14 +82,14 @@ def store_page(store: Store) -> str:
 
 def status(
     sweep: Annotated[Sequence[str], Others(settable), "experiment=, method=, ... as for python -m bench -m: a sweep"],
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
-    watch: Annotated[float | None, Within(ge=0.1, le=3600), "seconds between two looks: follow a running sweep"] = None,
+    watch: Annotated[float | None, Within(ge=0.1, le=3600), "interval (s): watch a running sweep"] = None,
     cell: Annotated[CellIdentity | None, "show this cell, with its tracebacks"] = None,
 ) -> int:
     """Show what is stored, failed, stale and missing, and why.
 
-    Without a sweep: the store. With one: its cells, and what a run would compute. Nothing is computed.
+    Without fields of a sweep: the whole store; with them: the cells of the sweep, and what a run would compute.
     """
     if cell:
         opened = named_store(store, archive)
@@ -99,7 +99,7 @@ def status(
         return 0
     if watch and not sweep:
         raise InputError("watch", watch, "name the sweep: experiment=<name>, or its fields")
-    cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is named whatever the store is
+    cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is reported before a missing store
     opened = named_store(store, archive)
     if cells is None:
         print(store_page(opened))
@@ -112,7 +112,7 @@ def status(
 
 
 def _sweep(fields: Sequence[str]) -> tuple[list[Cell], frozenset[Status]]:
-    """The cells of a sweep, and the failures that it tries again."""
+    """Return the cells of a sweep, and the statuses that it tries again."""
     from bench.config.experiment import expand
 
     jobs = expand(fields, multirun=True)

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bench.commands.stores import OWN, StoreFolder, named_store
+from bench.commands.stores import DEFAULT, StoreFolder, named_store
 from bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 
 def submit(
-    method: Annotated[str, "registered method; its variants go with it"],
+    method: Annotated[str, "registered method, with its variants"],
     experiment: Annotated[str, "only the cells of this experiment, such as open [all]"] = "",
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     by: Annotated[str, "who submits the cells"] = "",
     out: Annotated[Path | None, "file to write [<method>.submission]"] = None,
 ) -> int:
     """Pack the stored cells of a method into one file, to be merged elsewhere.
 
-    It holds their rows, arrays and tracebacks, the versions of all that computed them, their seeds, and digests of
-    their data. Stale cells are refused, since nobody could recompute them.
+    The file holds rows, arrays, tracebacks, seeds, versions of the code and digests of the data. Stale cells are
+    rejected, since they cannot be recomputed.
     """
     from bench.entrants.registry import registered
     from bench.exchange.submission import ENDING, LINE, is_line, pack
@@ -44,9 +44,9 @@ def submit(
 
 
 def submitted_cells(store: Store, method: str, experiment: str) -> list[StoredCell]:
-    """Return the cells of a method and its variants, of one experiment's scenarios if that is named.
+    """Return the cells of a method and its variants; with an experiment those of its scenarios.
 
-    Raises InputError where there is none, or one that the present code would compute otherwise.
+    Raises InputError where there is none, and for stale cells.
     """
     from bench.config.experiment import Experiment
     from bench.store.cell import stored_as_cell
@@ -57,7 +57,7 @@ def submitted_cells(store: Store, method: str, experiment: str) -> list[StoredCe
     pairs = [(s, cell) for s, cell in pairs if not experiment or (cell.scenario.to_dict(), cell.seed) in wanted]
     if not pairs:
         of = f" of {experiment}" if experiment else ""
-        raise InputError("method", method, f"{store.folder} holds no cell of it{of}; run python -m bench first")
+        raise InputError("method", method, f"no cell of it{of} in {store.folder}; run python -m bench first")
     if stale := [stored.identity[:8] for stored, cell in pairs if not cell.version.is_that_of(stored.version)]:
         remedy = "are of another version; run the same sweep again"
         raise InputError("store", store.folder, f"{len(stale)} of {len(pairs)} cells ({stale[0]}, ...) {remedy}")

@@ -1,14 +1,14 @@
-"""The verb ``tables``: tables, figures, claims from stored cells, and the audits of published claims."""
+"""The verb ``tables``: tables, figures and numbers from stored cells, and audits of published claims."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from bench.commands.declaration import folder
-from bench.commands.stores import OWN, ArchiveFolder, StoreFolder, named_store
+from bench.commands.log import LOG
+from bench.commands.stores import DEFAULT, ArchiveFolder, StoreFolder, named_store
 from bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,15 +19,15 @@ Out = Annotated[Path, "folder of the files"]
 
 
 def tables(
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     out: Out = RESULTS,
     tex: Annotated[Path, "folder of the LaTeX tables"] = TEX,
 ) -> int:
     """Write the tables of all experiments as Markdown, CSV and LaTeX; what=frame, figures, claims, ...
 
-    From stored cells alone: a table is what its experiment in conf describes, and a missing cell is a row that says so.
-    A submitted method appears in the tables of which it has every scenario, and is marked.
+    Nothing is computed. The experiments of conf/experiment describe the tables; a missing cell is marked as missing. A
+    submitted method appears, marked, in the tables of which it has every scenario.
     """
     from bench.reporting.frame import experiment_frame, submitted_results, table_experiments, with_submitted
     from bench.reporting.tables.forms import table_files
@@ -43,24 +43,21 @@ def tables(
         if files:
             _warn_if_stale(frame)
         else:
-            print(f"{name}: no cells stored; run python -m bench -m experiment={name}", file=sys.stderr)
+            LOG.warning("%s: no cells stored; run python -m bench -m experiment=%s", name, name)
         written += _write(files, out, tex)
     if not written:
-        raise InputError("store", store, "none of its cells is in a table; see python -m bench status")
+        raise InputError("store", store, "none of its cells belongs to a table; see python -m bench status")
     return 0
 
 
 def frame(
-    experiment: Annotated[str | None, "print the lines of this experiment instead [none]"] = None,
-    metric: Annotated[str, "of the lines that are printed"] = "k_over_m_error_pct",
-    store: StoreFolder = OWN,
+    experiment: Annotated[str | None, "print the rows of this experiment instead [none]"] = None,
+    metric: Annotated[str, "metric of the rows that are printed"] = "k_over_m_error_pct",
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     out: Annotated[Path, "file of the frame"] = Path("build/frame.parquet"),
 ) -> int:
-    """Write one frame of everything that tables show: a line a cell and metric, with ties, verdicts and what is stale.
-
-    pandas.read_parquet reads it.
-    """
+    """Write all that tables show as one Parquet file: one row per cell and metric, with ties, verdicts and states."""
     from bench.reporting.frame import experiment_frame, table_experiments
     from bench.reporting.tables.tidy import frame_page, tidy_frame
     from bench.reporting.whole_file import check_file, write
@@ -75,19 +72,19 @@ def frame(
         print(frame_page(data, metric))
         return 0
     write(out, data.to_parquet(index=False), out.parent, "out")
-    print(f"{out}: {len(data)} lines")
+    print(f"{out}: {len(data)} rows")
     return 0
 
 
 def figures(
-    store: StoreFolder = OWN,
+    store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     out: Out = FIGURES,
     svg: Annotated[
-        Path | None, "folder of the same figures as SVG and, of charts, the interactive specification [none]"
+        Path | None, "folder of the figures as SVG, and of the interactive specifications of charts [none]"
     ] = None,
 ) -> int:
-    """Draw the figures as PNG files with captions; a figure that lacks its cells is left out, with the reason."""
+    """Draw the figures as PNG files with captions; figures without cells are left out."""
     from bench.reporting.whole_file import check_folder
 
     opened = named_store(store, archive, filled=True)
@@ -104,7 +101,7 @@ def figures(
             try:
                 paths = save(draw(gallery), out, svg)
             except Nothing as reason:
-                print(f"bench tables: {name}: not drawn: {reason}", file=sys.stderr)
+                LOG.warning("%s: not drawn: %s", name, reason)
                 continue
             drawn += 1
             print(*paths, sep="\n")
@@ -113,14 +110,14 @@ def figures(
             raise
         raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None
     if not drawn:
-        raise InputError("store", store, "no cell there has what a picture needs; run experiment=table5")
+        raise InputError("store", store, "no cell has the data of a figure; run experiment=table5")
     return 0
 
 
 def claims(
     results: Annotated[Path, "folder of tables and of the archive"] = RESULTS,
     root: Annotated[Path, "folder of README.md, paper and docs"] = Path("."),
-    write: Annotated[bool, "fill in the numbers that README.md and the paper show"] = False,
+    write: Annotated[bool, "update the numbers in README.md and the paper"] = False,
 ) -> int:
     """Print every number and every conclusion of the documents, computed from the results.
 
@@ -141,16 +138,16 @@ def claims(
         new = rewritten(text, known)
         if new != text and write:
             write_file(path, new, field="root")
-            print(f"{path}: written", file=sys.stderr)
+            LOG.info("%s: written", path)
         elif new != text:
-            wrong.append(f"{path}: a number differs: write=true fills it in")
+            wrong.append(f"{path}: a number differs; write=true updates it")
     print(*wrong, f"{sum(known.conclusions.values())} of {len(known.conclusions)} conclusions hold", sep="\n")
     return 1 if wrong else 0
 
 
 def audits(
     claims: Annotated[Path, "folder of claims"] = Path("claims"),
-    results: Annotated[Path, "folder of Tables 2 to 5, whose verdicts stand beside the paper's numbers"] = RESULTS,
+    results: Annotated[Path, "folder of Tables 2 to 5, which have the verdicts on the paper's numbers"] = RESULTS,
     out: Out = RESULTS,
 ) -> int:
     """Write the audits of published claims as one page and one file of numbers."""
@@ -165,8 +162,8 @@ def audits(
     return 0
 
 
-def everything(store: StoreFolder = OWN, archive: ArchiveFolder = None) -> int:
-    """Write tables, figures and audits into results/, and fill the numbers of the documents in."""
+def everything(store: StoreFolder = DEFAULT, archive: ArchiveFolder = None) -> int:
+    """Write tables, figures and audits to results/, and update the numbers of the documents."""
     tables(store, archive)
     figures(store, archive)
     audits()
@@ -180,7 +177,7 @@ VARIANTS = {
 
 
 def _write(files: Mapping[str, str], out: Path, tex: Path) -> int:
-    """Write files by name and print their paths; returns how many."""
+    """Write files by name and print their paths; return their number."""
     from bench.reporting.whole_file import write
 
     for name, content in files.items():
@@ -191,13 +188,11 @@ def _write(files: Mapping[str, str], out: Path, tex: Path) -> int:
 
 
 def _warn_if_stale(frame: Frame) -> None:
-    """Print a line on the error stream where a table rests on cells of another version."""
+    """Warn where a table contains cells of another version."""
     unique = {result.identity: result for result in frame}.values()
-    stale = [
-        (one.cell.version, one.stored.version) for one in unique if one.state == "stale" and one.cell and one.stored
-    ]
+    stale = [(r.cell.version, r.stored.version) for r in unique if r.state == "stale" and r.cell and r.stored]
     if stale:
         now, then = stale[0]
         cells = f"{len(stale)} of {len(unique)} cells are stale ({now.changed_since(then)[:100]})"
         remedy = f"python -m bench -m experiment={frame.experiment} computes them again"
-        print(f"{frame.experiment}: {cells}; {remedy}", file=sys.stderr)
+        LOG.warning("%s: %s; %s", frame.experiment, cells, remedy)

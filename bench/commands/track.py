@@ -1,15 +1,15 @@
-"""The verb ``track``: the live twin of a stream of samples."""
+"""The verb ``track``: track parameters in a stream of samples."""
 
 from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from bench.commands.declaration import OneOf, Others, Parsed, Within, file, settings_of
+from bench.commands.log import LOG
 from bench.errors import InputError
 from bench.scenario.declaration import value_of
 
@@ -50,34 +50,34 @@ def track(
     method: Annotated[str | None, OneOf(trackers), "online method, or window_<batch method> (method.length=150 "
                       "method.every=10) [the first of results/online.md]"] = None,
     sensors: Annotated[tuple[str, ...], "displacement:0,acceleration:1 [displacement of every DOF]"] = (),
-    forced: Annotated[tuple[str, ...], "DOFs whose force is in the lines, e.g. 0 [none]"] = (),
+    forced: Annotated[tuple[str, ...], "DOFs whose force is a column, e.g. 0 [none]"] = (),
     ambient: Annotated[tuple[str, ...], "DOFs under an unmeasured force [none]"] = (),
-    limits: Annotated[tuple[float, float] | None, Parsed(range_of), "lo:hi, the range of the sensors"] = None,
+    limits: Annotated[tuple[float, float] | None, Parsed(range_of), "lo:hi, measuring range of the sensors"] = None,
     rate: Annotated[float | None, Within(ge=1e-9, le=1e9), "sampling rate (1/s) [of the first lines]"] = None,
     columns: Annotated[str | None, "which column is what: t:0,x:3 [by the header, else in order]"] = None,
     units: Annotated[str | None, "t:ms,x:mm [of the header, else SI]"] = None,
-    decimate: Annotated[int | None, Within(ge=1, le=100_000), "every n-th sample after a low-pass filter [1, or for a "
-                        "fast record what leaves 10 samples a cycle; it is said]"] = None,
-    band: Annotated[tuple[float, float] | None, Parsed(range_of), "lo:hi (Hz), a band-pass before the method"] = None,
+    decimate: Annotated[int | None, Within(ge=1, le=100_000), "keep every Nth sample after a low-pass filter "
+                        "[1, or what leaves 10 samples per cycle]"] = None,
+    band: Annotated[tuple[float, float] | None, Parsed(range_of), "lo:hi (Hz), band-pass filter"] = None,
     from_: Annotated[str, "file or named pipe; - is standard input"] = "-",
     follow: Annotated[bool, "wait for more lines at the end of a file"] = False,
     out: Annotated[str, "destination of the JSON lines: a file, - or none"] = "-",
-    view: Annotated[bool, "show the twin in the terminal (on the error stream)"] = False,
-    page: Annotated[bool, "serve a page on this machine alone"] = False,
+    view: Annotated[bool, "show the estimates in the terminal, on the error stream"] = False,
+    page: Annotated[bool, "serve a page, to this machine only"] = False,
     port: Annotated[int, Within(ge=0, le=65535), "port of the page; 0: any free one"] = 0,
-    policy: Annotated[Literal["lag", "decimate"], "where samples come faster than the method"] = "lag",
-    queue: Annotated[int, Within(ge=10), "number of samples that may wait"] = 2000,
-    state: Annotated[Path | None, "file of the state, from which resume=true continues"] = None,
+    policy: Annotated[Literal["lag", "decimate"], "if samples arrive faster than they are processed"] = "lag",
+    queue: Annotated[int, Within(ge=10), "number of samples that may be queued"] = 2000,
+    state: Annotated[Path | None, "file of the tracker's state, for resume=true"] = None,
     save_every: Annotated[int, Within(ge=1), "samples between two writes of the state"] = 1000,
-    resume: Annotated[bool, "continue from the state; no sample is counted twice"] = False,
+    resume: Annotated[bool, "continue from the saved state; no sample is used twice"] = False,
     alarm: Annotated[float | None, "threshold of the method's alarm [none]"] = None,
 ) -> int:  # fmt: skip
     """Track the parameters of a system in a stream of samples.
 
-    Reads samples as lines and writes the estimates after each as a line of JSON. A line holds the time, a value per
-    sensor, and a force per forced DOF, separated by commas, semicolons, tabs or blanks. A header names columns and
-    units as in files; without one they are in this order and in SI. An empty field or nan is a missing value. It ends
-    with the stream or with Ctrl-C, and keeps its state where state= says.
+    Reads one sample per line and writes the estimates after each sample as a line of JSON. A line holds the time, one
+    value per sensor and one force per forced DOF, separated by commas, semicolons, tabs or blanks. A header names
+    columns and units as in files; without one the columns have this order and SI units. An empty field or nan is a
+    missing value. Tracking ends with the stream or with Ctrl-C; state= names the file of the state.
     """
     from itertools import chain, islice
 
@@ -109,7 +109,7 @@ def track(
         raise InputError("method", name, objection)
     path = Path(os.path.expanduser(out))
     _check_apart(from_, path if out not in ("-", "none") else None, state)
-    if out not in ("-", "none") and not is_special(path):  # a pipe or a device is not tried
+    if out not in ("-", "none") and not is_special(path):  # not for a pipe or a device
         check_file(path)
     if state is not None:
         check_file(state, "state")
@@ -130,7 +130,7 @@ def track(
     report(text)
     filtered = Filter(interval, thinned, band, measured)
     if filtered.sections is not None:
-        report(f"the answers are those of {filtered.delay:.3g} s before, the delay of the filter")
+        report(f"the estimates lag by {filtered.delay:.3g} s, the delay of the filter")
     interval *= thinned
     tracker = identifier.start(layout(interval))
     if state is not None and kept:
@@ -145,16 +145,18 @@ def track(
 
 
 def _check_apart(source: str, out: Path | None, state: Path | None) -> None:
-    """Raise InputError where two of the stream, the answers and the state are the same file."""
+    """Raise InputError if two of the stream, the output and the state are the same file."""
     places = [("from", None if source == "-" else Path(os.path.expanduser(source))), ("out", out), ("state", state)]
     given = [(field, place) for field, place in places if place is not None and str(place) != os.devnull]
     for i, (field, place) in enumerate(given):
         for other, earlier in given[:i]:
             same = place.exists() and earlier.exists() and place.samefile(earlier)
             if same or os.path.realpath(place) == os.path.realpath(earlier):
-                raise InputError(field, place, f"{other}= is the same file and would be lost; name another")
+                raise InputError(
+                    field, place, f"{other}= names the same file, which would be overwritten; name another"
+                )
     if source == "-" and out is not None and out.exists() and os.path.samestat(os.fstat(0), out.stat()):
-        raise InputError("out", out, "it is what standard input reads, and would be lost; name another")
+        raise InputError("out", out, "standard input reads this file, which would be overwritten; name another")
 
 
 def _equations(name: str) -> System:
@@ -169,7 +171,7 @@ def _equations(name: str) -> System:
 def _sensors(
     names: Sequence[str], system: System, limits: tuple[float, float] | None, columns: Iterable[str]
 ) -> tuple[Sensor, ...]:
-    """Return the sensors of a stream, by default those of the columns that are named; raises InputError."""
+    """Return the sensors of a stream, by default those of the named columns; raises InputError."""
     from bench.contract.online import Sensor
     from bench.records.reading.table import slot
     from bench.records.reading.units import MEASURES
@@ -191,7 +193,7 @@ def _dofs(field: str, names: Sequence[str], n: int) -> tuple[int, ...]:
 
 
 def _displays(layout: Layout, view: bool, page: bool, port: int) -> list[Display]:
-    """Return the displays that are asked for; raises InputError where the page cannot be served."""
+    """Return the terminal and page displays; raises InputError if the page cannot be served."""
     displays: list[Display] = []
     if view:
         from bench.twin.terminal import View
@@ -201,6 +203,6 @@ def _displays(layout: Layout, view: bool, page: bool, port: int) -> list[Display
         from bench.twin.page import PageServer
 
         served = PageServer(layout, port)
-        print(f"bench track: {served.url}", file=sys.stderr, flush=True)
+        LOG.info("page: %s", served.url)
         displays.append(served)
     return displays

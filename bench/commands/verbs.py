@@ -1,4 +1,4 @@
-"""The verbs of ``python -m bench <verb> name=value ...``, and how each is run."""
+"""The verbs of ``python -m bench <verb> name=value ...``: selection, call, help and completion."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ VERBS = {
     "score": "Score a file of predictions of a round.",
     "share": "Share results: action=submit, merge, export or publish.",
 }
-"""Each verb, the function of its name in the module of its name, with its line in the list of all, which loads none."""
+"""The verbs with a line of help each. The function of a verb has its name, in the module of its name."""
 RUN = ("run", "identify")
-"""Words for what a line without a verb does: a run of cells, or the identification of a measured record (data=)."""
+"""Optional verbs of a run of cells and of the identification of a measured record (data=)."""
 COMMAND = "python -m bench"
 
 
 def named_verb(arguments: Sequence[str]) -> str | None:
-    """Return the verb of a command line: its first word, which --help or --version may precede; None for a run."""
+    """Return the verb of a command line: its first word after --help and --version; None for a run."""
     first = next((word for word in arguments if word not in ("-h", "--help", "--version")), "")
     return first if first.isidentifier() else None
 
 
 def variants(name: str) -> dict[str, Callable[..., int]]:
-    """Return the functions of a verb by the word that selects them: ``field`` or ``field=value``; "" is the verb's own.
+    """Return the functions of a verb by the words that select them, ``field`` or ``field=value``, "" by default.
 
-    Raises InputError where there is no such verb.
+    Raises InputError for an unknown verb.
     """
     from bench.config.choices import choices
 
@@ -50,7 +50,7 @@ def variants(name: str) -> dict[str, Callable[..., int]]:
 
 
 def execute(name: str, words: Sequence[str]) -> int:
-    """Run a verb on the words behind it, or show its help; raises InputError."""
+    """Run a verb on the words that follow it, or print its help; raises InputError."""
     from bench.config.declaration import fields_of
 
     functions, command = variants(name), f"{COMMAND} {name}"
@@ -61,7 +61,7 @@ def execute(name: str, words: Sequence[str]) -> int:
 
 
 def track(name: str, words: Sequence[str]) -> int:
-    """Run an experiment with fields of its own on the words of its line, or show its help; raises InputError."""
+    """Run an experiment that has its own fields, or print its help; raises InputError."""
     from bench.config.choices import TRACKS
 
     verb: Callable[..., int] = getattr(import_module(f"bench.commands.{TRACKS[name]}"), name)
@@ -69,7 +69,7 @@ def track(name: str, words: Sequence[str]) -> int:
 
 
 def call(verb: Callable[..., int], words: Sequence[str], pages: Mapping[str, Callable[..., int]]) -> int:
-    """Call a verb with the fields of its line, or print the version, or the pages of help of these commands."""
+    """Call a verb with the fields of its command line, or print the version, or the pages of help."""
     from bench.commands.declaration import help_page, read_arguments
 
     if "--version" in words:
@@ -84,20 +84,19 @@ def call(verb: Callable[..., int], words: Sequence[str], pages: Mapping[str, Cal
 
 
 def _selected(keys: Collection[str], words: Sequence[str]) -> str:
-    """Return the key of the function that the words select; raises InputError for a choice that selects none."""
-
+    """Return the key of the function that the words select; raises InputError for an unknown choice."""
     parts = [part for key in keys for part in key.split()]
     for word in words:
         name, _, value = word.partition("=")
         choices = list(dict.fromkeys(part.partition("=")[2] for part in parts if part.startswith(f"{name}=")))
         if choices and value not in choices:
             raise InputError(name, value, f"{did_you_mean(value, choices)}one of {', '.join(choices)}, or leave it out")
-    said = {*words, *(word.partition("=")[0] for word in words)}
-    return next((key for key in keys if key and said.issuperset(key.split())), "")
+    names = {*words, *(word.partition("=")[0] for word in words)}
+    return next((key for key in keys if key and names.issuperset(key.split())), "")
 
 
 def completed(line: str) -> list[str]:
-    """Return what may follow the line that a shell has: a verb, or the fields of a verb and their values."""
+    """Return the completions of a shell's line: verbs, or the fields of a verb and their values."""
     from bench.commands.declaration import completions
 
     words = line.split()

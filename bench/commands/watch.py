@@ -1,11 +1,11 @@
-"""A sweep followed while a run computes it, on any machine that shares the store: only the store is looked at."""
+"""Watch a sweep that a run computes, on any machine that shares its store; only the store is read."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Collection, Sequence
 
+from bench.commands.log import LOG
 from bench.contract.estimate import Status
 from bench.engine.plan import FAILURES, plan
 from bench.engine.progress import Progress, progress_bar
@@ -14,17 +14,17 @@ from bench.store.cell import Cell
 from bench.store.locks import under_way
 from bench.store.store import Store
 
-NO_RUN = "bench: no run is at work on it, or one has just begun: bounds come before the first cell"
+NO_RUN = "no run computes these cells at present, or it still computes the bounds"
 
 
 def follow(cells: Sequence[Cell], store: Store, retry: Collection[Status], seconds: float) -> None:
-    """Show how far a sweep is, as a run shows it, until all of its cells are stored.
+    """Show the progress of a sweep until all of its cells are stored.
 
     Args:
-        cells: the sweep.
-        store: where its runs keep cells.
-        retry: the failures that its runs try again.
-        seconds: between two looks.
+        cells: The cells of the sweep.
+        store: The store of the runs that compute it.
+        retry: The statuses that these runs try again.
+        seconds: Interval between two readings of the store (s).
     """
     planned = plan(cells, store, retry)
     by_identity = {item.cell.identity: item.cell for item in planned}
@@ -44,7 +44,7 @@ def follow(cells: Sequence[Cell], store: Store, retry: Collection[Status], secon
                 on_look(progress.add(identity, cell.replicates, head.wall_s if head else 0.0, failed=failed, what=what))
             progress.workers = len(under_way(store.claims).keys() & stamps.keys())
             if stamps and not progress.workers:
-                print(NO_RUN, file=sys.stderr)
+                LOG.info(NO_RUN)
             progress.workers = max(1, progress.workers)
             if stamps:
                 time.sleep(seconds)

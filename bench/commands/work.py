@@ -1,13 +1,13 @@
-"""The work of experiments with tasks of their own: the atlas, the online track and the measured track."""
+"""The work of experiments that are not made of cells: the atlas and the online, measured and modal tracks."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from bench.commands.log import LOG
 from bench.config.fields import MOST_WORKERS
 from bench.engine.pool import Limits, StoredTask, run_tasks, say
 from bench.engine.progress import progress_bar
@@ -15,15 +15,21 @@ from bench.reporting.whole_file import check_folder
 from bench.scenario.declaration import Within
 
 Workers = Annotated[int | None, Within(ge=1, le=MOST_WORKERS), "worker processes [one per core]"]
-Fit = Annotated[bool, "false: write what is stored"]
-DryRun = Annotated[bool, "count what is to be done"]
+Fit = Annotated[bool, "false: compute nothing, write the stored results"]
+DryRun = Annotated[bool, "only count the tasks to do"]
 
 
 @dataclass(frozen=True)
 class Work:
-    """The work of an experiment: where it keeps results and writes tables, whether it computes what is missing.
+    """The folders and limits of an experiment.
 
-    ``launcher`` are Hydra's overrides of a launcher, which takes blocks of the atlas alone.
+    Attributes:
+        store: Folder of finished tasks.
+        out: Folder of tables.
+        limits: Workers, time and memory.
+        fit: Whether missing tasks are computed.
+        dry_run: Whether tasks are only counted.
+        launcher: Overrides of a launcher of Hydra's, for blocks of the atlas.
     """
 
     store: Path
@@ -34,12 +40,12 @@ class Work:
     launcher: tuple[str, ...] = ()
 
     def complete(self, tasks: Sequence[StoredTask], unit: str) -> bool:
-        """Have the tasks done that the store lacks; returns whether tables are to be written. Raises InputError."""
+        """Compute the tasks that the store lacks; return whether tables are to be written. Raises InputError."""
         if not self.dry_run:
             check_folder(self.store, "store")
             check_folder(self.out)
         missing = [task for task in tasks if not task.stored(self.store)]
-        print(f"bench: {sum(task.size for task in tasks):,} {unit}s, {len(missing):,} tasks to do", file=sys.stderr)
+        LOG.info("%s", f"{sum(task.size for task in tasks):,} {unit}s, {len(missing):,} tasks to do")
         if self.dry_run:
             return False
         if missing and self.fit and self.launcher:

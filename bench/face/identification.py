@@ -1,4 +1,4 @@
-"""Measured records from Python: what a method finds in them, with intervals, residuals and how far to trust it."""
+"""Identification of measured records from Python: values, intervals, residuals, and a verdict."""
 
 from __future__ import annotations
 
@@ -27,7 +27,13 @@ from bench.reporting.record_page import record_page
 
 @dataclass(frozen=True, eq=False)
 class RunAnswer:
-    """What one of several records says alone; ``left_out``: why it is no part of the joint answer, or empty."""
+    """The result of one of several records alone.
+
+    Attributes:
+        trust: ``trust``, ``use with caution`` or ``do not trust``.
+        left_out: Why the record is not part of the joint estimate, or empty.
+        estimates: Values with intervals by quantity.
+    """
 
     trust: str
     left_out: str
@@ -36,15 +42,26 @@ class RunAnswer:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What a method found in measured records.
+    """The result of one method on measured records.
 
-    ``trust`` is ``trust``, ``use with caution`` or ``do not trust``, and ``reasons`` say why. ``estimates`` hold the
-    quantities that the data tell, by name, each with the interval that the records support (``low``, ``high``) and the
-    method's own, which takes the noise for white (``white_low``, ``white_high``); there are none where the answer is
-    not to be trusted, and ``withdrawn`` keeps what the method said. ``status`` is ``ok``, or says with ``message`` why
-    there is no answer. ``modes`` are offered where the record holds several, or an alias fits as well;
-    ``runs`` hold what each of several records says alone.
-    ``scale_is_free`` where nothing tells mass, damping and stiffness themselves from their ratios.
+    Attributes:
+        method: Name of the method.
+        data: Names of the records.
+        samples: Number of samples of all records.
+        status: ``ok``, or the kind of failure.
+        message: Why there is no estimate, or empty.
+        wall_s: Time of the fit (s).
+        trust: ``trust``, ``use with caution`` or ``do not trust``.
+        reasons: Reasons of that verdict.
+        notes: Notes of the import.
+        estimates: The identifiable quantities by name, each with the interval that the records support (``low``,
+            ``high``) and the interval assuming white noise (``white_low``, ``white_high``); empty where the verdict is
+            ``do not trust``.
+        withdrawn: The estimates where the verdict is ``do not trust``.
+        modes: The modes of the record, if there are several, or aliases that fit equally well.
+        residuals: Residuals of the fit, None without a fit.
+        scale_is_free: Whether m, c and k are not individually identifiable, only their ratios.
+        runs: Results of each of several records alone, by name.
     """
 
     method: str
@@ -65,21 +82,20 @@ class Identification:
 
     @property
     def values(self) -> dict[str, float]:
-        """Value of every quantity."""
+        """The value of each quantity."""
         return {name: interval.value for name, interval in self.estimates.items()}
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """95 % interval of every quantity."""
+        """The 95 % interval of each quantity."""
         return {name: (interval.low, interval.high) for name, interval in self.estimates.items()}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it, ready for JSON: null stands for what is not finite."""
-        plain: dict[str, Any] = nulls(self.plain())
-        return plain
+        """Return all fields as plain values for JSON; None stands for numbers that are not finite."""
+        return nulls(self.plain())  # type: ignore[no-any-return]
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, of which some may not be finite."""
+        """Return all fields as plain values."""
         plain = asdict(self)
         del plain["scale_is_free"]
         lists = {name: list(plain[name]) for name in ("reasons", "notes", "modes")}
@@ -91,7 +107,7 @@ class Identification:
         return record_page(self.plain(), self.scale_is_free)
 
     def _repr_html_(self) -> str:
-        """Return a notebook's table."""
+        """Return the table that a notebook shows."""
         import pandas as pd
 
         shown = ["value", "low", "high", "unit"]
@@ -130,37 +146,37 @@ def identify(
     """Identify measured records with one method, in a process of its own; nothing is printed or stored.
 
     Args:
-        data: a file, or several of one rig (text, xlsx, xls, mat, npz, Parquet, UFF 58, TDMS, wav); or the times of
-            samples (s, or dates).
-        displacement: the samples (m), where ``data`` are times.
-        force: the force (N) at the same times, where one acts and ``data`` are times.
-        method: a method; with ``modes`` a modal method, by default that of maximum likelihood.
-        modes: ``"auto"`` or a number, where several modes are sought; they are in ``modes`` of the answer.
-        band: lowest and highest frequency (Hz) of the modes that are sought.
-        system: ``auto``, a sum of terms as ``sdof+coulomb``, or a scenario of ``conf/system`` whose system it is; by
+        data: A file, or several of one rig (text, xlsx, xls, mat, npz, Parquet, UFF 58, TDMS, wav); or the times of
+            samples (n,), in s or as dates.
+        displacement: The samples (n,) in m, if ``data`` are times.
+        force: A measured force (n,) in N at the same times, if ``data`` are times.
+        method: Name of a method, by default that of a certificate; with ``modes`` a modal method.
+        modes: Number of modes to identify, or ``"auto"``; the result has them in ``modes``.
+        band: Lowest and highest frequency (Hz) of the modes.
+        system: ``auto``, a sum of terms such as ``sdof+coulomb``, or a scenario of ``conf/system`` (its equations); by
             default m x'' + c x' + k x = f.
-        columns: which column is what, where a file does not say: ``{"t": 0, "x": 3}``.
-        units: in which unit, where a file does not say: ``{"t": "ms", "x": "mm"}``.
-        rate: samples a second, where no column is the time.
-        base: column of the ground's acceleration, which drives the motion.
-        motion: with ``base``: ``relative`` to the ground, or ``absolute`` of an accelerometer on the mass.
-        span: first and last time (s) to use, on the file's own clock.
-        decimate: every n-th sample is kept, after a low-pass filter.
-        detrend: whether the drift of a sensor is taken away; by default where it is significant.
-        fixed: parameters that are told: ``{"l": 1.0}``.
-        prior: how well the nominal values are known; by default nothing is.
-        nominal: with a prior, what is stated of each parameter: ``{"m": 1.2, "c": 0.3, "k": 8.0}`` in SI units.
-        start: displacement and velocity at time 0, where they are known; else they, and offsets, are estimated.
-        seed: of the method's random stream.
-        settings: settings of the method by their dotted names: ``{"method.width": 32}``.
-        timeout_s: limit of the fit, in seconds.
-        memory_mb: limit of the fit.
+        columns: Roles of columns that the file does not state: ``{"t": 0, "x": 3}``.
+        units: Units that the file does not state: ``{"t": "ms", "x": "mm"}``.
+        rate: Sampling rate (1/s), if no column is the time.
+        base: Column of the acceleration of the ground, which drives the motion.
+        motion: With ``base``: ``relative`` to the ground, or ``absolute`` for an accelerometer on the mass.
+        span: First and last time (s) to use, in the time of the file.
+        decimate: Keep every Nth sample, after a low-pass filter.
+        detrend: Whether to remove linear sensor drift; by default where it is significant.
+        fixed: Parameters with a known value: ``{"l": 1.0}``.
+        prior: Name of a prior about the nominal values; by default there is none.
+        nominal: The nominal values of a prior in SI units: ``{"m": 1.2, "c": 0.3, "k": 8.0}``.
+        start: Known initial displacement (m) and velocity (m/s); by default they are estimated, with sensor offsets.
+        seed: Random seed of the method.
+        settings: Settings of the method by their dotted names: ``{"method.width": 32}``.
+        timeout_s: Time limit of the fit (s).
+        memory_mb: Memory limit of the fit (MB).
 
     Returns:
-        Values, 95 % intervals, residuals and how far to trust them, or why there are none.
+        Values, 95 % intervals, residuals and a verdict, or the reason why there are none.
 
     Raises:
-        InputError: for a record or setting that makes no sense, with the sentence of the command line.
+        InputError: for a malformed record or field, with the message of the command line.
 
     Examples:
         >>> import numpy as np
@@ -186,19 +202,16 @@ def identify(
         "detrend": detrend, "base": None if base is None else str(base), "motion": motion,
     }  # fmt: skip
     known = {"start": [list(start)], "initial_state": "known"} if start is not None else {}
-    of_file: dict[str, Any] = {
+    file_fields: dict[str, Any] = {
         "data": ",".join(paths) or None,
         "columns": _written("columns", columns, "{'t': 0, 'x': 3}"),
         "units": _written("units", units, "{'t': 'ms', 'x': 'mm'}"),
     }
     if span is not None:
-        of_file |= {"from": span[0], "to": span[1]}
-    choices = {
-        "system": system,
-        "method": method if modes is not None else None,
-    }  # which are checked where they are read
+        file_fields |= {"from": span[0], "to": span[1]}
+    choices = {"system": system, "method": method if modes is not None else None}  # checked where they are read
     overrides = {
-        **overrides_of(fields, known, of_file, settings or {}),
+        **overrides_of(fields, known, file_fields, settings or {}),
         **{name: [choice] for name, choice in choices.items() if choice is not None},
     }
     if modes is not None:
@@ -206,37 +219,37 @@ def identify(
         read = () if paths else (of_arrays(data, displacement, force, modal.options),)  # type: ignore[arg-type]
         findings = [finding for record in read_modal(modal, read) for finding in find_modes(modal, record)]
         if len(findings) > 1:
-            raise InputError("data", ", ".join(paths), f"{len(findings)} answers: one record and one method at a time")
+            raise InputError("data", ", ".join(paths), f"{len(findings)} results; give one record and one method")
         return identified_modes(findings[0])
     request = request_of(overrides)
     if len(request.jobs) > 1:
-        raise InputError("method", method, "one method at a time")
+        raise InputError("method", method, "give one method")
     recordings = () if paths else (of_arrays(data, displacement, force, request.options),)  # type: ignore[arg-type]
     return identified(identify_all(request, read_measured(request, recordings))[0])
 
 
 def _written(field: str, pairs: Mapping[str, Any] | None, example: str) -> str | None:
     if pairs is not None and not isinstance(pairs, Mapping):
-        raise InputError(field, pairs, f"a mapping, as {example}")
+        raise InputError(field, pairs, f"a mapping, such as {example}")
     return None if not pairs else ",".join(f"{role}:{value}" for role, value in pairs.items())
 
 
 def _paths(
     data: str | Path | Sequence[str | Path] | ArrayLike, displacement: ArrayLike | None, force: ArrayLike | None
 ) -> list[str]:
-    """Return the paths of the files that are given; none where arrays are."""
+    """Return the paths of files; empty for arrays."""
     paths = [data] if isinstance(data, str | Path) else data
     if isinstance(paths, list | tuple) and paths and all(isinstance(path, str | Path) for path in paths):
         if displacement is not None or force is not None:
-            raise InputError("displacement", "array", "a file has it; give a file, or times and displacement")
+            raise InputError("displacement", "array", "give either a file, or times and displacement")
         return [str(path) for path in paths]
     if displacement is None:
-        raise InputError("displacement", None, "times need displacements; or give the path of a file")
+        raise InputError("displacement", None, "give displacements with times, or the path of a file")
     return []
 
 
 def identified(finding: Finding) -> Identification:
-    """Return a finding as users get it."""
+    """Return the result of a fit in the form for users."""
     problem = finding.problem
     alone = [run.finding for run in finding.runs] or [finding]
     return Identification(
@@ -259,7 +272,7 @@ def identified(finding: Finding) -> Identification:
 
 
 def identified_modes(finding: ModalFinding) -> Identification:
-    """Return the modes of a record as users get them."""
+    """Return the modes of a record in the form for users."""
     estimate, record = finding.estimate, finding.record
     return Identification(
         method=finding.method,

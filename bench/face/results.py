@@ -1,4 +1,4 @@
-"""Sweeps from Python: the cells that the command computes, in the same store, and their scores as a table."""
+"""Sweeps from Python: the same cells and store as on the command line, with the scores as a table."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCORES = ("mean", "median", "ci_low", "ci_high", "bound", "excess")
-"""What is said of every metric of a cell."""
+"""The statistics of each metric of a cell."""
 Values = Any
-"""One value of a field, or a list, tuple, range or array of values to sweep over."""
+"""One value of a field, or a list, tuple, range or array of values of a sweep."""
 
 
 @dataclass(frozen=True)
 class CellResult:
-    """A cell and what the store holds of it: None where it was not computed."""
+    """A cell and its stored result, None where it was not computed."""
 
     cell: Cell
     stored: StoredCell | None
 
     def facts(self) -> dict[str, Any]:
-        """What the cell is, and how its fits went."""
+        """Return the fields of the cell and the outcome of its fits."""
         cell, scenario = self.cell, self.cell.scenario
         if self.stored is None:
             return {"cell": cell.identity, "method": cell.label, "status": "missing"}
@@ -60,12 +60,12 @@ class CellResult:
         }
 
     def scores(self) -> dict[str, dict[str, float]]:
-        """By metric the mean, median and its 95 % interval over the replicates, the bound, and the excess over it."""
+        """Return the statistics of each metric: mean, median with its 95 % interval, bound and excess."""
         summary = self.stored.summary if self.stored else {}
         return {name: {key: values[key] for key in SCORES} for name, values in summary.items()}
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, ready for JSON: null stands for what is not finite."""
+        """Return facts and scores for JSON; None stands for numbers that are not finite."""
         facts = self.facts()
         if self.stored is None:
             return facts
@@ -74,7 +74,12 @@ class CellResult:
 
 @dataclass(frozen=True)
 class Results(Sequence[CellResult]):
-    """The results of a sweep, cell by cell in its order; they are read from the store when they are looked at."""
+    """The results of a sweep in the order of its cells; each is read from the store when it is accessed.
+
+    Attributes:
+        cells: The cells of the sweep.
+        store: The store that holds their results.
+    """
 
     cells: tuple[Cell, ...]
     store: Store
@@ -92,22 +97,21 @@ class Results(Sequence[CellResult]):
         return (self[i] for i in range(len(self)))
 
     def frame(self) -> pd.DataFrame:
-        """One line a cell and metric, with what the cell is; a cell without scores is one line."""
+        """Return a table with one row per cell and metric; a cell without scores is one row."""
         import pandas as pd
 
-        lines: list[dict[str, Any]] = []
+        rows: list[dict[str, Any]] = []
         for result in self:
             facts = {key: value for key, value in result.facts().items() if key != "message"}
-            own = [{**facts, "metric": metric, **scores} for metric, scores in result.scores().items()]
-            lines += own or [facts]
-        return pd.DataFrame(lines)
+            rows += [{**facts, "metric": name, **scores} for name, scores in result.scores().items()] or [facts]
+        return pd.DataFrame(rows)
 
     def __repr__(self) -> str:
         methods = ", ".join(dict.fromkeys(cell.label for cell in self.cells))
         return f"<Results of {len(self)} cells in {self.store.folder}: {methods}; frame() is a table>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table: a line a cell, with the median errors."""
+        """Return the table that a notebook shows: one row per cell, with the median errors."""
         frame = self.frame()
         if "metric" in frame:
             named = ["method", "system", "snr", "initial_state", "disturbance", "seed", "n_ok", "replicates"]
@@ -135,33 +139,34 @@ def run(
     retry: str | None = None,
     progress: bool = False,
 ) -> Results:
-    """Compute what a store lacks of a sweep, as ``python -m bench -m`` does, and return the results.
+    """Compute the cells of a sweep that the store lacks, as ``python -m bench -m`` does, and return all results.
 
-    What is not given is as on the command line. Cells that are stored already are not computed again.
+    Defaults are those of the command line. Fields down to ``settings`` take one value or several; each combination is
+    a cell.
 
     Args:
-        method: a method, or several; so for all fields down to ``settings``, whose every combination is a cell.
-        experiment: an experiment of ``conf/experiment``; the other fields override what it says.
-        system: a scenario of ``conf/system``, or the path of a file of one's own.
-        snr: signal-to-noise ratio in dB.
-        initial_state: ``known`` or ``unknown``: whether the method is told the start.
-        prior: what is told of the parameters beforehand.
-        disturbance: what breaks the assumptions of the methods.
-        replicates: data sets a cell.
-        seed: of all random streams.
-        settings: further fields by their dotted names, such as ``{"method.width": [16, 32], "system.samples": 50}``.
-        store: the folder of the cells.
-        workers: processes that fit; by default one a core.
-        timeout_s: limit of one replicate, in seconds.
-        memory_mb: limit of one fit.
-        retry: ``failed``, or statuses: stored replicates that failed are tried again.
-        progress: whether a bar shows how far it is; nothing is printed otherwise.
+        method: Name of a method or one of its variants.
+        experiment: Name of an experiment of ``conf/experiment``, whose fields the other arguments override.
+        system: Name of a scenario of ``conf/system``, or the path of a file like those.
+        snr: Signal-to-noise ratio (dB).
+        initial_state: ``known`` or ``unknown``: whether the initial state is given to the method.
+        prior: Name of the prior about the parameters.
+        disturbance: Name of a disturbance, which violates assumptions of the methods.
+        replicates: Number of data sets per cell.
+        seed: Random seed.
+        settings: Further fields by their dotted names: ``{"method.width": [16, 32], "system.samples": 50}``.
+        store: Folder of stored cells.
+        workers: Number of worker processes, by default one per core.
+        timeout_s: Time limit per replicate (s).
+        memory_mb: Memory limit per fit (MB).
+        retry: ``failed``, or the statuses of stored replicates to try again.
+        progress: Whether to show progress on the error stream.
 
     Returns:
         The results; ``frame()`` is a tidy table of them.
 
     Raises:
-        InputError: for what the command line refuses, with the same sentence, before anything runs.
+        InputError: for bad input, with the message of the command line, before anything runs.
 
     Examples:
         >>> import tempfile
@@ -186,19 +191,22 @@ def run(
     single = {"store": store, "workers": workers, "timeout_s": timeout_s, "memory_mb": memory_mb, "retry": retry}
     jobs = sweep(overrides_of(swept, settings or {}, single))
     if jobs[0].config.data is not None:
-        raise InputError("data", jobs[0].config.data, "a measured record is for bench.identify")
+        raise InputError("data", jobs[0].config.data, "use bench.identify for a measured record")
     return compute([job.cell() for job in jobs], jobs[0].config, Launch(progress=progress))
 
 
 def experiment(name: str, **fields: Values) -> list[Cell]:
-    """Return the cells of an experiment of ``conf/experiment``, in order; nothing runs.
+    """Return the cells of an experiment without running them.
 
     Args:
-        name: such as ``table3``.
-        **fields: what overrides it: ``method="ls"``, ``snr=[40, 20]``.
+        name: Name of a file of ``conf/experiment``, such as ``table3``.
+        **fields: Fields that override those of the experiment: ``method="ls"``, ``snr=[40, 20]``.
+
+    Returns:
+        The cells in the order of the experiment.
 
     Raises:
-        InputError: for an unknown experiment or field, as on the command line.
+        InputError: for an unknown experiment or field.
 
     Examples:
         >>> import bench
@@ -213,11 +221,21 @@ def experiment(name: str, **fields: Values) -> list[Cell]:
 
 
 def compute(
-    cells: Sequence[Cell], config: Config, how: Launch, say: Callable[[list[Planned]], None] | None = None
+    cells: Sequence[Cell], config: Config, how: Launch, report: Callable[[list[Planned]], None] | None = None
 ) -> Results:
-    """Have what the store lacks of some cells computed, and return the results; raises InputError.
+    """Compute the cells that the store lacks, and return the results of all.
 
-    The configuration says where and within what limits; ``say`` is called with the plan before anything runs.
+    Args:
+        cells: The cells.
+        config: Store and limits.
+        how: Launcher and progress.
+        report: Called with the plan before anything runs.
+
+    Returns:
+        The results.
+
+    Raises:
+        InputError: for a store that cannot be written and a launcher that is not installed.
     """
     retry = read_retry(config.retry)
     store = open_store(config.store, config.archive)
@@ -226,14 +244,14 @@ def compute(
         warm_up({cell.method for cell in cells})
     limits = Limits(config.workers or usable_cores(), config.timeout_s, config.memory_mb)
     planned = plan(cells, store, retry)
-    if say is not None:
-        say(planned)
+    if report is not None:
+        report(planned)
     launch(planned, store, limits, how)
     return Results(tuple(cells), store)
 
 
 def nulls(value: Any) -> Any:
-    """Return the same for JSON: lists in place of arrays and tuples, None for every number that it cannot hold."""
+    """Return plain values for JSON: lists for arrays and tuples, None for numbers that are not finite."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float):

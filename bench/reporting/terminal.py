@@ -1,6 +1,6 @@
-"""What a terminal shows: tables and sentences that are no wider than it, whatever script their names are in.
+"""Tables and sentences for the terminal, no wider than it.
 
-Widths are those on a screen, where a letter of some scripts takes two places and an accent none.
+Widths are those on a screen, where characters of some scripts take two columns and combining accents none.
 """
 
 from __future__ import annotations
@@ -14,25 +14,27 @@ from collections.abc import Collection, Sequence
 from wcwidth import width, wrap
 
 WIDTH, NARROWEST = 80, 40
-"""Places of sentences at most, for longer lines are hard to read; and of any line at least."""
-LEAST_COLUMN = 6
-"""Places of a column of words at least."""
+"""Largest width of sentences, for legibility, and smallest width of any line (columns)."""
+NARROWEST_WORDS = 6
+"""Smallest width of a column of words."""
 GAP = 2
+"""Distance between columns of a table."""
 
 
 def columns() -> int:
-    """Return the places in a line: those of the terminal, or ``COLUMNS``, 40 at least; 80 where there is none."""
+    """Return the width of the terminal, or of ``COLUMNS``, at least 40; 80 without a terminal."""
     return max(NARROWEST, shutil.get_terminal_size((WIDTH, 24)).columns)
 
 
 def wrapped(text: str, hanging: str = "  ", start: str = "") -> str:
-    """Return a sentence on as many lines as it needs. Words stay whole unless one is longer than a line."""
-    places = min(WIDTH, columns())
-    return "\n".join(wrap(text, places, initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False))
+    """Wrap a sentence. Words are broken only if they are longer than a line."""
+    return "\n".join(
+        wrap(text, min(WIDTH, columns()), initial_indent=start, subsequent_indent=hanging, break_on_hyphens=False)
+    )
 
 
 def help_page(text: str) -> str:
-    """Lay out a page of usage: sentences as paragraphs; a field goes on below where its explanation begins."""
+    """Lay out a page of help: sentences as paragraphs, explanations of fields with a hanging indent."""
     paragraphs = []
     for paragraph in text.split("\n\n"):
         lines = paragraph.splitlines() if "  " in paragraph else [paragraph.replace("\n", " ")]
@@ -43,48 +45,54 @@ def help_page(text: str) -> str:
 
 
 def coloured(text: str, number: int) -> str:
-    """Return a text in a colour, by its number in ECMA-48, where :func:`colour_shown`."""
+    """Return a text in a colour (ECMA-48 number), if :func:`colour_shown`."""
     return f"\x1b[{number}m{text}\x1b[0m" if colour_shown() else text
 
 
 def colour_shown() -> bool:
-    """Return whether standard output is a terminal that has colour, and NO_COLOR (no-color.org) is not set."""
+    """Return whether standard output is a terminal with colour and NO_COLOR (no-color.org) is not set."""
     return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def table(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Collection[int] = (0,)) -> str:
-    """Return a table no wider than the terminal: ``words`` are the columns of words, the others hold numbers.
+    """Return a table no wider than the terminal.
 
-    Words stand on the left, and on several lines where the table would be too wide, as headings do; numbers stand on
-    the right and are never broken. Where so many numbers do not fit side by side, each row is a list of its own.
+    Args:
+        rows: The cells as text, row by row.
+        headers: The headings.
+        words: Indices of the columns of words, which are aligned left and wrapped if the table is too wide. All other
+            columns hold numbers, which are aligned right and never broken.
+
+    Returns:
+        The table; where the numbers of a row do not fit into a line, each row is a list.
     """
     numbers = [max((width(row[i]) for row in rows), default=0) for i in range(len(headers))]
-    if _fill([max(width(heading), numbers[i]) for i, heading in enumerate(headers)]) > columns():
+    if _total_width([max(width(heading), numbers[i]) for i, heading in enumerate(headers)]) > columns():
         headers = [heading if i in words else _narrowed(heading, numbers[i]) for i, heading in enumerate(headers)]
         narrow = [max(numbers[i], *map(width, heading.split("\n"))) for i, heading in enumerate(headers)]
-        if _fill([LEAST_COLUMN if i in words else places for i, places in enumerate(narrow)]) > columns():
+        if _total_width([NARROWEST_WORDS if i in words else n for i, n in enumerate(narrow)]) > columns():
             return "\n".join(_listed(row, [heading.replace("\n", " ") for heading in headers]) for row in rows)
     return _laid_out(rows, headers, words)
 
 
-def _fill(widths: Sequence[int]) -> int:
-    """Return the places that columns of these widths fill side by side."""
+def _total_width(widths: Sequence[int]) -> int:
+    """Return the width of columns with the gaps between them."""
     return sum(widths) + GAP * (len(widths) - 1)
 
 
 def _narrowed(heading: str, least: int) -> str:
-    """Break a heading between words, at least so many places wide."""
+    """Break a heading between words; its width is at least ``least`` and that of its longest word."""
     return "\n".join(wrap(heading, max([least, 1, *map(width, heading.split())])))
 
 
 def _listed(row: Sequence[str], headers: Sequence[str]) -> str:
-    """Return a row below its first cell, each of the others on a line behind its heading."""
+    """Return a row as a list: the first cell, then one line with heading and text per further cell."""
     lines = [(f"  {heading}", text) for heading, text in zip(headers[1:], row[1:], strict=True) if text]
     return "\n".join([wrapped(f"{headers[0]} {row[0]}".strip()), *([_laid_out(lines, (), (0, 1))] if lines else [])])
 
 
 def _laid_out(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Collection[int]) -> str:
-    """Return rows in columns, below their headings if there are any."""
+    """Return rows in columns below their headings, if there are any."""
     from rich.console import Console
     from rich.rule import Rule
     from rich.table import Table
@@ -98,7 +106,7 @@ def _laid_out(rows: Sequence[Sequence[str]], headers: Sequence[str], words: Coll
         shown.add_row(*[Rule(characters="-", style="")] * len(headers))
     for row in rows:
         shown.add_row(*map(Text, row))
-    # without a height, rich takes a dumb terminal for 80 places wide
+    # without a height, rich assumes that a dumb terminal has 80 columns
     console = Console(width=columns(), height=1, color_system=None, force_jupyter=False)
     with console.capture() as capture:
         console.print(shown)

@@ -1,7 +1,6 @@
-"""A fit drawn with letters, for reading in a terminal: samples as dots, the fitted response as a line.
+"""A text plot of a record for the terminal: samples as dots, the fitted response as a line.
 
-A terminal has few columns, so a long record is drawn from its beginning for as many cycles as they can show, where the
-motion is largest and a wrong phase is seen.
+A long record is drawn from its beginning, where the motion is largest, for as many cycles as the columns can resolve.
 """
 
 from __future__ import annotations
@@ -17,39 +16,40 @@ from bench.records.verdict import Trust
 from bench.reporting.rounding import number
 from bench.reporting.terminal import colour_shown, columns, wrapped
 
-A_CYCLE = 6
-"""Columns of a cycle, at least."""
+COLUMNS_PER_CYCLE = 6
+"""Smallest number of columns per cycle."""
 LOWEST, HIGHEST = 10, 24
-"""Lines of the plot."""
+"""Smallest and largest height of the plot (lines)."""
 TICKS = 5
+"""Approximate number of ticks per axis."""
 DOT, LINE = "•", "⠤"
 PLAIN = str.maketrans("┌┐└┘┤┬├┴┼─│•", "+++++++++-|o") | dict.fromkeys(range(0x2800, 0x2900), ".")
-"""What stands for the letters of a plot where the output does not hold them: any of braille is a point."""
+"""ASCII substitutes for the characters of a plot; a point for any braille pattern."""
 
 
 def wanted(plot: str, stream: TextIO) -> bool:
-    """Return whether a plot goes to a stream: ``always``, ``never``, or with ``auto`` where it is a terminal."""
+    """Return whether to draw a plot to a stream: ``always``, ``never``, or ``auto``, if it is a terminal."""
     return plot == "always" or (plot == "auto" and stream.isatty() and os.environ.get("TERM") != "dumb")
 
 
 def plotted(response: Response) -> str:
-    """Return the plot with a legend and the residual's size in words, in the width of the terminal."""
+    """Return the plot in the width of the terminal, with a legend and the size of the residuals."""
     fit, end = response.fit, float(response.times[-1])
-    until = min(end, float(response.times[0]) + columns() / A_CYCLE / response.frequency)
-    doubt = "" if response.trust is Trust.TRUST else f" ({response.trust.value})"
-    found = f"  {LINE} fitted by {response.method}{doubt}" if fit else f"; {response.method} found no fit to draw"
-    lines = [_drawn(response, until), wrapped(f"{DOT} measured{found}")]
+    until = min(end, float(response.times[0]) + columns() / COLUMNS_PER_CYCLE / response.frequency)
+    verdict = "" if response.trust is Trust.TRUST else f" ({response.trust.value})"
+    legend = f"  {LINE} fitted by {response.method}{verdict}" if fit else f"; no fit by {response.method}"
+    lines = [_drawn(response, until), wrapped(f"{DOT} measured{legend}")]
     if until < end:
-        lines.append(wrapped(f"drawn to {number(until)} s of {number(end)} s"))
+        lines.append(wrapped(f"drawn up to {number(until)} s of {number(end)} s"))
     if fit is not None:
         rms, part = f"{number(fit.residuals.rms)} {response.unit}", f"{100 * fit.residuals.part_of_signal:.2g} %"
-        lines.append(wrapped(f"residual: rms {rms}, {part} of the signal"))
+        lines.append(wrapped(f"residual RMS: {rms}, {part} of signal RMS"))
     text = "\n".join(lines)
-    return text if holds_letters(sys.stdout) else text.translate(PLAIN)
+    return text if can_encode(sys.stdout) else text.translate(PLAIN)
 
 
-def holds_letters(stream: TextIO) -> bool:
-    """Return whether a stream's encoding has the letters of a plot."""
+def can_encode(stream: TextIO) -> bool:
+    """Return whether the encoding of a stream has the characters of a plot."""
     try:
         (DOT + LINE + "┤").encode(stream.encoding or "ascii")
     except (UnicodeEncodeError, LookupError):
@@ -58,22 +58,22 @@ def holds_letters(stream: TextIO) -> bool:
 
 
 def _drawn(response: Response, until: float) -> str:
-    import plotext  # its functions draw on one figure, which is cleared before
+    import plotext  # its functions draw on one global figure
 
-    places = columns() - 1  # a full line would make some terminals begin another
+    width = columns() - 1  # some terminals begin a new line after a full one
     plotext.clear_figure()
     plotext.limit_size(False, False)
-    plotext.plot_size(places, min(HIGHEST, max(LOWEST, places // 4)))
+    plotext.plot_size(width, min(HIGHEST, max(LOWEST, width // 4)))
     plotext.theme("clear")
     shown = response.times <= until
     samples = [part.tolist() for part in thinned(response.times[shown], response.values[shown])]
     draws, values = [lambda: plotext.scatter(*samples, marker=DOT)], list(samples[1])
     if response.fit is not None:
-        seen = response.fit.times <= until
-        curve = [part[seen].tolist() for part in (response.fit.times, response.fit.values)]
+        drawn = response.fit.times <= until
+        curve = [part[drawn].tolist() for part in (response.fit.times, response.fit.values)]
         colour = "cyan" if colour_shown() else None
-        # the last that is drawn lies above: so many dots would hide the line
-        draws.insert(int(len(samples[0]) > places), lambda: plotext.plot(*curve, marker="braille", color=colour))
+        # what is drawn last lies on top: more dots than columns would hide the line
+        draws.insert(int(len(samples[0]) > width), lambda: plotext.plot(*curve, marker="braille", color=colour))
         values += curve[1]
     for draw in draws:
         draw()

@@ -70,7 +70,7 @@ def test_words_become_values_of_the_declared_types() -> None:
         ("clean.csv", "argument=clean.csv: write data=clean.csv"),
         ("slow", "argument=slow: write mode=slow"),
         ("--count", "argument=--count: write count=<value>"),
-        ("-x", "argument=-x: options are --help and --version"),
+        ("-x", "argument=-x: options are --help, --version, -v and -q"),
         ("data=y", "data=y: given twice"),
         ("mode=fsat", "mode=fsat: did you mean fast? one of fast, slow"),
         ("method=ls,rsl", "method=rsl: did you mean rls? one of ls, rls, shooting"),

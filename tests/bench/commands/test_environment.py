@@ -27,7 +27,7 @@ Shell = Callable[..., "subprocess.CompletedProcess[str]"]
 
 @pytest.fixture
 def shell(tmp_path: Path) -> Shell:
-    """Run a shell's line in an empty folder; ``bench`` in it is the command of this Python."""
+    """Return a function that runs a line of a shell in an empty folder; ``@bench`` stands for the command."""
 
     def run(line: str, **environment: str) -> subprocess.CompletedProcess[str]:
         bench = f"{shlex.quote(sys.executable)} -m bench"
@@ -38,7 +38,7 @@ def shell(tmp_path: Path) -> Shell:
     return run
 
 
-def test_a_full_error_stream_stops_nothing(shell: Shell, tmp_path: Path) -> None:
+def test_a_full_error_stream_does_not_stop_a_run(shell: Shell, tmp_path: Path) -> None:
     done = shell(f"@bench {CELL} 2>/dev/full")
     assert done.returncode == 0
     assert len(list((tmp_path / "rows").glob("*.json"))) == 1
@@ -46,12 +46,12 @@ def test_a_full_error_stream_stops_nothing(shell: Shell, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
-def test_a_closed_output_is_said_before_anything_is_computed(closed: str, shell: Shell, tmp_path: Path) -> None:
+def test_a_closed_output_is_reported_before_anything_is_computed(closed: str, shell: Shell, tmp_path: Path) -> None:
     done = shell(f"@bench {CELL} {closed}")
     assert done.returncode == 2
     assert list(tmp_path.iterdir()) == []
-    said = "bench: output=closed: an output that can be written; > /dev/null where none is wanted\n"
-    assert done.stderr == ("" if "2>&-" in closed else said)
+    message = "bench: output=closed: open it; > /dev/null discards the output\n"
+    assert done.stderr == ("" if "2>&-" in closed else message)
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
@@ -68,23 +68,23 @@ def test_a_closed_input_is_an_empty_stream(shell: Shell) -> None:
     assert done.stderr.startswith("bench: stream=")
 
 
-def test_a_working_folder_that_is_gone_is_one_line(shell: Shell) -> None:
-    done = shell("mkdir gone; cd gone; rmdir ../gone; @bench method=prior replicates=2")
+def test_a_removed_working_folder_is_one_line(shell: Shell) -> None:
+    done = shell("mkdir removed; cd removed; rmdir ../removed; @bench method=prior replicates=2")
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("bench: folder=")
-    assert "gone: where you are: No such file or directory" in done.stderr
+    assert "removed: working folder: No such file or directory" in done.stderr
 
 
-@pytest.mark.parametrize("long", [True, False], ids=["too long for a socket", "not there"])
-def test_a_folder_of_temporary_files_that_cannot_serve_is_one_line(shell: Shell, tmp_path: Path, long: bool) -> None:
+@pytest.mark.parametrize("long", [True, False], ids=["too long for a socket", "missing"])
+def test_an_unusable_folder_of_temporary_files_is_one_line(shell: Shell, tmp_path: Path, long: bool) -> None:
     folder = tmp_path / ("x" * 130)
     folder.mkdir()
-    done = shell(f"@bench {CELL} 2> said", TMPDIR=str(folder if long else tmp_path / "none"))
+    done = shell(f"@bench {CELL} 2> errors", TMPDIR=str(folder if long else tmp_path / "none"))
     assert done.returncode == (2 if long else 0)
-    said = (tmp_path / "said").read_text()
-    assert "Traceback" not in said
-    assert ("bench: TMPDIR=" in said) == long
+    errors = (tmp_path / "errors").read_text()
+    assert "Traceback" not in errors
+    assert ("bench: TMPDIR=" in errors) == long
 
 
 REPORT = "report store=rows out=page.html"
@@ -96,7 +96,7 @@ time.sleep(60)
 
 
 def test_ctrl_c_while_modules_are_imported_is_one_line(shell: Shell, tmp_path: Path) -> None:
-    """A package that every command needs is replaced by one that interrupts its import."""
+    """Numpy, which every command imports, is replaced by a module that interrupts its import."""
     (tmp_path / "numpy.py").write_text(INTERRUPTED)
     done = shell(f"{shlex.quote(sys.executable)} -m bench tables", PYTHONPATH=f"{tmp_path}{os.pathsep}{REPOSITORY}")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nbench: interrupted\n")
@@ -104,7 +104,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(shell: Shell, tmp_path: P
 
 @pytest.mark.parametrize("line", ["tables store=rows", pytest.param(REPORT, marks=pytest.mark.slow)])
 def test_a_full_disk_leaves_no_file(line: str, one_cell: Path, forked: Forked, tmp_path: Path) -> None:
-    """Files may hold 40 bytes here: an empty one can be made, and nothing be written into it."""
+    """Files are limited to 40 bytes: they can be created, but not written."""
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "rows").symlink_to(one_cell)
     ended = forked.run(Call([*line.split(), "archive=none"], str(tmp_path / "here"), largest_file=40))
@@ -112,7 +112,7 @@ def test_a_full_disk_leaves_no_file(line: str, one_cell: Path, forked: Forked, t
     assert [path for path in (tmp_path / "here").rglob("*") if path.is_file() and "rows" not in path.parts] == []
 
 
-def test_a_file_that_cannot_be_finished_leaves_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_file_unchanged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "page", "before")
 
     def full(number: int) -> None:
@@ -135,7 +135,7 @@ DENIED = {
 
 
 @pytest.mark.parametrize("line", DENIED)
-def test_what_may_not_be_read_or_written_is_one_line(line: str, one_cell: Path, forked: Forked, tmp_path: Path) -> None:
+def test_missing_permissions_are_one_line(line: str, one_cell: Path, forked: Forked, tmp_path: Path) -> None:
     here = tmp_path / "here"
     here.mkdir(mode=0o755)
     (here / "rows").mkdir()

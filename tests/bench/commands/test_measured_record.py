@@ -50,7 +50,7 @@ def test_the_fit_of_the_best_method_is_drawn_and_saved(
 ) -> None:
     lines = printed(capsys, "method=ls,matrix_pencil", "plot=always", "picture=a/mine.svg").splitlines()
     assert any(line.endswith("measured  ⠤ fitted by matrix_pencil") for line in lines)
-    assert any(line.startswith("residual: rms ") for line in lines)
+    assert any(line.startswith("residual RMS: ") for line in lines)
     assert lines[-1] == "picture of the fit: a/mine.svg"
     assert "svg" in words_of(Path("a/mine.svg"))
     assert "var(" not in Path("a/mine.svg").read_text(
@@ -60,7 +60,7 @@ def test_the_fit_of_the_best_method_is_drawn_and_saved(
 
 def test_a_record_without_a_fit_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     out = printed(capsys, "data=flat.csv", "plot=always", "picture=flat.svg", status=1)
-    assert "found no fit to draw" in out
+    assert "no fit by matrix_pencil" in out
     assert Path("flat.svg").is_file()
 
 

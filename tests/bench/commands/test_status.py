@@ -1,4 +1,4 @@
-"""Status and reproduction of stored cells: what is there, what is stale and why, and whether it comes out again."""
+"""Status and reproduction of stored cells."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bench.store.store import Store
 
 @pytest.fixture
 def store(reference: Scenario, store: Store) -> Store:
-    """Two cells."""
+    """Return a store of two cells."""
     computed(store, a_cell(reference, "prior"), a_cell(reference, "oracle"))
     return store
 
@@ -41,27 +41,27 @@ def test_a_store_is_described_by_method_and_state(store: Store, capsys: pytest.C
     assert "damaged: 1 x" in out
 
 
-def test_a_cell_comes_out_again(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cell_is_reproduced(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
     assert main(["reproduce", f"cell={oracle.identity[:6]}", f"store={store.folder}"]) == 0
     assert "run again: identical" in capsys.readouterr().out
 
 
-def test_what_comes_out_differently_is_named(store: Store) -> None:
-    """The stored errors are moved by a part in 10⁴, then by a tenth: the verdict must follow."""
+def test_scores_that_differ_are_listed(store: Store) -> None:
+    """The stored errors are changed by a part in 10⁴, then by a tenth."""
     (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
     for factor, verdict in ((1.0, "identical"), (1 + 1e-4, "within tolerance"), (1.1, "drifted")):
         path = store.path(oracle.identity)
         whole = content(path)
-        moved = [value * factor for value in whole["rows"]["scores"]["rmse"]]
-        whole["rows"]["scores"]["rmse"] = moved
+        whole["rows"]["scores"]["rmse"] = [value * factor for value in whole["rows"]["scores"]["rmse"]]
         other = Store(path.parent.parent / f"other{verdict[:3]}")
         other.folder.mkdir()
         other.path(oracle.identity).write_bytes(resealed(whole))
         stored = other.load(oracle.identity)
         assert stored is not None
-        found, lines = reproduce.compare(stored, oracle.rows)
-        assert found == verdict
+        result, lines = reproduce.compare(stored, oracle.rows)
+        assert result == verdict
+        assert bool(lines) == (verdict != "identical")
         assert all(line.startswith("rmse: relative difference") for line in lines)
 
 
@@ -74,15 +74,13 @@ def test_a_cell_is_shown_with_its_tracebacks(store: Store, capsys: pytest.Captur
     assert str(store.path(oracle.identity)) in out
 
 
-def test_a_cell_that_lacked_its_package_is_no_more_done_in_the_store_s_page_than_in_a_sweep_s(store: Store) -> None:
-    """Where a stored cell stands is decided in one place; both pages must say the same of it."""
+def test_the_status_of_a_store_and_of_a_sweep_agree_on_a_missing_package(store: Store) -> None:
     path = edit(store, "prior")
     whole = content(path)
     whole["rows"]["status"] = ["missing_dependency", "missing_dependency"]
     path.write_bytes(resealed({**whole, "statuses": {"missing_dependency": 2}}))
-    (one,) = (
-        planned for planned in plan([stored_as_cell(cell) for cell in store], store) if planned.cell.label == "prior"
-    )
+    planned = plan([stored_as_cell(cell) for cell in store], store)
+    (item,) = (item for item in planned if item.cell.label == "prior")
     page = {head.identity: (state, why) for head, state, why in status.standings(store)}
-    assert page[one.cell.identity] == (one.state.value, one.why)
-    assert one.state.value == "failed"
+    assert page[item.cell.identity] == (item.state.value, item.why)
+    assert item.state.value == "failed"

@@ -1,4 +1,4 @@
-"""A sweep that is watched: how it ends, where no run is at work, and with a run under way beside it."""
+"""Watching a sweep: finished, without a run, and with a run in another process."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
 
 @pytest.fixture
 def store(reference: Scenario, store: Store) -> Store:
-    """A store with a cell of a method that takes no time, and one whose fits all failed."""
+    """Return a store with a finished cell, and one whose fits all failed."""
     computed(store, a_cell(reference, "prior"))
     computed(store, Cell(reference, "ls", {}, 2, 0, "ls"), limits=Limits(1, timeout_s=1e-6))
     return store
 
 
-def test_only_claims_that_somebody_holds_count(tmp_path: Path) -> None:
-    """A run that was killed leaves its claim behind as a file without a lock."""
+def test_only_locked_claims_count(tmp_path: Path) -> None:
+    """A killed run leaves its claim as a file without a lock."""
     claims = Claims(tmp_path)
     assert under_way(tmp_path / "nowhere") == {}
-    assert claims.take("held")
-    assert claims.take("given_back")
-    claims.release("given_back")
-    taken = f"Claims(Path({str(tmp_path)!r})).take('left')"
-    script = f"from bench.store.locks import Claims\nfrom pathlib import Path\n{taken}\n"
-    killed = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
-    done = subprocess.run([sys.executable, "-c", script + killed], timeout=120)
+    assert claims.take("locked")
+    assert claims.take("released")
+    claims.release("released")
+    take = f"Claims(Path({str(tmp_path)!r})).take('killed')"
+    script = f"from bench.store.locks import Claims\nfrom pathlib import Path\n{take}\n"
+    kill = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
+    done = subprocess.run([sys.executable, "-c", script + kill], timeout=120)
     assert done.returncode == -signal.SIGKILL
-    assert (tmp_path / "left.claim").exists()
-    assert set(under_way(tmp_path)) == {"held"}
-    assert Claims(tmp_path).take("left")
+    assert (tmp_path / "killed.claim").exists()
+    assert set(under_way(tmp_path)) == {"locked"}
+    assert Claims(tmp_path).take("killed")
 
 
-def test_a_watch_of_what_is_done_ends_at_once_and_counts_failures(
+def test_watching_a_finished_sweep_ends_at_once_and_counts_failures(
     store: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status", "method=prior,ls", "replicates=2", f"store={store.folder}", "watch=3600"]) == 0
     assert "2/2 cells, 2 failed, 4/4 fits" in capsys.readouterr().err
 
 
-def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None:
-    """Two processes, as in two terminals: the one that watches ends by itself."""
+def test_a_running_sweep_is_watched_to_its_end(new_store: StoreFactory) -> None:
+    """One process computes a sweep, another watches it and ends with it."""
     bench, fields = [sys.executable, "-m", "bench"], [*SWEEP, f"store={new_store().folder}"]
     sweep = subprocess.Popen([*bench, "-m", *fields, "workers=1"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
@@ -66,11 +66,11 @@ def test_a_running_sweep_is_followed_to_its_end(new_store: StoreFactory) -> None
     assert "12/12 cells, 42/42 fits" in done.stderr.splitlines()[-1]
 
 
-def test_ctrl_c_ends_a_watch_of_a_sweep_that_nobody_runs(new_store: StoreFactory) -> None:
+def test_ctrl_c_ends_watching_a_sweep_without_a_run(new_store: StoreFactory) -> None:
     watching = [sys.executable, "-m", "bench", "status", *SWEEP, f"store={new_store().folder}", "watch=30"]
     process = subprocess.Popen(watching, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
-    assert process.stderr.readline().strip() == NO_RUN
+    assert process.stderr.readline().strip() == f"bench: {NO_RUN}"
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=120)
     assert (process.returncode, err.strip()) == (130, "bench: interrupted")

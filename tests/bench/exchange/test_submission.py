@@ -378,7 +378,7 @@ def test_the_cells_of_a_method_are_packed(computed: Store, here: Path, capsys: p
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["method=ls", "experiment=open"], "holds no cell of it of open"),
+        (["method=ls", "experiment=open"], "no cell of it of open in"),
         (["method=matrix_pencil"], "1 of 1 cells"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The benchmark from Python: the cells and sentences of the command line, as objects, silently, from anywhere."""
+"""The benchmark from Python: the same cells and messages as on the command line, without output."""
 
 from __future__ import annotations
 
@@ -28,14 +28,12 @@ DECAY = np.exp(-0.25 * TIMES) * np.cos(3.0 * TIMES) + 0.01 * np.random.default_r
 @pytest.mark.usefixtures("any_bound")
 @pytest.mark.parametrize("module", ["results", "identification"])
 def test_the_examples_of_the_documentation_run(module: str) -> None:
-    found = doctest.testmod(import_module(f"bench.face.{module}"), optionflags=doctest.ELLIPSIS)
-    assert found.attempted > 3
-    assert found.failed == 0
+    result = doctest.testmod(import_module(f"bench.face.{module}"), optionflags=doctest.ELLIPSIS)
+    assert result.attempted > 3
+    assert result.failed == 0
 
 
-def test_a_sweep_is_the_commands_sweep_and_is_not_computed_twice(
-    store: Store, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_python_and_the_command_line_share_stored_cells(store: Store, capfd: pytest.CaptureFixture[str]) -> None:
     results = bench.run(method="oracle", snr=20, replicates=2, workers=1, store=store.folder)
     assert capfd.readouterr() == ("", "")
     (path,) = store.folder.glob("*.json")
@@ -51,14 +49,14 @@ def test_a_sweep_is_the_commands_sweep_and_is_not_computed_twice(
     assert f"{median:.3g}" in results._repr_html_()
 
 
-def test_progress_is_shown_where_it_is_asked_for(store: Store, capfd: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_shown_on_request(store: Store, capfd: pytest.CaptureFixture[str]) -> None:
     bench.run(method="prior", replicates=2, workers=1, store=store.folder, progress=True)
     out, err = capfd.readouterr()
     assert out == ""
     assert "2/2" in err
 
 
-def test_a_cell_that_is_not_there_is_one_line_of_the_table(tmp_path: Path) -> None:
+def test_a_missing_cell_is_one_row_of_the_table(tmp_path: Path) -> None:
     from bench.face.results import Results
 
     results = Results(tuple(bench.experiment("table3", method="ls")), Store(tmp_path))
@@ -84,7 +82,9 @@ LINES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_bad_input_is_said_as_on_the_command_line(line: str, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_has_the_message_of_the_command_line(
+    line: str, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*line.split(), f"store={store.folder}"]) == 2
     with pytest.raises(bench.InputError) as caught:
         bench.run(**LINES[line], store=store.folder)
@@ -110,51 +110,51 @@ def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"data": TIMES}, "displacement=None: times need displacements"),
-        ({"data": "r.csv", "displacement": DECAY}, "displacement=array: a file has it"),
+        ({"data": TIMES}, "displacement=None: give displacements with times"),
+        ({"data": "r.csv", "displacement": DECAY}, "displacement=array: give either a file, or times"),
         ({"data": TIMES, "displacement": DECAY[1:]}, r"displacement=array of shape \(59,\): one-dimensional"),
         ({"data": TIMES, "displacement": ["a"] * 60}, "displacement=array: numbers"),
         ({"data": TIMES, "displacement": np.where(TIMES[7] == TIMES, np.nan, DECAY)}, "array: sample 7 is not finite"),
-        ({"data": TIMES, "displacement": DECAY, "columns": ["t", "x"]}, "a mapping, as {'t': 0"),
+        ({"data": TIMES, "displacement": DECAY, "columns": ["t", "x"]}, "a mapping, such as {'t': 0"),
         ({"data": TIMES, "displacement": DECAY, "settings": {"force_gain": 0}}, "force_gain=0.0: there is no force"),
         ({"data": TIMES[::-1], "displacement": DECAY}, "time goes back from"),
         ({"data": TIMES, "displacement": DECAY, "settings": {"disturbance": "bias"}}, "=bias: .*leave it out"),
     ],
 )
-def test_a_record_that_makes_no_sense_is_one_sentence(given: dict[str, Any], sentence: str) -> None:
+def test_a_malformed_record_is_one_line(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(bench.InputError, match=sentence):
         bench.identify(given.pop("data"), method="ls", **given)
 
 
 @pytest.mark.parametrize("name", [None, 3, "table99"])
-def test_an_experiment_that_does_not_exist_is_one_sentence(name: Any) -> None:
+def test_an_unknown_experiment_is_one_line(name: Any) -> None:
     with pytest.raises(bench.InputError, match=f"experiment={name}: .*table5"):
         bench.experiment(name)
 
 
 SCRIPT = """
 import threading, bench
-found = []
+results = []
 def work():
-    found.append(bench.run(method="prior", replicates=2, workers=1, store={store!r}))
+    results.append(bench.run(method="prior", replicates=2, workers=1, store={store!r}))
 work = threading.Thread(target=work)
 work.start()
 work.join()
-print(found[0][0].stored.n_ok, "once")
+print(results[0][0].stored.n_ok, "once")
 """
 
 
-def test_it_runs_from_a_thread_of_a_script_without_a_guard(store: Store, tmp_path: Path) -> None:
-    """Read from the standard input, as a notebook's cells are: child processes do not run it again."""
+def test_a_thread_of_a_script_without_a_guard_can_run_a_sweep(store: Store, tmp_path: Path) -> None:
+    """The script is read from standard input, as the cells of a notebook are: child processes do not run it again."""
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    said = {"input": SCRIPT.format(store=str(store.folder)), "capture_output": True, "text": True, "timeout": 300}
-    done = subprocess.run([sys.executable, "-"], cwd=tmp_path, env=environment, **said)
+    options = {"input": SCRIPT.format(store=str(store.folder)), "capture_output": True, "text": True, "timeout": 300}
+    done = subprocess.run([sys.executable, "-"], cwd=tmp_path, env=environment, **options)
     assert (done.returncode, done.stdout, done.stderr) == (0, "2 once\n", "")
 
 
-def test_the_contract_alone_loads_none_of_it(python: Callable[..., Any]) -> None:
+def test_importing_bench_loads_no_heavy_module(python: Callable[..., Any]) -> None:
     later = {"hydra", "pydantic", "pandas", "bench.face", "bench.engine"}
-    handled = "signal.getsignal(signal.SIGINT) is signal.default_int_handler"  # Ctrl-C is left to the program
+    handled = "signal.getsignal(signal.SIGINT) is signal.default_int_handler"  # bench does not handle Ctrl-C
     code = f"import signal, sys, bench; print(sorted({later!r} & set(sys.modules)), {handled})"
     assert python("-c", code, env={"PYTHONPATH": str(REPOSITORY)}).stdout == "[] True\n"
     with pytest.raises(AttributeError, match="no attribute fit"):

@@ -1,4 +1,4 @@
-"""A fit drawn with letters: where dots and lines stand, how wide it is, and which letters and colours it takes."""
+"""Text plots: positions of dots and lines, width, encoding and colour."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.reporting.terminal_plot import plotted, round_numbers, wanted
 
 
 def output(monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8", width: int = 60) -> None:
-    """An output of an encoding that is no terminal, of so many columns."""
+    """Set standard output to a file of an encoding, and the width of the terminal."""
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding))
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", str(width))
@@ -26,14 +26,14 @@ def output(monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8", width: int 
 
 
 def response(times: np.ndarray, values: np.ndarray, curve: np.ndarray | None, frequency: float = 0.1) -> Response:
-    left = values if curve is None else values - curve
-    residuals = ChannelResiduals(left, float(np.sqrt(np.mean(left**2))), 0.123, 0.0, 0.5, 0.0, "m")
+    difference = values if curve is None else values - curve
+    residuals = ChannelResiduals(difference, float(np.sqrt(np.mean(difference**2))), 0.123, 0.0, 0.5, 0.0, "m")
     fit = None if curve is None else ChannelResponse(times, curve, residuals)
     return Response("shooting", Trust.CAUTION, "displacement", "m", times, values, frequency, fit)
 
 
-def test_dots_and_line_stand_where_the_numbers_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Samples at bottom left, top middle and bottom right; a rising fit of falling samples."""
+def test_dots_and_line_are_at_the_positions_of_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples at the bottom left, top centre and bottom right; a rising fit of falling samples."""
     output(monkeypatch, "ascii")
     times = np.linspace(0.0, 1.0, 31)
     three = plotted(response(np.array([0.0, 1.0, 2.0]), np.array([-1.0, 1.0, -1.0]), None))
@@ -45,11 +45,11 @@ def test_dots_and_line_stand_where_the_numbers_are(monkeypatch: pytest.MonkeyPat
     line = [row.index(".") for row in inside(rising) if "." in row]
     assert len(line) > len(rows) / 2
     assert line == sorted(line, reverse=True)
-    assert "residual: rms 0.5" in rising
+    assert "residual RMS: 0.5" in rising
 
 
 def inside(text: str) -> list[str]:
-    """What stands within the frame, line by line."""
+    """Return the lines within the frame."""
     lines = [line for line in text.splitlines() if line.endswith("|")]
     return [line[next(i for i, letter in enumerate(line) if letter in "|+") + 1 : -1] for line in lines]
 
@@ -68,7 +68,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("width", [40, 200])
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
-def test_any_record_is_drawn_in_the_width_and_letters_of_the_terminal(
+def test_any_record_is_drawn_in_the_width_and_encoding_of_the_terminal(
     case: str, width: int, encoding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output(monkeypatch, encoding, width)
@@ -76,21 +76,21 @@ def test_any_record_is_drawn_in_the_width_and_letters_of_the_terminal(
     for curve in (None, 0.9 * values):
         text = plotted(response(times, values, curve))
         longest = max(map(len, text.splitlines()))
-        assert 0.9 * width <= longest < width
+        assert 0.9 * width <= longest <= width
         text.encode(encoding)
         assert ("•" in text) == (encoding == "utf-8")
-        assert ("found no fit to draw" in " ".join(text.split())) == (curve is None)
+        assert ("no fit by shooting" in " ".join(text.split())) == (curve is None)
 
 
-def test_a_long_record_is_drawn_as_far_as_its_cycles_can_be_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_record_is_drawn_as_far_as_its_cycles_are_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
     output(monkeypatch)
     times, values = CASES["many"]
-    (said,) = (line for line in plotted(response(times, values, values, 1.0)).splitlines() if "drawn to" in line)
-    assert 5 <= 60 / float(said.split()[2]) <= 16  # columns of a cycle of 1 s
-    assert "drawn to" not in plotted(response(times, values, values, 0.01))
+    (note,) = (line for line in plotted(response(times, values, values, 1.0)).splitlines() if "drawn up to" in line)
+    assert 5 <= 60 / float(note.split()[3]) <= 16  # columns per cycle of 1 s
+    assert "drawn up to" not in plotted(response(times, values, values, 0.01))
 
 
-def test_colour_and_plot_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_colour_and_plot_are_for_terminals_that_support_them(monkeypatch: pytest.MonkeyPatch) -> None:
     output(monkeypatch)
     times = np.linspace(0.0, 1.0, 50)
     drawn = response(times, np.sin(times), np.sin(times))
@@ -104,7 +104,7 @@ def test_colour_and_plot_are_for_terminals_that_want_them(monkeypatch: pytest.Mo
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
-def test_marks_are_round_numbers_evenly_spread_within_the_axis(low: float, span: float) -> None:
+def test_ticks_are_round_numbers_at_even_distances_within_the_axis(low: float, span: float) -> None:
     high = low + span
     if not high - low > 1e-9 * max(abs(low), abs(high)):
         return

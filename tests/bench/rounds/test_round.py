@@ -115,7 +115,7 @@ def test_an_opened_round_is_verified(copied: tuple[Path, Path], capsys: pytest.C
     assert main(["round", "open", str(folder), f"secret={secret}"]) == 0
     assert (folder / "methods" / "ls.csv").exists()
     assert main(["round", "verify", str(folder)]) == 0
-    assert "are those of its seed" in capsys.readouterr().out
+    assert "agree with the seed" in capsys.readouterr().out
     sample = folder / PROBLEMS / "P003.csv"
     lines = sample.read_text().splitlines()
     words = lines[5].split(",")
