@@ -49,7 +49,7 @@ method=prior --snr=20                             | option=--snr                
 method=prior method=ls                            | method=ls                        | twice
 method=prior metod=ls                             | metod=ls                         | did you mean method
 method=prior method.name=ls                       | method.name=ls                   | method=<name>
-method=prior ~system                              | ~system=                         | left out
+method=prior ~system                              | ~system=                         | can be removed
 method=sl                                         | method=sl                        | did you mean ls
 ls                                                | verb=ls                          | did you mean method=ls
 method=$LONG                                      | method=zzz                       | known
@@ -91,7 +91,7 @@ $CELL disturbance=drift disturbance.size=1e308    | disturbance.size=1e+308     
 method=pinn method.width=abc                      | method.width=abc                 | integer
 method=ls method.zz=1                             | method.zz=1                      |
 # ---- scenarios in files
-$CELL system=missing.yaml                         | system=missing.yaml              | no such file
+$CELL system=missing.yaml                         | system=missing.yaml              | not found
 $CELL system=pipe.yaml                            | system=pipe.yaml                 | file
 $CELL system=huge.yaml                            | system=huge.yaml                 | at most
 $CELL system=random.yaml                          | system=random.yaml               | UTF-8
@@ -130,10 +130,9 @@ method=ls data=ragged.csv                         | data=ragged.csv             
 method=ls data=bomb.gz                            | data=bomb.gz                     | MiB
 method=ls data=bomb.zip                           | data=bomb.zip                    | MiB
 # ---- verbs
-$CELL clean.csv                                   | argument=clean.csv               | write data=clean.csv
 design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm amplitude=1rad | amplitude=1rad | length
 design want=mass:5% frequency=2 damping=0.02 noise=0.5mm | want=mass:5%                | k_over_m
-design $DECAY samples=20                          | duration=                        | of the test
+design $DECAY samples=20                          | duration=                        | describe the test
 design $TEST atlas=good.csv                       | atlas=good.csv                   | experiment=atlas
 identifiability measured=[9]                      | measured=                        |
 status watch=5                                    | watch=                           | name the sweep

@@ -32,7 +32,7 @@ def score_differences(before: Sequence[Row], again: Sequence[Row], cell: Sequenc
         cell: All replicates of the stored cell. A difference is relative to the score, or to its median size over these
             where that is larger: an error that is next to nothing by luck has no digits of its own.
     """
-    old, new, whole = map(Rows.of, (before, again, cell))
+    old, new, whole = map(Rows.from_rows, (before, again, cell))
     differences = {}
     for name in dict.fromkeys([*old.score_names, *new.score_names]):
         if not depends_on_clock(name):

@@ -129,7 +129,7 @@ DENIED = {
     "tables store=rows out=locked": "out=locked: cannot be written (Permission denied)",
     "method=prior store=locked": "store=locked: cannot be written (Permission denied)",
     "method=ls data=secret.csv": "data=secret.csv: cannot be read: Permission denied",
-    "method=ls system=secret.yaml": "system=secret.yaml: it cannot be read: Permission denied",
+    "method=ls system=secret.yaml": "system=secret.yaml: cannot be read: Permission denied",
     "status store=hidden/rows": "store=hidden/rows: folder not found",
 }
 
