@@ -112,8 +112,10 @@ def test_the_command_says_it_and_writes_it(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "mine.yaml").write_text(CLAIM)
     assert main(["audit", str(tmp_path / "mine.yaml"), f"out={tmp_path / 'out'}"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    for part in ("2 within", "one draw does not determine", "assumed: the noise is white", "missing: more than one draw",
-                 "the search began", "times the bound", "other readings: the same, bound 0.0"):  # fmt: skip
+    for part in (
+        "2 within", "one draw does not determine", "assumed: the noise is white", "missing: more than one draw",
+        "the initial guess was", "times the bound", "other readings: the same, bound 0.0",
+    ):  # fmt: skip
         assert part in said
     content = json.loads((tmp_path / "out" / "mine.json").read_text())
     assert [finding["verdict"] for finding in content["findings"]] == ["within"] * 4

@@ -228,8 +228,8 @@ def test_where_a_number_falls(value: float, verdict: str) -> None:
         ),
         (
             (0.7, 0.8, 0.9),
-            "for c: the errors of 'a and e' and 'b' and 'd' are larger than those of an efficient estimator; noise does "
-            "not explain them",
+            "for c: the errors of 'a and e' and 'b' and 'd' are larger than those of an efficient estimator; noise "
+            "does not explain them",
         ),
     ],
 )
