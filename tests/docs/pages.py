@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from conftest import REPOSITORY
-
+REPOSITORY = Path(__file__).parents[2]
 OF_THE_ROOT = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "results/README.md")
 DOCUMENTS = sorted({REPOSITORY / path for path in OF_THE_ROOT} | set((REPOSITORY / "docs").rglob("*.md")))
 BLOCK = re.compile(

@@ -12,7 +12,7 @@ from conftest import REPOSITORY, Python, StoreFactory, install
 from bench.commands.main import main
 from bench.conformance.method_checks import METHOD_CHECKS
 
-PAGE = REPOSITORY / "docs" / "tutorials" / "add_method.md"
+PAGE = REPOSITORY / "docs" / "gallery" / "new_method.md"
 POINTS = "[bench.methods]\nzero_crossings = zero_crossings:ZeroCrossings\nbroken = zero_crossings:Nowhere\n"
 DAMPING_RATIO = 0.4 / (2 * 8**0.5)
 """``c / (2 sqrt(k m))`` of the reference system: m = 1 kg, c = 0.4 N s/m, k = 8 N/m."""

@@ -18,7 +18,7 @@ from bench.store.version import settings_version
 from methods.pinn_family import PINNFamily, choices
 
 pytest.importorskip("torch")
-PAGE = REPOSITORY / "docs" / "tutorials" / "add_optimizer.md"
+PAGE = REPOSITORY / "docs" / "gallery" / "add_optimizer.md"
 CODE = re.findall(r"```python title=\"lion_pinn.py\"\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[0]
 MORE = '''
 import numpy as np

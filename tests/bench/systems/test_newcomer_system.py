@@ -23,7 +23,7 @@ from bench.scenario.scenario import Scenario
 from bench.store.version import cell_version
 from bench.systems import load_system, make_system
 
-PAGE = Path(__file__).parents[3] / "docs" / "tutorials" / "add_system.md"
+PAGE = Path(__file__).parents[3] / "docs" / "gallery" / "add_system.md"
 FILES = ("gap_spring.py", "pyproject.toml", "gap.yaml")
 METHODS = ("shooting", "collocation", "ekf")
 """Some of those that take any smooth system."""
