@@ -1,6 +1,6 @@
-"""Trained networks on disk: one file a layout and settings, trained by one process while others wait for it.
+"""Cache of trained networks: one file per layout and settings, trained by one process while others wait.
 
-Where a file cannot be written, every process trains the network for itself, which is the same network.
+Where a file cannot be written, every process trains the same network itself.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ Arrays = dict[str, np.ndarray]
 
 
 def cache_folder(stated: str) -> Path:
-    """The folder that is stated, else one of the user's caches."""
+    """Return the given folder, or the default one in the user's cache."""
     if stated:
         return Path(stated)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vibration-bench" / "npe"
 
 
 def cached(folder: Path, identity: Mapping[str, object], make: Callable[[], Arrays]) -> Arrays:
-    """The arrays of an identity: those of the file, else what ``make`` returns, which is then kept."""
+    """Return the cached arrays of an identity; where there are none, call ``make`` and store its result."""
     from filelock import FileLock
 
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:24]
@@ -43,7 +43,7 @@ def cached(folder: Path, identity: Mapping[str, object], make: Callable[[], Arra
             try:
                 with temporary.open("wb") as written:
                     np.savez(written, **arrays)  # type: ignore[arg-type]
-                temporary.replace(path)  # so that a reader finds a whole file or none
+                temporary.replace(path)  # atomic, so that readers never see a partial file
             finally:
                 temporary.unlink(missing_ok=True)
     return arrays

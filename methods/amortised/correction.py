@@ -1,4 +1,4 @@
-"""Importance sampling: draws of a network weighed by the exact likelihood of a free decay."""
+"""Importance sampling: draws of a network weighted by the exact likelihood of a free decay."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from methods.amortised.simulations import unit_responses
 
 SAMPLES_AT_ONCE = 200_000
 LEAST_EFFECTIVE = 50.0
-"""Effective draws below which the network is no proposal."""
+"""Least effective number of draws."""
 
 
 def log_likelihood(problem: Problem, logs: np.ndarray) -> np.ndarray:
-    """Log-likelihood (n,), up to a constant, of the logarithms of k/m and c/m (n, 2).
+    """Return the log-likelihood (n,), up to a constant, of the logarithms of k/m and c/m (n, 2).
 
-    Of Gaussian noise with the density 1/sigma of its level, the level integrated out is ``(N/2) log RSS``. An unknown
-    initial state with the density that the network was trained under, uniform in phase at a given energy, is taken flat
-    in displacement and in velocity over frequency: ``((N - 2)/2) log RSS + (1/2) log det(X'X)`` for its columns X.
+    Integrating out the level of Gaussian noise with prior density 1/sigma gives ``-(N/2) log RSS``. An unknown initial
+    state has a flat prior in displacement and in velocity over frequency, which gives ``-((N - 2)/2) log RSS -
+    (1/2) log det(X'X)`` for its columns X.
     """
     channel, start = problem.records[0].channels[0], problem.records[0].initial_state
     parts = []
@@ -27,18 +27,18 @@ def log_likelihood(problem: Problem, logs: np.ndarray) -> np.ndarray:
         omega = np.sqrt(r)
         even, odd = unit_responses(omega, 0.5 * g / omega, channel.times)
         if start is not None:
-            left = channel.values - start.displacement[0] * even - start.velocity[0] * odd
-            parts.append(-0.5 * channel.n * np.log(np.sum(left**2, axis=1)))
+            residual = channel.values - start.displacement[0] * even - start.velocity[0] * odd
+            parts.append(-0.5 * channel.n * np.log(np.sum(residual**2, axis=1)))
             continue
         q, triangle = np.linalg.qr(np.stack([even, omega[:, None] * odd], axis=2))
-        left = np.sum(channel.values**2) - np.sum(np.einsum("sni,n->si", q, channel.values) ** 2, axis=1)
+        residual = np.sum(channel.values**2) - np.sum(np.einsum("sni,n->si", q, channel.values) ** 2, axis=1)
         dets = np.abs(triangle[:, 0, 0] * triangle[:, 1, 1])
-        parts.append(-0.5 * (channel.n - 2) * np.log(np.maximum(left, 1e-300)) - np.log(dets))
+        parts.append(-0.5 * (channel.n - 2) * np.log(np.maximum(residual, 1e-300)) - np.log(dets))
     return np.concatenate(parts)
 
 
 def resampled(logs: np.ndarray, log_weights: np.ndarray, n: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Draw ``n`` again by weights; returns them and the effective number of those that were weighed.
+    """Resample ``n`` draws by weights; return them and the effective sample size.
 
     Raises NoEstimate where that is small.
     """
@@ -47,7 +47,7 @@ def resampled(logs: np.ndarray, log_weights: np.ndarray, n: int, rng: np.random.
     effective = float(1.0 / np.sum(weights**2))
     if effective < LEAST_EFFECTIVE:
         raise NoEstimate(
-            f"only {effective:.0f} of {len(logs)} draws count by the exact likelihood, so the network does not know "
-            "such a record: take another method, or a longer training"
+            f"the effective sample size is {effective:.0f} of {len(logs)} draws, so the network is not accurate for "
+            "such a record: use another method, or a longer training"
         )
     return logs[rng.choice(len(logs), n, p=weights)], effective

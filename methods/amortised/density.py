@@ -1,4 +1,4 @@
-"""The network: what is shown of a record to a mixture of normals over frequency and decay (a mixture density network).
+"""Mixture density network from features of a record to a distribution of frequency and decay.
 
 C. M. Bishop, Mixture density networks, Aston University NCRG/94/004, 1994; for the inference of simulator parameters
 G. Papamakarios, I. Murray, NeurIPS 2016, arXiv:1605.06376.
@@ -14,22 +14,22 @@ import torch
 from torch import Tensor, nn
 
 from methods.amortised.cache import Arrays
-from methods.amortised.simulations import SampleLayout, Shown, shown, simulated
+from methods.amortised.simulations import Inputs, SampleLayout, network_inputs, simulated
 from methods.sampling.mixture import Mixture
 
 CENTRE, WIDTH = 0.5, 1.5
-"""Of the logarithm of the decay rate times the record: what the network counts it from and in."""
+"""Centre and scale of the log decay rate (times the record) in the network's target."""
 LEAST_LOG_SD = -8.0
 SMALLEST = 1e-3
-"""Added to the spread of a feature, which may be constant."""
+"""Added to the standard deviation of a feature, which may be constant."""
 POOL = 20_000
-"""Records simulated at once."""
+"""Number of records simulated at once."""
 
 
 class Density(nn.Module):
-    """A residual network of ``depth`` blocks of ``width``, and a head for ``components`` normals of two dimensions.
+    """A residual network of ``depth`` blocks of ``width`` with a head of ``components`` bivariate normals.
 
-    ``training_seconds``: processor time.
+    ``training_seconds``: processor time of the training.
     """
 
     mean: Tensor
@@ -49,11 +49,11 @@ class Density(nn.Module):
 
     @staticmethod
     def of(inputs: int, settings: dict[str, int]) -> Density:
-        """The network of settings with ``width``, ``depth`` and ``components``."""
+        """Return the network for settings ``width``, ``depth`` and ``components``."""
         return Density(inputs, settings["width"], settings["depth"], settings["components"])
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Log-weights (n, K), means (n, K, 2), and inverse Cholesky factors as (log d1, log d2, below) (n, K, 3)."""
+        """Return log-weights (n, K), means (n, K, 2), inverse Cholesky factors (log d1, log d2, below) (n, K, 3)."""
         scaled = (features - self.mean) / self.scale
         h = nn.functional.silu(self.first(scaled))
         for block, norm in zip(self.blocks, self.norms, strict=True):
@@ -63,7 +63,7 @@ class Density(nn.Module):
         return torch.log_softmax(raw[..., 0], dim=-1), raw[..., 1:3], factors
 
     def loss(self, features: Tensor, target: Tensor) -> Tensor:
-        """Mean negative log-density of the targets (n, 2)."""
+        """Return the mean negative log-density of the targets (n, 2)."""
         weights, means, factors = self(features)
         away = target[:, None] - means
         first = torch.exp(factors[..., 0]) * away[..., 0]
@@ -72,25 +72,25 @@ class Density(nn.Module):
         return -torch.logsumexp(logs, dim=-1).mean()
 
 
-def mixture_of(network: Density, seen: Shown) -> Mixture:
-    """The mixture over log frequency and log decay rate that the network sees in one record."""
+def mixture_of(network: Density, inputs: Inputs) -> Mixture:
+    """Return the network's mixture over log frequency and log decay rate for one record."""
     with torch.no_grad():
-        weights, means, factors = (part[0].double().numpy() for part in network(torch.as_tensor(seen.features)))
+        weights, means, factors = (part[0].double().numpy() for part in network(torch.as_tensor(inputs.features)))
     inverse = np.zeros((len(weights), 2, 2))
     inverse[:, 0, 0], inverse[:, 1, 1] = np.exp(factors[:, 0]), np.exp(factors[:, 1])
     inverse[:, 1, 0] = factors[:, 2] * inverse[:, 0, 0]
-    scale = np.array([float(seen.step[0]), WIDTH])
-    centre = np.array([float(seen.anchor[0]), CENTRE])
+    scale = np.array([float(inputs.step[0]), WIDTH])
+    centre = np.array([float(inputs.anchor[0]), CENTRE])
     return Mixture(weights, centre + scale * means, np.linalg.inv(inverse) * scale[:, None])
 
 
 def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Density:
-    """Train a network for a layout: Adam with a rate that falls as a cosine, on records that are never seen twice.
+    """Train a network for a layout by Adam with a cosine schedule, on records that are used once.
 
     Args:
         layout: Times, and whether the initial state is known.
         settings: ``width``, ``depth``, ``components``, ``steps``, ``batch`` and ``seed``.
-        rate: The largest learning rate, after a warm-up of a twentieth of the steps.
+        rate: Largest learning rate, after a warm-up of 5 % of the steps.
     """
     before, rng = time.process_time(), np.random.default_rng(settings["seed"])
     with torch.random.fork_rng(devices=[]):
@@ -118,16 +118,16 @@ def trained(layout: SampleLayout, settings: dict[str, int], rate: float) -> Dens
 
 
 def _pool(layout: SampleLayout, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Features of simulated records, and their log frequencies and log decay rates in the network's units, (n, 2)."""
+    """Return features of simulated records, and scaled log frequencies and log decay rates, (n, 2)."""
     logs, values, starts = simulated(layout, POOL, rng)
-    seen = shown(layout, values, starts if layout.known else None)
-    frequency, decay = (logs[:, 0] - seen.anchor) / seen.step, (logs.sum(axis=1) - CENTRE) / WIDTH
+    inputs = network_inputs(layout, values, starts if layout.known else None)
+    frequency, decay = (logs[:, 0] - inputs.anchor) / inputs.step, (logs.sum(axis=1) - CENTRE) / WIDTH
     target = np.stack([frequency, decay], axis=1).astype(np.float32)
-    return torch.as_tensor(seen.features), torch.as_tensor(target)
+    return torch.as_tensor(inputs.features), torch.as_tensor(target)
 
 
 def from_arrays(arrays: Arrays, settings: dict[str, int]) -> Density:
-    """The network of stored weights and buffers by name."""
+    """Return the network with stored weights and buffers."""
     network = Density.of(arrays["mean"].shape[0], settings)
     network.load_state_dict({name: torch.as_tensor(value) for name, value in arrays.items()})
     return network.eval()

@@ -1,25 +1,24 @@
-"""Neural posterior estimation: the posterior of a record read off a network that was trained on simulations.
+"""Neural posterior estimation (NPE) by a network trained on simulations.
 
-For the free decay of one mass with displacements at even times. A mixture density network
-(:mod:`methods.amortised.density`) is trained once for a layout, the number of samples and whether the initial state is
-known, on records simulated over a wide box of frequency, damping ratio, phase and noise
-(:mod:`methods.amortised.simulations`), none of which comes from the problem; its training is the maximum likelihood of
-the true frequency and decay given the record, which the posterior under the box attains (G. Papamakarios, I. Murray,
-NeurIPS 2016, arXiv:1605.06376; K. Cranmer, J. Brehmer, G. Louppe, PNAS 117:30055, 2020). Every record of that layout is
-then answered by one pass.
+It supports the free decay of one mass with displacements at even times. A mixture density network
+(:mod:`methods.amortised.density`) is trained once per layout (number of samples, and whether the initial state is
+known) on records simulated over a wide box of frequency, damping ratio, phase and noise
+(:mod:`methods.amortised.simulations`), independent of the problem. Training maximises the expected log-density of the
+true frequency and decay, which is maximal for the posterior under the box (G. Papamakarios, I. Murray, NeurIPS 2016,
+arXiv:1605.06376; K. Cranmer, J. Brehmer, G. Louppe, PNAS 117:30055, 2020). The posterior of any record of the layout
+then costs one evaluation of the network.
 
-The box is uniform in the logarithms, so the posterior under the prior of a problem is the network's mixture times that
-prior: again a mixture, in closed form (Papamakarios and Murray). So one network serves every prior and every noise
-level. The data determine k/m and c/m alone; m given these is drawn from what the prior says of it, which is exact.
+Since the box is uniform in the logarithms, the posterior under the prior of a problem is the network's mixture times
+that prior, again a mixture in closed form (Papamakarios and Murray). One network thus serves every prior and noise
+level. The data determine k/m and c/m only; m is drawn from the prior given these.
 
-The answer is as good as the training: at little noise, where the posterior is narrow beside what a network resolves, it
-is wider than the data allow; for some systems it is too narrow. ``corrected`` weighs the draws by the exact likelihood
-over the network's density and draws from them again (importance sampling: M. Dax et al., Physical Review Letters
-130:171403, 2023): the network is then but the proposal, and too few effective draws are a failure. So are draws that
-leave the box, and a response at their median that leaves more of the record than the largest noise of the training.
+The accuracy is limited by the training: at low noise, where the posterior is narrower than the network resolves, the
+estimate is underconfident; for some systems it is overconfident. With ``corrected`` the draws are weighted by the exact
+likelihood and resampled (importance sampling: M. Dax et al., Physical Review Letters 130:171403, 2023). The method
+fails with too few effective draws, with draws outside the box, and with residuals above the largest noise in training.
 
-Trained networks are kept in ``folder`` (else ``vibration-bench/npe`` in the user's cache). Training is the same for the
-same seed; a network trained by another build of torch differs by rounding that training makes larger.
+Trained networks are stored in ``folder`` (default: ``vibration-bench/npe`` in the user's cache). Training is
+reproducible for a seed; with another build of torch, training amplifies rounding errors.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ from bench import (
 )
 from methods.amortised.cache import Arrays, cache_folder, cached
 from methods.amortised.correction import log_likelihood, resampled
-from methods.amortised.simulations import DECIBELS, RATIOS, SampleLayout, shown
+from methods.amortised.simulations import DECIBELS, RATIOS, SampleLayout, network_inputs
 from methods.sampling.mixture import Mixture
 from methods.starts.band import BandIdentifier
 
@@ -54,25 +53,26 @@ if TYPE_CHECKING:
     from methods.amortised.density import Density
 
 UNEVEN = 1e-3
-"""Steps may differ by this part of themselves: what rounding of printed times does."""
+"""Relative tolerance of even steps; rounding of printed times causes such errors."""
 SAMPLES = (8, 300)
 RATE = 2e-3
 """Largest learning rate."""
 TRIES = 4
-"""Times the draws: how many are made at most for so many within the box."""
+"""Number of draws made per draw kept within the box."""
 LEAST_INSIDE = 0.05
-"""Share of the draws within the box below which the network was not trained on such a record."""
+"""Least share of draws within the training box."""
 MARGIN = 1.15
-"""Times the noise of the noisiest records trained on: what the median response may leave."""
+"""Largest residual share of the median response over that of the noisiest training records."""
 PROPOSALS = 5
-"""Times the draws: how many are weighed where they are corrected."""
+"""Number of proposals per draw with importance sampling."""
 
 
 @dataclass(frozen=True)
 class NPE(BandIdentifier):
-    """Training of ``steps`` steps on ``batch`` records each; the network has ``depth`` blocks of ``width``.
+    """Neural posterior estimation; training of ``steps`` steps on ``batch`` records each.
 
-    ``components`` normals make the mixture; ``draws`` draws are the answer. ``seed`` is that of the training.
+    The network has ``depth`` blocks of ``width`` and a mixture of ``components`` normals; ``draws``: number of draws;
+    ``seed``: seed of the training.
     """
 
     steps: int = 4000
@@ -86,20 +86,20 @@ class NPE(BandIdentifier):
     folder: str = ""
 
     card: ClassVar[Card] = Card(
-        summary="neural posterior estimation: a mixture density network trained once a layout on simulations",
+        summary="neural posterior estimation: a mixture density network trained once per layout on simulations",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="quantiles of the draws (without a prior: their covariance); too wide at little noise, where "
         "the network does not resolve the posterior, and too narrow for some systems; corrected, neither",
-        settings_source="a network that trains in one to three minutes of one core, once a layout; none from a table",
-        tuning="none: the first size and learning rate that were tried; calibration looked at on development systems",
+        settings_source="a network that trains in one to three minutes on one core, once per layout",
+        tuning="none: the first size and learning rate tried; calibration checked on development systems",
         title="Neural posterior",
         order=35,
         variants={
             "npe_corrected": {
                 "title": "Neural posterior, corrected",
-                "summary": "the same, its draws weighed by the exact likelihood (importance sampling)",
+                "summary": "the same with draws weighted by the exact likelihood (importance sampling)",
                 "uncertainty": "quantiles of the draws (without a prior: their covariance)",
                 "order": 36,
             }
@@ -123,13 +123,13 @@ class NPE(BandIdentifier):
         return super().objection(problem) or _objection(problem)
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Draw from the posterior; raises NoEstimate where the answer should not be trusted. Trains where it must."""
+        """Draw from the posterior; raises NoEstimate where it is unreliable. Trains the network if it is not cached."""
         import torch
 
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            posterior, seconds = self._seen(problem)
+            posterior, seconds = self._network_posterior(problem)
         finally:
             torch.set_num_threads(threads)
         prior = None if problem.prior is None else _group_prior(problem, problem.prior)
@@ -146,8 +146,8 @@ class NPE(BandIdentifier):
         traces = {"training_seconds": np.array([seconds]), "effective_draws": np.array([effective])}
         return replace(_estimate(problem, logs, rng), traces=traces, cost=Cost(evaluations=1, iterations=self.steps))
 
-    def _seen(self, problem: Problem) -> tuple[Mixture, float]:
-        """What the network sees of the logarithms of k/m and c/m, and the processor time (s) of its training."""
+    def _network_posterior(self, problem: Problem) -> tuple[Mixture, float]:
+        """Return the network's mixture over log k/m and log c/m, and the processor time (s) of its training."""
         from methods.amortised.density import mixture_of
 
         layout, record = _layout(problem), problem.records[0]
@@ -155,16 +155,16 @@ class NPE(BandIdentifier):
         network = _loaded(layout, tuple((name, getattr(self, name)) for name in names), self.folder)
         start = record.initial_state
         known = None if start is None else np.array([[start.displacement[0], start.velocity[0]]])
-        seen = mixture_of(network, shown(layout, record.channels[0].values[None], known))
+        mixture = mixture_of(network, network_inputs(layout, record.channels[0].values[None], known))
         # log k/m = 2 log frequency and log c/m = log 2 + log decay rate
         scale, shift = np.array([2.0, 1.0]), np.array([0.0, np.log(2.0)])
-        scaled = replace(seen, centres=scale * seen.centres + shift, roots=scale[:, None] * seen.roots)
+        scaled = replace(mixture, centres=scale * mixture.centres + shift, roots=scale[:, None] * mixture.roots)
         return scaled, float(network.training_seconds)
 
 
 @lru_cache(maxsize=8)
 def _loaded(layout: SampleLayout, settings: tuple[tuple[str, int], ...], folder: str) -> Density:
-    """The network of a layout, trained whenever that was."""
+    """Return the trained network of a layout, from the cache or by training."""
     from methods.amortised.density import from_arrays, trained
 
     values = dict(settings)
@@ -183,25 +183,25 @@ def _layout(problem: Problem) -> SampleLayout:
 
 
 def _parameters(problem: Problem) -> list[str]:
-    """The names of mass, damping and stiffness."""
+    """Return the names of mass, damping and stiffness."""
     kinds = {p.kind: p.name for p in problem.system.parameters}
     return [kinds["mass"], kinds["damping"], kinds["stiffness"]]
 
 
 def _log_prior(problem: Problem, prior: Prior) -> tuple[np.ndarray, np.ndarray]:
-    """Means and variances of the logarithms of mass, damping and stiffness."""
+    """Return prior means and variances of the logarithms of mass, damping and stiffness."""
     names = _parameters(problem)
     return np.log([prior.nominal[name] for name in names]), np.array([prior.log_sd[name] for name in names]) ** 2
 
 
 def _group_prior(problem: Problem, prior: Prior) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of the logarithms of k/m and c/m."""
+    """Return prior mean and covariance of the logarithms of k/m and c/m."""
     means, variances = _log_prior(problem, prior)
     return means[[2, 1]] - means[0], np.diag(variances[[2, 1]]) + variances[0]
 
 
 def _inside(layout: SampleLayout, posterior: Mixture, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Draws of the logarithms of k/m and c/m within the box that was trained on, at most ``n``."""
+    """Draw at most ``n`` logarithms of k/m and c/m within the training box."""
     logs = posterior.draw(TRIES * n, rng)
     frequency = 0.5 * logs[:, 0]
     place = np.stack([frequency, logs[:, 1] - np.log(2.0) - frequency], axis=1)
@@ -210,14 +210,14 @@ def _inside(layout: SampleLayout, posterior: Mixture, n: int, rng: np.random.Gen
     if np.mean(within) < LEAST_INSIDE:
         cycles = " to ".join(f"{value:.3g}" for value in layout.cycles)
         raise NoEstimate(
-            f"the record is outside what the network was trained on, {cycles} cycles a record "
-            f"and damping ratios of {RATIOS[0]:g} to {RATIOS[1]:g}: take another method, or more samples"
+            f"the record is outside the range of training, {cycles} cycles per record "
+            f"and damping ratios of {RATIOS[0]:g} to {RATIOS[1]:g}: use another method, or more samples"
         )
     return logs[within][:n]
 
 
 def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> Estimate:
-    """The answer that draws of the logarithms of k/m and c/m are; raises NoEstimate where it should not be trusted."""
+    """Return the estimate from draws of log k/m and log c/m; raises NoEstimate where it is unreliable."""
     system, record = problem.system, problem.records[0]
     mass, damping, stiffness = _parameters(problem)
     middle = np.exp(np.median(logs, axis=0))
@@ -225,12 +225,12 @@ def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> E
     start = fit_initial_state(system, p, record)
     response = SimulatedResponse(system, p, start)
     y = record.channels[0].values
-    left = float(np.mean((y - response(record.channels[0].times)[0]) ** 2) / np.mean(y**2))
+    share = float(np.mean((y - response(record.channels[0].times)[0]) ** 2) / np.mean(y**2))
     noisiest = 1.0 / (1.0 + 10 ** (DECIBELS[0] / 10))
-    if not left <= MARGIN * noisiest:
+    if not share <= MARGIN * noisiest:
         raise NoEstimate(
-            f"the response at the median of the draws leaves {left:.0%} of the record's mean square, more than the "
-            f"noise that the network was trained on: take another method, or less noise"
+            f"residuals at the median of the draws are {share:.0%} of the record's mean square, above the "
+            f"largest noise in training: use another method, or less noise"
         )
     parameters, groups = None, None
     if problem.prior is None:
@@ -245,7 +245,7 @@ def _estimate(problem: Problem, logs: np.ndarray, rng: np.random.Generator) -> E
 
 
 def _masses(problem: Problem, prior: Prior, logs: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw the mass given k/m and c/m: what the prior states of m, c and k, each weighed by its precision."""
+    """Draw the mass from the prior given k/m and c/m, combining m, c and k by their precisions."""
     means, variances = _log_prior(problem, prior)
     weights = (1.0 / variances) / np.sum(1.0 / variances)
     mean = weights @ means - logs @ weights[[2, 1]]
@@ -254,11 +254,13 @@ def _masses(problem: Problem, prior: Prior, logs: np.ndarray, rng: np.random.Gen
 
 def _objection(problem: Problem) -> str | None:
     if sorted(p.kind for p in problem.system.parameters) != ["damping", "mass", "stiffness"]:
-        return "it needs one mass, one damping and one stiffness"
+        return "it requires one mass, one damping and one stiffness"
     times = problem.records[0].channels[0].times
     if not SAMPLES[0] <= times.size <= SAMPLES[1]:
-        return f"it takes {SAMPLES[0]} to {SAMPLES[1]} samples a record, since a network is trained for each number"
+        return (
+            f"it supports {SAMPLES[0]} to {SAMPLES[1]} samples per record, since a network is trained for each number"
+        )
     even = np.linspace(times[0], times[-1], times.size)
     if np.max(np.abs(times - even)) > UNEVEN * (even[1] - even[0]):
-        return "it needs samples at even steps of time, since a network is trained for a layout; resample them"
+        return "it requires samples at even steps of time, since a network is trained for a layout; resample them"
     return None

@@ -1,13 +1,13 @@
-"""Simulated records of one mass in free decay, and what the network is shown of a record, simulated or measured.
+"""Simulated records of one mass in free decay, and the input features of the network.
 
-Time is counted in records (the last sample is at 1) and displacement in root mean squares of the record, so that one
-network serves every size and every duration. The motion is drawn from a wide box, not from anybody's prior: frequency
-and damping ratio log-uniform, the phase of the initial state uniform, the signal-to-noise ratio uniform in decibels.
+The unit of time is the record (the last sample is at 1), that of displacement the root mean square of the record, so
+that one network serves all sizes and durations. The motion is drawn from a wide box, independent of the prior:
+log-uniform frequency and damping ratio, uniform phase of the initial state, and uniform signal-to-noise ratio in dB.
 
-A record is shown as its samples and as a bank of damped waves, as the scan of the other methods has it
-(:mod:`methods.starts.scan`): the share of the record that the best wave of each frequency and decay leaves, of all
-initial states or of the known one. The frequency where least is left is the anchor: the network finds the frequency
-relative to it, in steps of the bank.
+The features are the samples and the residuals of a bank of damped waves (as in :mod:`methods.starts.scan`): the
+residual share of the record after fitting a wave of each frequency and decay, with a free or the known initial state.
+The frequency of the least residual is the anchor: the network estimates the frequency relative to it, in steps of the
+bank.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from functools import cached_property
 import numpy as np
 
 CYCLES, MOST_CYCLES = 0.25, 40.0
-"""Cycles in a record, at most up to the part ``NYQUIST`` of half the sampling rate."""
+"""Range of cycles in a record; the upper limit is at most ``NYQUIST`` times half the sampling rate."""
 NYQUIST = 0.95
 RATIOS = (1e-3, 2.0)
-"""Damping ratios."""
+"""Range of damping ratios."""
 DECIBELS = (0.0, 50.0)
-"""Signal-to-noise ratios."""
+"""Range of signal-to-noise ratios (dB)."""
 FREQUENCIES, DECAYS = 64, (0.2, 1.0, 3.0, 8.0)
-"""Number of members of the bank, and their decay rates times the duration of the record."""
+"""Number of frequencies of the bank, and its decay rates times the duration of the record."""
 NEIGHBOURS = 3
-"""Frequencies on either side of the anchor that are shown by their place relative to it."""
+"""Frequencies on either side of the anchor with features relative to it."""
 LEAST_LEFT = 1e-6
-"""Shares of the record below this are shown as this."""
+"""Lower limit of residual shares in the features."""
 CRITICAL = 1e-6
-"""Damping ratios squared nearer to 1 than this are moved away from it."""
+"""Least distance of squared damping ratios from 1, against division by zero."""
 
 
 @dataclass(frozen=True)
 class SampleLayout:
-    """Even times: ``samples`` from ``first`` to 1; and whether the initial state is known."""
+    """``samples`` even times from ``first`` to 1, and whether the initial state is ``known``."""
 
     samples: int
     first: float
@@ -48,42 +48,42 @@ class SampleLayout:
 
     @cached_property
     def cycles(self) -> tuple[float, float]:
-        """Least and largest number of cycles in a record."""
+        """Return the least and largest number of cycles in a record."""
         half_rate = 0.5 * (self.samples - 1) / (1.0 - self.first)
         return CYCLES, min(MOST_CYCLES, NYQUIST * half_rate)
 
     @cached_property
     def box(self) -> np.ndarray:
-        """Limits (2, 2) of the logarithms of angular frequency and damping ratio: rows lowest, highest."""
+        """Return the limits (2, 2) of log angular frequency and log damping ratio: rows lowest, highest."""
         omegas = 2 * np.pi * np.array(self.cycles)
         return np.log(np.stack([omegas, np.array(RATIOS)], axis=1))
 
     @cached_property
     def bank(self) -> np.ndarray:
-        """Angular frequencies of the bank, evenly spaced, (FREQUENCIES,)."""
+        """Return the angular frequencies of the bank, evenly spaced, (FREQUENCIES,)."""
         return np.asarray(2 * np.pi * np.linspace(*self.cycles, FREQUENCIES))
 
     @cached_property
     def waves(self) -> np.ndarray:
-        """Responses of the bank to a unit displacement and to a unit velocity, (FREQUENCIES, decays, 2, samples)."""
+        """Return the bank's responses to unit displacement and unit velocity, (FREQUENCIES, decays, 2, samples)."""
         omega, decay = self.bank[:, None], np.array(DECAYS)
         return np.stack(unit_responses(np.hypot(omega, decay), decay / np.hypot(omega, decay), self.times), axis=2)
 
     @cached_property
     def products(self) -> np.ndarray:
-        """Inner products of each pair: of the first with itself, of both, of the second with itself, (3, pairs)."""
+        """Return the inner products of each pair of responses, (3, pairs)."""
         even, odd = np.moveaxis(self.waves.reshape(-1, 2, self.samples), 1, 0)
         return np.stack([np.sum(a * b, axis=1) for a, b in ((even, even), (even, odd), (odd, odd))])
 
     @cached_property
     def bases(self) -> np.ndarray:
-        """An orthonormal basis of each of these pairs, (FREQUENCIES * decays * 2, samples)."""
+        """Return an orthonormal basis of each pair of responses, (FREQUENCIES * decays * 2, samples)."""
         q = np.linalg.qr(np.swapaxes(self.waves, -1, -2))[0]
         return np.ascontiguousarray(np.swapaxes(q, -1, -2).reshape(-1, self.samples))
 
 
 def unit_responses(omega: np.ndarray, ratio: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Free responses to a unit displacement and to a unit velocity at time 0, each of shape (*sets, n_times).
+    """Return free responses to unit displacement and unit velocity at time 0, (*sets, n_times) each.
 
     ``e^(-d t) (cosh(w t) + d/w sinh(w t))`` and ``e^(-d t) sinh(w t) / w`` with ``d = ratio omega`` and
     ``w = omega sqrt(ratio² - 1)``, imaginary below critical damping.
@@ -99,10 +99,10 @@ def unit_responses(omega: np.ndarray, ratio: np.ndarray, times: np.ndarray) -> t
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """What the network sees of records: ``features`` (sets, n), and the ``anchor`` of each (sets,), log-frequency.
+class Inputs:
+    """Network inputs of records: ``features`` (sets, n), and the log-frequency ``anchor`` of each (sets,).
 
-    ``step`` (sets,) is the step of the bank there, in log-frequency.
+    ``step`` (sets,): step of the bank at the anchor, in log-frequency.
     """
 
     features: np.ndarray
@@ -110,39 +110,39 @@ class Shown:
     step: np.ndarray
 
 
-def shown(layout: SampleLayout, values: np.ndarray, starts: np.ndarray | None) -> Shown:
-    """Show records: ``values`` (sets, samples), and known ``starts`` (sets, 2), displacement and velocity, or None."""
+def network_inputs(layout: SampleLayout, values: np.ndarray, starts: np.ndarray | None) -> Inputs:
+    """Compute inputs from ``values`` (sets, samples) and known initial states ``starts`` (sets, 2), or None."""
     size = np.sqrt(np.mean(values**2, axis=1, keepdims=True))
     y = values / size
     shape = (len(y), FREQUENCIES, len(DECAYS))
     features = [y]
     if starts is None:
         caught = (y @ layout.bases.T).reshape(*shape, 2)
-        left = layout.samples - np.sum(caught**2, axis=-1)
+        residual = layout.samples - np.sum(caught**2, axis=-1)
     else:
         scaled = starts / size
-        # the sum of squares of y less the response to the known initial state, by inner products
+        # residual sum of squares of the response to the known initial state, by inner products
         on = (y @ layout.waves.reshape(-1, layout.samples).T).reshape(*shape, 2)
         both = np.stack([scaled[:, 0] ** 2, 2 * scaled[:, 0] * scaled[:, 1], scaled[:, 1] ** 2], axis=1)
         energy = (both @ layout.products).reshape(shape)
-        left = layout.samples - 2 * np.einsum("bi,bfdi->bfd", scaled, on) + energy
+        residual = layout.samples - 2 * np.einsum("bi,bfdi->bfd", scaled, on) + energy
         features.append(np.arcsinh(scaled))
-    logs = np.log(np.clip(left / layout.samples, LEAST_LEFT, 1.0 / LEAST_LEFT))
+    logs = np.log(np.clip(residual / layout.samples, LEAST_LEFT, 1.0 / LEAST_LEFT))
     best = logs.min(axis=2).argmin(axis=1)
     places = best[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
     inside = (places >= 0) & (places < FREQUENCIES)
     near = np.where(inside[..., None], logs[np.arange(len(y))[:, None], np.clip(places, 0, FREQUENCIES - 1)], 0.0)
     omega = layout.bank[best]
-    # the samples turned back at the anchor: what the phase does along the record, whatever the frequency
-    turned = y * np.exp(-1j * omega[:, None] * layout.times)
+    # demodulation at the anchor: phase along the record, independent of the frequency
+    demodulated = y * np.exp(-1j * omega[:, None] * layout.times)
     anchor, step = np.log(omega), (layout.bank[1] - layout.bank[0]) / omega
-    features += [near.reshape(len(y), -1), logs.min(axis=2), turned.real, turned.imag]
+    features += [near.reshape(len(y), -1), logs.min(axis=2), demodulated.real, demodulated.imag]
     features += [anchor[:, None] - layout.box[0, 0], inside[:, [0, -1]], near.min(axis=(1, 2))[:, None]]
-    return Shown(np.concatenate(features, axis=1).astype(np.float32), anchor, step)
+    return Inputs(np.concatenate(features, axis=1).astype(np.float32), anchor, step)
 
 
 def simulated(layout: SampleLayout, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw ``n`` records: log angular frequency and log damping ratio (n, 2), values (n, samples), starts (n, 2)."""
+    """Draw ``n`` records: log frequency and log damping ratio (n, 2), values (n, samples), initial states (n, 2)."""
     low, high = layout.box
     logs = low + (high - low) * rng.random((n, 2))
     omega, ratio = np.exp(logs).T

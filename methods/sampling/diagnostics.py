@@ -1,4 +1,4 @@
-"""Convergence of chains: R-hat and autocorrelation time."""
+"""Convergence diagnostics of chains: R-hat and autocorrelation time."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ WINDOW = 5.0
 
 
 def autocorrelation_times(paths: np.ndarray) -> np.ndarray:
-    """The integrated autocorrelation times in steps, (ensembles, size), of chains (ensembles, steps, walkers, size).
+    """Estimate integrated autocorrelation times in steps, (ensembles, size), of chains (ensembles, steps, walkers,
+    size).
 
-    emcee's estimate, all series at once: the autocorrelation is the mean of the walkers', summed as far as ``WINDOW``
-    times the sum (A. Sokal, Monte Carlo Methods in Statistical Mechanics, 1989). NaN where a walker never moves.
+    As in emcee, the autocorrelation is averaged over walkers and summed up to ``WINDOW`` times the sum (A. Sokal, Monte
+    Carlo Methods in Statistical Mechanics, 1989). NaN where a walker never moves.
     """
     steps = paths.shape[1]
     series = np.ascontiguousarray(np.moveaxis(paths, 1, -1))
@@ -28,13 +29,13 @@ def autocorrelation_times(paths: np.ndarray) -> np.ndarray:
 
 
 def rank_r_hat(paths: np.ndarray) -> float:
-    """The largest rank-normalised split R-hat over the unknowns, of chains (ensembles, steps, walkers, size).
+    """Return the largest rank-normalised split R-hat over the unknowns of chains (ensembles, steps, walkers, size).
 
-    The sequences compared are the first and second half of each ensemble, all its walkers together: walkers of one
-    ensemble move by each other and are not independent. Bulk and folded version, the larger (Vehtari et al., 2021,
-    equations 1-4, 14 and section 4.2). Infinite where an unknown never moves.
+    The sequences compared are the first and second half of each ensemble with all its walkers, which are not
+    independent. It is the larger of the bulk and the folded version (Vehtari et al., 2021, equations 1-4, 14 and
+    section 4.2). Infinite where an unknown never moves.
     """
-    from scipy.stats import rankdata  # half a second to import, which every command line would pay
+    from scipy.stats import rankdata  # slow to import
 
     steps = paths.shape[1] // 2
     x = np.stack([half.reshape(-1, paths.shape[-1]) for path in paths for half in (path[:steps], path[-steps:])])

@@ -1,8 +1,8 @@
-"""Ensembles of walkers that step together: one call of the posterior serves the walkers of all.
+"""Several ensembles of walkers in lockstep, with one call of the posterior for the walkers of all.
 
-Every step, all ensembles take the same kind of move, by a fixed turn: that keeps the posterior as a random choice does.
-Independent proposals do not depend on where the walkers are, so those of a whole run of steps are drawn, and their
-log-densities found, at its beginning. Each ensemble draws from its own random numbers alone.
+All ensembles take the same kind of move in each step, in a fixed order, which leaves the posterior invariant like a
+random choice. Independent proposals do not depend on the walkers' positions, so those of a whole run are drawn and
+evaluated at its beginning. Each ensemble has its own random generator.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from methods.sampling.mixture import Mixture
 
 SNOOKER_EVERY = 5
-"""One in so many of the dependent moves is a snooker move; the others are differential evolution."""
+"""One in SNOOKER_EVERY dependent moves is a snooker move; the others are differential evolution."""
 REACH = 1.7
-"""Of a snooker move, as recommended there."""
+"""Scale of a snooker move, as recommended by ter Braak and Vrugt."""
 
 
 @dataclass(eq=False)
 class Ensemble:
-    """The number of an ensemble's problem in the posterior, its proposal and its random numbers."""
+    """An ensemble: index of its problem in the posterior, proposal and random generator."""
 
     problem: int
     proposal: Mixture
@@ -31,32 +31,32 @@ class Ensemble:
 
 
 class Snooker:
-    """The snooker move, split and asked as emcee's moves are (C. ter Braak, J. Vrugt, Stat. Comput. 18:435, 2008).
+    """The snooker move (C. ter Braak, J. Vrugt, Stat. Comput. 18:435, 2008), with the interface of emcee's moves.
 
-    A walker moves on the line through it and another one, z, by ``REACH`` times what the difference of two more is
-    along that line; equation 4 there is the factor ``(|new - z| / |old - z|)^(d - 1)`` of its acceptance. emcee's own
-    takes the root of the distance to z for the distance, which does not leave the density as it is.
+    A walker moves along the line through itself and another walker z by ``REACH`` times the projection of the
+    difference of two more; the acceptance has the factor ``(|new - z| / |old - z|)^(d - 1)`` (equation 4). emcee's
+    implementation uses the square root of the distance to z, which does not leave the density invariant.
     """
 
     nsplits = 4
 
     def get_proposal(self, s: np.ndarray, c: Sequence[np.ndarray], random: Any) -> tuple[np.ndarray, np.ndarray]:
-        """New places of walkers s (n, size) from three other parts of the ensemble, and logarithms of the factors."""
+        """Propose moves of walkers s (n, size) from three other parts of the ensemble; return them and log factors."""
         n, size = s.shape
         drawn = np.stack([part[random.randint(len(part), size=n)] for part in c])
         order = np.argsort(random.random_sample((n, 3)), axis=1)
         z, first, second = (drawn[order[:, i], np.arange(n)] for i in range(3))
         length = np.linalg.norm(s - z, axis=1)
-        along = (s - z) / length[:, None]
-        new = s + REACH * np.sum(along * (first - second), axis=1)[:, None] * along
+        direction = (s - z) / length[:, None]
+        new = s + REACH * np.sum(direction * (first - second), axis=1)[:, None] * direction
         return new, (size - 1.0) * np.log(np.linalg.norm(new - z, axis=1) / length)
 
 
 class Lockstep:
-    """Ensembles of equally many walkers, from overdispersed starts; :meth:`run` takes more steps.
+    """Ensembles with equal numbers of walkers, from overdispersed initial positions; :meth:`run` makes steps.
 
-    ``coords`` (ensembles, walkers, size) are where the walkers are, ``log_prob`` and ``log_q`` (ensembles, walkers)
-    their log-densities by the target and by the proposal; ``independent`` is the share of independent moves.
+    ``coords`` (ensembles, walkers, size): positions. ``log_prob`` and ``log_q`` (ensembles, walkers): their
+    log-densities under the target and the proposal. ``independent``: share of independent moves.
     """
 
     def __init__(
@@ -75,12 +75,12 @@ class Lockstep:
         self.evolution.setup(self.coords[0])
 
     def keep(self, some: Sequence[int]) -> None:
-        """Go on with some of the ensembles only."""
+        """Keep the ensembles with indices ``some``."""
         self.ensembles = [self.ensembles[i] for i in some]
         self.coords, self.log_prob, self.log_q = self.coords[some], self.log_prob[some], self.log_q[some]
 
     def run(self, steps: int) -> np.ndarray:
-        """Take steps; the path is of shape (ensembles, steps, walkers, size)."""
+        """Make steps; return the path, (ensembles, steps, walkers, size)."""
         jumps = self._jumps(self._so_far(self.turn + steps) - self._so_far(self.turn))
         path = np.empty((len(self.ensembles), steps, *self.coords.shape[1:]))
         for i in range(steps):
@@ -95,11 +95,11 @@ class Lockstep:
         return path
 
     def _so_far(self, turn: int) -> int:
-        """Independent moves before a turn."""
+        """Return the number of independent moves before a turn."""
         return int(self.independent * turn + 1e-9)
 
     def _jumps(self, moves: int) -> Any:
-        """Draw and judge independent proposals; iterate over arrays (ensembles, walkers, ...) of each move."""
+        """Draw and evaluate independent proposals; iterate over arrays (ensembles, walkers, ...) of each move."""
         shape = (len(self.ensembles), moves, self.walkers)
         new = np.stack([e.proposal.draw(moves * self.walkers, e.random) for e in self.ensembles])
         log_u = np.stack([np.log(e.random.random_sample(shape[1:])) for e in self.ensembles])
@@ -108,39 +108,39 @@ class Lockstep:
         return zip(*(np.moveaxis(part, 1, 0) for part in parts), strict=True)
 
     def _jump(self, new: np.ndarray, new_q: np.ndarray, new_prob: np.ndarray, log_u: np.ndarray) -> None:
-        """Take an independent Metropolis-Hastings move."""
+        """Make an independent Metropolis-Hastings move."""
         with np.errstate(invalid="ignore"):
             accepted = new_prob - self.log_prob + self.log_q - new_q > log_u
         self.coords = np.where(accepted[..., None], new, self.coords)
         self.log_q, self.log_prob = np.where(accepted, new_q, self.log_q), np.where(accepted, new_prob, self.log_prob)
 
     def _evolve(self, move: Any) -> None:
-        """Take a move of emcee's kind, which splits an ensemble, and proposes to one part from the others."""
+        """Make a move with emcee's interface, which proposes moves of one part of an ensemble from the others."""
         splits, walkers = move.nsplits, self.walkers
         part_of = np.stack([e.random.permutation(np.arange(walkers) % splits) for e in self.ensembles])
         members = [np.stack([np.flatnonzero(parts == j) for parts in part_of]) for j in range(splits)]
         rows = np.arange(len(self.ensembles))[:, None]
         coords, log_prob = self.coords.copy(), self.log_prob.copy()
-        for j, mine in enumerate(members):
-            others = [coords[rows, theirs] for i, theirs in enumerate(members) if i != j]
-            asked = [
-                move.get_proposal(coords[i, mine[i]], [part[i] for part in others], e.random)
+        for j, moving in enumerate(members):
+            others = [coords[rows, part] for i, part in enumerate(members) if i != j]
+            proposals = [
+                move.get_proposal(coords[i, moving[i]], [part[i] for part in others], e.random)
                 for i, e in enumerate(self.ensembles)
             ]
-            log_u = np.log(np.stack([e.random.random_sample(mine.shape[1]) for e in self.ensembles]))
-            new, factors = (np.stack(parts) for parts in zip(*asked, strict=True))
+            log_u = np.log(np.stack([e.random.random_sample(moving.shape[1]) for e in self.ensembles]))
+            new, factors = (np.stack(parts) for parts in zip(*proposals, strict=True))
             new_prob = self._log_density(new)
             with np.errstate(invalid="ignore"):
-                taken = factors + new_prob - log_prob[rows, mine] > log_u
-            coords[rows, mine] = np.where(taken[..., None], new, coords[rows, mine])
-            log_prob[rows, mine] = np.where(taken, new_prob, log_prob[rows, mine])
+                taken = factors + new_prob - log_prob[rows, moving] > log_u
+            coords[rows, moving] = np.where(taken[..., None], new, coords[rows, moving])
+            log_prob[rows, moving] = np.where(taken, new_prob, log_prob[rows, moving])
         self.coords, self.log_prob, self.log_q = coords, log_prob, self._by_proposal(coords)
 
     def _log_density(self, phi: np.ndarray) -> np.ndarray:
-        """By the target, shape (ensembles, n), of phi (ensembles, n, size)."""
+        """Evaluate the target's log-density, (ensembles, n), at phi (ensembles, n, size)."""
         which = np.repeat([e.problem for e in self.ensembles], phi.shape[1])
         return self.target(phi.reshape(-1, phi.shape[-1]), which).reshape(phi.shape[:2])
 
     def _by_proposal(self, phi: np.ndarray) -> np.ndarray:
-        """By each ensemble's proposal, likewise."""
+        """Evaluate the log-density of each ensemble's proposal, (ensembles, n)."""
         return np.stack([e.proposal.log_density(x) for e, x in zip(self.ensembles, phi, strict=True)])

@@ -1,20 +1,19 @@
 """Bayesian sampling of the posterior with emcee (D. Foreman-Mackey et al., PASP 125:306, 2013).
 
-Moves: mostly independent Metropolis-Hastings with a proposal that stands on the modes of the posterior, a mixture of
-multivariate Student t around each half-period that could still be true, so walkers change from one to the other; mixed
-with differential evolution and snooker moves (C. ter Braak, J. Vrugt, Statistics and Computing 18:435, 2008), which do
-not rely on the modes. The modes come from the data alone (:mod:`methods.starts.candidates`); the response of a
-nonlinear system is integrated as finely as the noise asks for (:func:`methods.starts.candidates.as_fine_as_noise`).
+Most moves are independent Metropolis-Hastings moves with a proposal from the modes of the posterior, a mixture of
+multivariate Student t distributions about each plausible half-period, so that walkers change between modes. They are
+combined with differential evolution and snooker moves (C. ter Braak, J. Vrugt, Statistics and Computing 18:435, 2008),
+which do not use the modes. The modes come from the data (:mod:`methods.starts.candidates`); nonlinear systems are
+integrated as accurately as the noise requires (:func:`methods.starts.candidates.as_fine_as_noise`).
 
-Convergence is judged over independent ensembles, each from an overdispersed start: the split R-hat of rank-normalised
-draws and of their distances from the median (A. Vehtari et al., Bayesian Analysis 16:667, 2021), the integrated
-autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size that it implies. A chain that
-has not converged is extended; one that never does is a failure with a sentence. Walkers that propose from each other
-mix ever more slowly as the unknowns grow beyond some ten (D. Huijser et al., arXiv:1509.02230), and where the posterior
-is far from its Laplace approximation few other moves are accepted.
+Convergence is assessed over independent ensembles with overdispersed initial positions, by the split R-hat of
+rank-normalised draws and of their distances from the median (A. Vehtari et al., Bayesian Analysis 16:667, 2021), the
+integrated autocorrelation time (emcee's estimate, A. Sokal's window), and the effective sample size. Chains are
+extended until they converge or fail. Ensemble moves mix slowly beyond some ten unknowns (D. Huijser et al.,
+arXiv:1509.02230), and independent moves are rarely accepted where the posterior is far from its Laplace approximation.
 
-The ensembles of all problems of one layout with a linear system step together (:mod:`methods.sampling.ensembles`); each
-has its own random numbers, so an answer does not depend on its batch.
+The ensembles of all problems of one layout with a linear system run in lockstep (:mod:`methods.sampling.ensembles`),
+each with its own random numbers, so that an estimate does not depend on its batch.
 """
 
 from __future__ import annotations
@@ -49,30 +48,30 @@ from methods.starts.candidates import as_fine_as_noise
 from methods.trajectory.student import NORMAL, STUDENT
 
 STEPPED = 4
-"""Times the walkers, in blocks of half the length, for a nonlinear system: steps take as long for many as for few."""
+"""Factor of the walkers for a nonlinear system, in blocks of half the length; a step of many costs little more."""
 MANY = 10
-"""Unknowns beyond which slow mixing is put down to their number."""
+"""Number of unknowns above which slow mixing is attributed to it."""
 MOST_AT_ONCE = 1_000_000
-"""Numbers in the chains of a block that are sampled together."""
+"""Largest number of values in the chains of one block."""
 
 NEAR_LEAST = 2.0
-"""Times the least noise: chains that stay below want less of it."""
+"""Chains below this multiple of the least noise are at the limit of the noise prior."""
 FLOOR = (
-    f"the noise is below {NOISE_LEAST:g} of the motion, where rounding and integration take over: "
-    "the intervals are those of that noise"
+    f"the noise is below {NOISE_LEAST:g} of the motion, the limit set by rounding and integration: "
+    "the intervals correspond to that noise"
 )
 
 
 @dataclass(frozen=True)
 class MCMC(SearchingIdentifier):
-    """Ensemble sampling; settings below, the method in the module's docstring.
+    """Ensemble sampling of the posterior.
 
-    ``ensembles`` independent ensembles of at least ``walkers`` each run ``burn`` steps that are dropped, then blocks of
-    ``block`` steps until converged: R-hat at most ``r_hat``, effective sample size at least ``effective`` and
-    ``autocorrelations`` autocorrelation times in each chain, for every unknown; at most ``blocks`` blocks.
-    ``independent`` is the share of independent moves. At most ``draws`` draws are kept, and ``curves`` of them are
-    averaged in the reconstruction. ``likelihood``: errors are normal, Student's t, or normal with the colour of the
-    residuals at the best mode of a white fit, and then again at the best mode of that.
+    ``ensembles`` independent ensembles of at least ``walkers`` make ``burn`` discarded steps, then at most ``blocks``
+    blocks of ``block`` steps until, for every unknown, R-hat is at most ``r_hat``, the effective sample size at least
+    ``effective``, and the chain at least ``autocorrelations`` autocorrelation times long. ``independent``: share of
+    independent moves. At most ``draws`` draws are kept, ``curves`` of which are averaged in the reconstruction.
+    ``likelihood``: normal errors, Student's t errors, or autoregressive errors estimated from the residuals at the best
+    mode, in two rounds.
     """
 
     ensembles: int = 2
@@ -89,7 +88,7 @@ class MCMC(SearchingIdentifier):
     likelihood: Literal["normal", "student", "autoregressive"] = "normal"
 
     version: ClassVar[int] = 3
-    """3: modes end elsewhere by 1e-4 of a standard deviation, and chains part from there."""
+    """3: modes differ by 1e-4 of a standard deviation, and hence the chains."""
 
     card: ClassVar[Card] = Card(
         summary="Posterior sampling by emcee with the noise level unknown",
@@ -99,19 +98,19 @@ class MCMC(SearchingIdentifier):
         uncertainty="quantiles of the posterior draws, their median as the value (without a prior in free vibration: "
         "their covariance)",
         settings_source="convergence criteria from the literature; lengths for a fit in half a second",
-        tuning="two shares of moves, three lengths; on development systems (40 to 5 dB, damping 2-20 %, 2-10 cycles)",
+        tuning="two shares of moves, three lengths on development systems (40 to 5 dB, damping 2-20 %, 2-10 cycles)",
         title="Bayesian MCMC",
         order=20,
         variants={
             "mcmc_student": {
                 "summary": "posterior sampling by emcee with Student t errors, their scale unknown",
-                "tuning": "none beyond mcmc's; 4 degrees of freedom of the errors are the literature's",
+                "tuning": "as mcmc; 4 degrees of freedom of the errors as in the literature",
                 "title": "Bayesian MCMC, t errors",
                 "order": 25,
             },
             "mcmc_autoregressive": {
                 "summary": "posterior sampling by emcee with autoregressive errors, their scale unknown",
-                "tuning": "none beyond mcmc's; the order of the errors is that of least BIC",
+                "tuning": "as mcmc; order of the errors by BIC",
                 "title": "Bayesian MCMC, coloured errors",
                 "order": 27,
             },
@@ -127,9 +126,9 @@ class MCMC(SearchingIdentifier):
         return self.estimate_many([problem], [rng])[0]
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Sample the posteriors of linear systems of one layout together, all others one by one."""
+        """Sample the posteriors of linear systems of one layout in lockstep, all others one by one."""
         models = [compiled(OutputError(p)) if p.system.n_hidden else OutputError(p) for p in problems]
-        together = self.likelihood != "autoregressive"  # each problem has a colour of its own
+        together = self.likelihood != "autoregressive"  # error models differ between problems
         answers: dict[int, Estimate] = {}
         groups: dict[object, list[_ChainFit]] = {}
         for i, (model, modes, rng) in enumerate(zip(models, modes_of(models), rngs, strict=True)):
@@ -140,7 +139,7 @@ class MCMC(SearchingIdentifier):
                 continue
             groups.setdefault(layout(model.problem) if together and model.system.linear else i, []).append(fit)
         for fits in groups.values():
-            # walkers, steps of burning in and steps of a block
+            # walkers, burn-in steps and block length
             posterior = fits[0].posterior
             many, few = (1, 1) if posterior.model.system.linear else (STEPPED, 2)
             walkers = 2 * max(many * self.walkers // 2, posterior.size + 1)
@@ -151,7 +150,7 @@ class MCMC(SearchingIdentifier):
         return [answers[i] for i in range(len(problems))]
 
     def _prepared(self, place: int, model: OutputError, modes: Modes, rng: np.random.Generator) -> _ChainFit:
-        """Find the modes of the posterior; raises NoEstimate where the data leave a parameter open."""
+        """Find the modes of the posterior; raises NoEstimate where the data do not determine a parameter."""
         fine = compiled(as_fine_as_noise(model, modes[0][1]))
         errors = STUDENT if self.likelihood == "student" else NORMAL
         if self.likelihood == "student":
@@ -163,7 +162,7 @@ class MCMC(SearchingIdentifier):
         return _ChainFit(place, posterior, laplace(posterior, modes), rng)
 
     def _sampled(self, fits: Sequence[_ChainFit], walkers: int, burn: int, block: int) -> dict[int, Estimate]:
-        """The answers by the number of the problem, of problems that can be simulated together."""
+        """Sample problems that can be simulated together; return the estimates by index of the problem."""
         ensembles = [
             Ensemble(i, fit.proposal, np.random.RandomState(int(fit.rng.integers(2**31))))
             for i, fit in enumerate(fits)
@@ -194,7 +193,7 @@ class MCMC(SearchingIdentifier):
         return answers
 
     def _judged(self, fit: _ChainFit, cost: Cost, last: bool) -> Estimate | None:
-        """The answer where the chains have converged, or where this was the ``last`` block; else None."""
+        """Return the estimate of converged chains, a failure after the ``last`` block, otherwise None."""
         steps, unknowns = fit.path.shape[1], fit.posterior.size
         times = np.max(autocorrelation_times(fit.path), axis=0)
         time = float(np.max(np.where(np.isfinite(times), np.maximum(times, 1.0), np.inf)))
@@ -210,20 +209,20 @@ class MCMC(SearchingIdentifier):
                 posterior.model.problem, lambda: estimate_from_draws(posterior, drawn, {}, Cost(), self.curves)
             )
             return None
-        advice = "raise blocks, or give more data or a narrower prior"
+        advice = "raise blocks, or provide more data or a narrower prior"
         if unknowns > MANY:
-            advice = f"walkers mix slowly among {unknowns} unknowns; take a sampler with gradients (nuts)"
+            advice = f"walkers mix slowly with {unknowns} unknowns; use a gradient-based sampler (nuts)"
         sentence = (
             f"the chains have not converged (R-hat {r_hat:.3f}, effective draws {effective:.0f}, autocorrelation time "
-            f"{time:.0f} of {steps} steps{', too long to be trusted' if short else ''}): {advice}"
+            f"{time:.0f} of {steps} steps{', too long for a reliable estimate' if short else ''}): {advice}"
         )
         return Estimate.failed(fit.posterior.model.system, Status.DIVERGED, sentence, cost)
 
 
 def _at_floor(posterior: Posterior, drawn: np.ndarray) -> tuple[np.ndarray, str]:
-    """Where the noise is at its least, move draws (n, size) so that their medians are the mode, and say so.
+    """Shift draws (n, size) to have the mode as median where the noise is at its lower limit; return a message.
 
-    Draws of that width would err by more than the mode does, which is as exact as the integration.
+    The median of so wide draws would be less accurate than the mode.
     """
     size = posterior.model.size
     if np.any(np.median(drawn[:, size:], axis=0) > posterior.least[0] + np.log(NEAR_LEAST)):
@@ -235,7 +234,7 @@ def _at_floor(posterior: Posterior, drawn: np.ndarray) -> tuple[np.ndarray, str]
 
 @dataclass(eq=False)
 class _ChainFit:
-    """One problem, by its place among those given; ``path`` (ensembles, steps, walkers, size) since burning in."""
+    """One problem with its index among the given ones; ``path`` (ensembles, steps, walkers, size) after burn-in."""
 
     place: int
     posterior: Posterior

@@ -1,4 +1,4 @@
-"""Mixtures of normals or multivariate Student t: what a posterior looks like before it is sampled."""
+"""Mixtures of normal or multivariate Student t distributions, as approximations of a posterior."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from methods.sampling.posterior import NOISE_LEAST, NOISE_SD, Posterior
 from methods.starts.wide_prior import PRIORLESS_SD
 
 MODE_MARGIN = 25.0
-"""A mode joins the proposal while minus twice its log-posterior is within this of the best."""
+"""Modes whose minus twice log-posterior is within this of the best belong to the proposal."""
 PROPOSAL_DOF = 6.0
 ABOVE_LEAST = 1.2
-"""A proposal is centred on noise at least so many times the least one, or much of it would lie outside."""
+"""Least noise at the centre of a proposal over the lower limit, so that most of it lies above the limit."""
 NARROW, NARROWEST = 1e-8, 1e-15
-"""The least eigenvalue of a correlation that is factored as it stands; and what double precision resolves."""
+"""Least eigenvalue of a correlation factored without regularisation, and the resolution of double precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """``log_weights`` (m,), ``centres`` (m, d), ``roots`` (m, d, d), lower triangular, of the scale matrices."""
+    """A mixture with ``log_weights`` (m,), ``centres`` (m, d) and Cholesky factors ``roots`` (m, d, d)."""
 
     log_weights: np.ndarray
     centres: np.ndarray
     roots: np.ndarray
     dof: float = np.inf
-    """Infinite: normals."""
+    """Degrees of freedom; infinite for normal distributions."""
 
     @cached_property
     def _inverse_roots(self) -> np.ndarray:
@@ -42,7 +42,7 @@ class Mixture:
         return np.exp(self.log_weights - np.logaddexp.reduce(self.log_weights))
 
     def draw(self, n: int, random: Any, spread: float = 1.0) -> np.ndarray:
-        """``n`` draws, shape (n, d), ``spread`` times as wide."""
+        """Draw (n, d), with scales multiplied by ``spread``."""
         which = random.choice(len(self.log_weights), size=n, p=self.weights)
         z = random.standard_normal((n, self.centres.shape[1]))
         if np.isfinite(self.dof):
@@ -50,7 +50,7 @@ class Mixture:
         return np.asarray(self.centres[which] + spread * np.einsum("nij,nj->ni", self.roots[which], z))
 
     def log_density(self, x: np.ndarray) -> np.ndarray:
-        """Log-density, shape (n,), of points (n, d)."""
+        """Return the log-density (n,) at points (n, d)."""
         d, v = x.shape[1], self.dof
         squares = np.sum(np.einsum("mij,nmj->nmi", self._inverse_roots, x[:, None] - self.centres) ** 2, axis=2)
         if np.isfinite(v):
@@ -62,7 +62,7 @@ class Mixture:
         return np.asarray(np.logaddexp.reduce(logs - log_det + self.log_weights, axis=1))
 
     def times(self, mean: np.ndarray, covariance: np.ndarray) -> Mixture:
-        """A mixture of normals times a normal density, normalised (Papamakarios and Murray, 2016, appendix)."""
+        """Multiply a mixture of normals by a normal density and normalise (Papamakarios and Murray, 2016, appendix)."""
         covariances = self.roots @ self.roots.swapaxes(1, 2)
         both, away = covariances + covariance, mean - self.centres
         moved = np.linalg.solve(both, away[..., None])[..., 0]
@@ -74,7 +74,7 @@ class Mixture:
 
 
 def laplace(posterior: Posterior, modes: Sequence[tuple[float, np.ndarray]]) -> Mixture:
-    """Return Student t distributions on the modes that could be true, a little wider than Laplace approximations.
+    """Return Student t distributions at the plausible modes, slightly wider than Laplace approximations.
 
     Args:
         posterior: Its model gives response, slopes and noise at each mode.
@@ -104,14 +104,14 @@ def laplace(posterior: Posterior, modes: Sequence[tuple[float, np.ndarray]]) -> 
             centres.append(centre)
             roots.append(1.1 * root)
     if not masses:
-        raise NoEstimate("the data leave a parameter open; give more samples, a known force or a prior")
-    # the Laplace approximation of a mode's weight is rough: none is left without visits
+        raise NoEstimate("the data do not determine a parameter; more samples, a known force or a prior are required")
+    # since Laplace weights are approximate, every mode gets a least weight
     weights = 0.9 * np.exp(masses - np.logaddexp.reduce(masses)) + 0.1 / len(masses)
     return Mixture(np.log(weights), np.stack(centres), np.stack(roots), PROPOSAL_DOF)
 
 
 def _root(correlation: np.ndarray) -> np.ndarray:
-    """A lower triangular root of a correlation (d, d), also where it is so narrow that rounding made it singular."""
+    """Return a lower triangular root of a correlation (d, d), also of a numerically singular one."""
     values, axes = np.linalg.eigh(correlation)
     if values[0] > NARROW:
         return np.asarray(np.linalg.cholesky(correlation + 1e-10 * np.eye(len(values))))

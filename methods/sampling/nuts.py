@@ -1,17 +1,16 @@
-"""Bayesian sampling of the posterior by its gradient: the No-U-Turn sampler of blackjax.
+"""Bayesian sampling of the posterior by the No-U-Turn sampler of blackjax.
 
 The sampler: M. D. Hoffman, A. Gelman, J. Machine Learning Research 15:1593, 2014.
 
-The posterior is that of ``mcmc``, but its gradient is known (:mod:`methods.sampling.differentiable`), so a chain moves
-far in each step, however many unknowns there are. Sampling is in coordinates in which the Laplace approximation at the
-best mode is a standard normal. ``chains`` chains start at draws from the Laplace approximations of all modes that could
-be true, each with its own adaptation of step size and metric (Stan's windows) over ``warmup`` steps, then blocks of
-``draws`` steps until the diagnostics hold: the rank-normalised split R-hat and the bulk effective sample size (A.
-Vehtari et al., Bayesian Analysis 16:667, 2021) of every unknown, and the share of divergent transitions. A gradient
-sampler does not pass from one half-period to another, as the mixture proposal of ``mcmc`` does: chains that start in
-different modes stay there, R-hat shows it, and the fit is a failure with a sentence rather than a wrong answer.
+The posterior is that of ``mcmc`` with its gradient (:mod:`methods.sampling.log_posterior`), which allows long moves for
+many unknowns. Coordinates are chosen so that the Laplace approximation at the best mode is a standard normal. The
+chains start at draws from the Laplace approximations of all plausible modes, adapt step size and metric (Stan's
+windows) over ``warmup`` steps, and then run blocks of ``draws`` steps until the diagnostics are satisfied: the
+rank-normalised split R-hat and the bulk effective sample size (A. Vehtari et al., Bayesian Analysis 16:667, 2021) of
+every unknown, and the share of divergent transitions. Unlike ``mcmc``, a chain does not change between half-periods:
+chains that start in different modes stay there, R-hat is large, and the fit fails.
 
-The code is compiled once for all problems of one layout, replicates of a cell say; that takes longer than a fit.
+The code is compiled once for all problems of one layout, which takes longer than a fit.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import numpy as np
 
 from bench import EVERY_PROBLEM, Card, Cost, Estimate, InputError, NoEstimate, OutputError, Problem, Scope
 from methods.sampling.answer import estimate_from_draws, thinned
-from methods.sampling.differentiable import DensityLayout, log_density, prepare
+from methods.sampling.log_posterior import DensityLayout, log_density, prepare
 from methods.sampling.mixture import Mixture, laplace
 from methods.sampling.modes import modes_of, require
 from methods.sampling.posterior import Posterior
@@ -35,11 +34,11 @@ from methods.starts.rounding import rounded
 
 @dataclass(frozen=True)
 class NUTS(SearchingIdentifier):
-    """Gradient sampling; settings below, the method in the module's docstring.
+    """Gradient-based sampling of the posterior with ``chains`` chains.
 
-    Converged: R-hat at most ``r_hat`` and bulk effective sample size at least ``effective`` for every unknown, and at
-    most a share ``divergent`` of divergent transitions; at most ``blocks`` blocks are run. At most ``kept`` draws are
-    kept, and ``curves`` of them are averaged in the reconstruction.
+    The chains have converged if R-hat is at most ``r_hat`` and the bulk effective sample size at least ``effective``
+    for every unknown, with at most a share ``divergent`` of divergent transitions; at most ``blocks`` blocks are run.
+    At most ``kept`` draws are kept, ``curves`` of which are averaged in the reconstruction.
     """
 
     chains: int = 4
@@ -76,7 +75,7 @@ class NUTS(SearchingIdentifier):
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Sample the posterior: draws of all parameters, or a normal over the groups where no mass is known."""
-        # to ten digits: a path of leapfrog steps magnifies the last bit of the data to other draws
+        # rounded to ten digits, since leapfrog steps amplify rounding errors of the data
         model = OutputError(rounded(problem))
         modes = require(modes_of([model])[0])
         posterior = Posterior([model], [modes[0][1]])
@@ -86,7 +85,7 @@ class NUTS(SearchingIdentifier):
         if not self._converged(traces):
             raise NoEstimate(
                 f"the chains have not converged (R-hat {r_hat:.3f}, effective draws {effective:.0f}, divergent "
-                f"{divergent:.1%}): raise draws or blocks, or give more data or a narrower prior",
+                f"{divergent:.1%}): raise draws or blocks, or provide more data or a narrower prior",
                 cost=cost,
             )
         return estimate_from_draws(posterior, thinned(phi, self.kept), traces, cost, self.curves)
@@ -98,14 +97,14 @@ class NUTS(SearchingIdentifier):
     def _chains(
         self, posterior: Posterior, proposal: Mixture, rng: np.random.Generator
     ) -> tuple[np.ndarray, dict[str, float], int]:
-        """Draws of phi (chains, steps, size), their :func:`diagnosed`, and the gradients that they took."""
+        """Return draws of phi (chains, steps, size), their :func:`diagnostics`, and the number of gradients."""
         import jax
 
         jax.config.update("jax_enable_x64", True)
         layout, problem = prepare(posterior)
         best = int(np.argmax(proposal.log_weights))
         centre, root = proposal.centres[best], proposal.roots[best]
-        # the chains start in the modes by their weight, without the floor that a proposal needs
+        # the chains start in the modes by their weights, without the least weight of the proposal
         weights = np.maximum(proposal.weights - 0.1 / len(proposal.weights), 1e-12)
         random = np.random.RandomState(int(rng.integers(2**31)))
         draws = replace(proposal, log_weights=np.log(weights)).draw(self.chains, random)
@@ -117,22 +116,24 @@ class NUTS(SearchingIdentifier):
         blocks, gradients = [], 0
         for _ in range(self.blocks):
             key, fresh = jax.random.split(key)
-            # as plain arrays, or what comes from the warm-up and from a block would each be compiled for
+            # as NumPy arrays, so that the code is compiled once for results of warm-up and of a block
             states, tuned = jax.tree.map(np.asarray, (states, tuned))
             states, (positions, diverged, count) = sample(jax.random.split(fresh, self.chains), states, tuned, data)
             blocks.append((np.asarray(positions), np.asarray(diverged)))
             gradients += int(np.sum(count))
             path, divergent = (np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True))
-            traces = diagnosed(path, divergent)
+            traces = diagnostics(path, divergent)
             if self._converged(traces):
                 break
         return centre + path @ root.T, traces, gradients
 
 
-def diagnosed(path: np.ndarray, divergent: np.ndarray) -> dict[str, float]:
-    """The worst R-hat and bulk effective sample size over the unknowns, and the share of divergent transitions.
+def diagnostics(path: np.ndarray, divergent: np.ndarray) -> dict[str, float]:
+    """Return the worst R-hat and bulk effective sample size over the unknowns, and the share of divergent transitions.
 
-    Of draws (chains, steps, size) and whether each transition diverged, (chains, steps).
+    Args:
+        path: Draws, (chains, steps, size).
+        divergent: Whether each transition diverged, (chains, steps).
     """
     from blackjax.diagnostics import ess_bulk, rhat
 
@@ -145,7 +146,7 @@ def diagnosed(path: np.ndarray, divergent: np.ndarray) -> dict[str, float]:
 
 @cache
 def compiled(layout: DensityLayout, warmup: int, draws: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Warming up and sampling as compiled functions of keys (chains,), positions or states, and data."""
+    """Return the compiled functions for warm-up and sampling, of keys (chains,), positions or states, and data."""
     import blackjax
     import jax
 

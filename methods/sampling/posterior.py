@@ -1,11 +1,11 @@
-"""The posterior that the samplers draw from.
+"""The posterior sampled by the samplers.
 
-Sampled together: the log-parameters, the unknown initial states and offsets, and the logarithm of each channel's noise.
-Likelihood: independent normal errors about the simulated response. Priors, all proper but one: the problem's nominal
-prior on the log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the best fit to the
-data); ``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, whose two standard deviations reach from 70 to -30 dB,
-nil below ``NOISE_LEAST`` of a channel's size; flat on initial states and offsets, which the data fix. The
-errors may be Student's t in place of normal (:mod:`methods.trajectory.student`); sigma is then their scale.
+The unknowns are the log-parameters, unknown initial states and offsets, and the logarithm of each channel's noise. The
+likelihood has independent normal errors about the simulated response. The priors are: the problem's prior on the
+log-parameters (without one, a normal of standard deviation 3, a factor of 20, about the best fit);
+``log sigma ~ Normal(log(rms of the channel / 10), 3²)``, whose two standard deviations range from 70 to -30 dB,
+truncated below ``NOISE_LEAST`` of a channel's size; and flat priors on initial states and offsets. The errors may be
+Student's t (:mod:`methods.trajectory.student`); sigma is then their scale.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from methods.trajectory.student import NORMAL, NormalErrors, StudentErrors
 NOISE_CENTRE = float(np.log(0.1))
 NOISE_SD = 3.0
 NOISE_LEAST = 1e-8
-"""The least noise, as a part of a channel's size: rounding errors of simulation and sampling are well below it."""
+"""Least noise as a fraction of a channel's size, well above rounding errors of simulation and sampling."""
 MOST_AT_ONCE = 2**16
-"""Predictions that are formed at a time: more would leave the processor's cache."""
+"""Largest number of predictions computed at once, limited by the processor's cache."""
 COMPILED_SETS = 8
-"""From so many sets on, the steps of a nonlinear system are compiled."""
+"""Least number of parameter sets for compiled steps of a nonlinear system."""
 RADIANS = 0.05
-"""Steps in radians of the fastest rate where nothing else is said, as those of :func:`bench.simulate`."""
+"""Default step in radians of the fastest rate, as in :func:`bench.simulate`."""
 
 
 class Posterior:
-    """The log-densities of problems of one layout and a linear system, or of a single problem of any system.
+    """The log-densities of problems of one layout with a linear system, or of a single problem of any system.
 
-    Functions of ``phi = [theta, log sigma by channel]``. A *case* is one problem with one vector phi; its value does
-    not depend on the others. ``modes`` are theta at the mode of each problem; ``calls`` counts responses by problem.
+    They are functions of ``phi = [theta, log sigma of each channel]``; each value is independent of the batch.
+    ``modes``: theta at the mode of each problem. ``calls``: number of responses of each problem.
     """
 
     def __init__(
@@ -59,9 +59,9 @@ class Posterior:
         return self.model.size + len(self.model.channels)
 
     def __call__(self, phi: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
-        """Log-density, shape (n,), of phi (n, size) of the problems ``which`` (n,), the first where none are given.
+        """Return the log-density (n,) at phi (n, size) of the problems ``which`` (n,), by default the first.
 
-        Minus infinity where the response diverges.
+        It is minus infinity where the response diverges.
         """
         which = np.zeros(len(phi), int) if which is None else which
         self.calls += np.bincount(which, minlength=self.calls.size)
@@ -83,7 +83,7 @@ class Posterior:
         return np.where(inside & np.isfinite(value), value, -np.inf)
 
     def _predicted(self, which: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Simulated measurements (n, N); a case with singular matrices or an overflow fails for all: bisect for it."""
+        """Simulate measurements (n, N); where a singular matrix or an overflow makes a batch fail, bisect it."""
         try:
             predicted = (self.batch if self.calls.size == 1 else self.batch[which]).predict(theta)
             if len(theta) == 1 or np.any(np.isfinite(predicted)):
@@ -98,19 +98,19 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class Compiled(OutputError):
-    """The output error of a nonlinear system, integrated by compiled steps of at most so many radians."""
+    """The output error of a nonlinear system, integrated by compiled steps of at most ``radians``."""
 
     radians: float = RADIANS
 
     def readings(self, p: dict[str, np.ndarray], start: InitialValues, record: Record) -> np.ndarray:
-        """Return the readings; not finite where the response diverges."""
+        """Simulate the measurements; not finite where the response diverges."""
         if np.prod(np.broadcast_shapes(*(np.shape(value) for value in p.values()))) < COMPILED_SETS:
             return super().readings(p, start, record)
         return integrated_readings(self.system, p, start, record, self.radians, compiled_path)
 
 
 def compiled(model: OutputError) -> OutputError:
-    """Return the model, integrated as finely, by compiled steps where the system is not linear."""
+    """Return the model, with compiled steps of the same accuracy for a nonlinear system."""
     if model.system.linear:
         return model
     return Compiled(model.problem, radians=model.radians if isinstance(model, Stepped) else RADIANS)

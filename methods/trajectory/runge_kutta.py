@@ -119,7 +119,7 @@ class SteppedOutputError(OutputError):
         return np.asarray(self.needed(cases, theta, sigma) > self.substeps[cases])
 
     def needed(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Return the steps between nodes for estimates ``theta`` (cases, size) and noise ``sigma`` (cases, channels)."""
+        """Return the steps between nodes required for estimates (cases, size) and noise (cases, channels)."""
         relative = np.min(sigma / self[cases].rms, axis=1) / np.sqrt(self.channel_of.size)
         allowed = np.maximum(self.integration_error, self.noise_share * relative)
         rates, duration = self._fastest(cases, theta), max(record.duration for record in self.problem.records)

@@ -167,7 +167,7 @@ def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
     pytest.importorskip("blackjax")
     import jax
 
-    from methods.sampling.differentiable import log_density, prepare
+    from methods.sampling.log_posterior import log_density, prepare
     from methods.sampling.posterior import Posterior
 
     jax.config.update("jax_enable_x64", True)

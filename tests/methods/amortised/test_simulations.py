@@ -12,7 +12,7 @@ from bench import Channel, InitialState, Problem, Record
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
 from methods.amortised.correction import log_likelihood
-from methods.amortised.simulations import DECIBELS, SampleLayout, shown, simulated, unit_responses
+from methods.amortised.simulations import DECIBELS, SampleLayout, network_inputs, simulated, unit_responses
 from methods.sampling.mixture import Mixture
 
 TIMES = np.linspace(0.0, 1.0, 12)
@@ -46,9 +46,9 @@ def test_the_anchor_is_the_frequency_and_size_does_not_matter(told: bool) -> Non
     even, odd = unit_responses(omega, np.array([0.02]), layout.times)
     start = np.array([[1.0, 9.0]]) if told else None
     y = even + 9.0 * odd
-    own = shown(layout, y, start)
+    own = network_inputs(layout, y, start)
     assert abs(own.anchor[0] - np.log(omega[0])) <= own.step[0]
-    other = shown(layout, 1e-3 * y, None if start is None else 1e-3 * start)
+    other = network_inputs(layout, 1e-3 * y, None if start is None else 1e-3 * start)
     np.testing.assert_allclose(other.features, own.features, atol=1e-5)
 
 

@@ -135,7 +135,7 @@ def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
     estimate = sample(problem, burn=0, block=8, blocks=1)
     assert estimate.status is Status.DIVERGED
     assert "not converged (R-hat" in estimate.message
-    assert "of 8 steps, too long to be trusted): raise blocks" in estimate.message
+    assert "of 8 steps, too long for a reliable estimate): raise blocks" in estimate.message
 
 
 def test_the_autocorrelation_time_is_emcee_s() -> None:

@@ -12,8 +12,8 @@ from bench.systems import SDOF, Chain, Duffing, System
 
 pytest.importorskip("blackjax")
 from bench import OutputError
-from methods.sampling.differentiable import log_density, prepare
-from methods.sampling.nuts import NUTS, compiled, diagnosed
+from methods.sampling.log_posterior import log_density, prepare
+from methods.sampling.nuts import NUTS, compiled, diagnostics
 from methods.sampling.posterior import Posterior
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
@@ -110,18 +110,18 @@ def test_diagnostics_tell_chains_apart() -> None:
     rng = np.random.default_rng(0)
     still = np.zeros((4, 300), bool)
     mixed = rng.standard_normal((4, 300, 3))
-    assert NUTS()._converged(diagnosed(mixed, still))
+    assert NUTS()._converged(diagnostics(mixed, still))
     # independent draws: as many effective as there are, up to the error of the estimate
-    assert diagnosed(mixed, still)["effective_sample_size"] == pytest.approx(1200, rel=0.3)
+    assert diagnostics(mixed, still)["effective_sample_size"] == pytest.approx(1200, rel=0.3)
     apart = mixed.copy()
     apart[1, :, 1] += 1.0
-    assert diagnosed(apart, still)["r_hat"] > 1.05
+    assert diagnostics(apart, still)["r_hat"] > 1.05
     slow = np.cumsum(mixed, axis=1)
-    assert diagnosed(slow, still)["effective_sample_size"] < 100
+    assert diagnostics(slow, still)["effective_sample_size"] < 100
     stuck = mixed.copy()
     stuck[..., 0] = 1.0
-    assert diagnosed(stuck, still)["r_hat"] == np.inf
-    assert not NUTS()._converged(diagnosed(mixed, np.ones((4, 300), bool)))
+    assert diagnostics(stuck, still)["r_hat"] == np.inf
+    assert not NUTS()._converged(diagnostics(mixed, np.ones((4, 300), bool)))
 
 
 def test_settings_out_of_range_are_refused() -> None:

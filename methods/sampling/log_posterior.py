@@ -1,15 +1,15 @@
-"""The posterior of a problem as a jax function, compiled once for all problems of one layout: for gradient samplers.
+"""The log-posterior as a JAX function for gradient-based samplers, compiled once per layout.
 
-It is :class:`methods.sampling.posterior.Posterior`, term by term, in jax and differentiable: of the one residual
-(:func:`bench.state_rate`, :func:`bench.rk4_scan`), in natural units.
+It equals :class:`methods.sampling.posterior.Posterior`, in natural units, with the same equation of motion
+(:func:`bench.state_rate`, :func:`bench.rk4_scan`).
 
-- **Linear systems**: state and force over an interval in which the force is linear obey one constant-coefficient system
-  (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978). Its matrix exponential, by scaling, a Taylor polynomial
-  of degree 8 and squaring, carries the state from node to node: exact to rounding, at any step.
+- **Linear systems**: state and force over an interval in which the force is linear satisfy a constant-coefficient
+  system (C. F. Van Loan, IEEE Trans. Automatic Control 23:395, 1978). Its matrix exponential, by scaling, a Taylor
+  polynomial of degree 8 and squaring, is the exact state transition for any step.
 - **Others**: Runge-Kutta steps of order four, of at most ``STEP`` radians of the fastest rate at the mode.
 
-What decides the compiled code is a :class:`DensityLayout`; all numbers are arguments, so the replicates of a cell share
-it. jax is imported in functions: this module costs nothing where it is not used.
+The compiled code depends on the :class:`DensityLayout` only; all numbers are arguments, so that the replicates of a
+cell share it. JAX is imported inside functions, to keep the import of this module fast.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from methods.kalman.joint import Nodes, fastest_rate, node_times
 from methods.sampling.posterior import NOISE_SD, Posterior
 
 STEP = 0.3
-"""Integration step in radians of the fastest rate: the natural frequency is then off by at most 7 parts in 100,000."""
+"""Integration step in radians of the fastest rate, with a relative frequency error of at most 7e-5."""
 RATE_RATIO = 1.5
-"""Rates are rounded up to a power of this, so that problems that are alike take the same steps."""
+"""Rates are rounded up to a power of this, so that similar problems share the steps."""
 REACH = 4.0
-"""How much faster than at the mode the motion may become before the matrix exponential loses digits."""
+"""Factor by which the rate may exceed that at the mode before the matrix exponential loses accuracy."""
 TAYLOR = 8
 
 Data = dict[str, Any]
-"""All numbers of a problem, as arrays: a tree that jax takes as an argument."""
+"""All numbers of a problem as a tree of arrays."""
 
 
 @dataclass(frozen=True)
 class DensityLayout:
-    """What decides the compiled code: the system, what is estimated, which records and sensors; hashable.
+    """The hashable structure on which the compiled code depends.
 
-    ``rigs`` by record: the system that moved, with what was added to it. ``known`` by record: whether its initial state
-    is. ``channels``: record, what is measured, DOF, and which of the offsets is added, -1 for none. ``squarings`` of
-    the matrix exponential.
+    ``rigs``: the system of each record with its added mass. ``known``: whether the initial state of each record is
+    known. ``channels``: record, measured quantity, DOF, and index of the offset, -1 for none. ``squarings``: number of
+    squarings of the matrix exponential.
     """
 
     system: System
@@ -56,12 +56,12 @@ class DensityLayout:
 
 
 def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
-    """Layout and numbers of a problem, its steps sized by the fastest rate at the posterior's mode."""
+    """Return layout and numbers of a problem, with steps for the fastest rate at the posterior's mode."""
     model, k = posterior.model, len(posterior.model.free)
     system, records = model.system, model.problem.records
     logs = posterior.mode[:k]
     speed = RATE_RATIO ** np.ceil(np.log(fastest_rate(model, logs)) / np.log(RATE_RATIO))
-    # a linear system needs steps at the samples of a force only
+    # a linear system requires steps at the samples of a force only
     nodes = Nodes.of(model, np.inf if system.linear else STEP / max(speed, 1e-9))
     tables = [_table(nodes, first, last) for first, last in itertools.pairwise(nodes.bounds)]
     longest = max(float(np.max(table["gaps"])) for table in tables)
@@ -85,7 +85,7 @@ def prepare(posterior: Posterior) -> tuple[DensityLayout, Data]:
 
 
 def _table(nodes: Nodes, first: int, last: int) -> dict[str, np.ndarray]:
-    """Steps of one record: lengths (J,), forces (J, 3, n_dof), the step after which a node is reached (K,)."""
+    """Return the steps of one record: lengths (J,), forces (J, 3, n_dof), number of steps before a node (K,)."""
     reached = nodes.reached[first:last]
     steps = slice(reached[0], reached[-1])
     h = nodes.lengths[steps]
@@ -95,7 +95,7 @@ def _table(nodes: Nodes, first: int, last: int) -> dict[str, np.ndarray]:
 
 
 def log_density(layout: DensityLayout, data: Data, phi: Any) -> Any:
-    """The log-posterior of ``phi = [theta, log sigma by channel]``, up to a constant; -inf where it is not finite."""
+    """Return the log-posterior of ``phi = [theta, log sigma of each channel]`` up to a constant; -inf if not finite."""
     import jax.numpy as jnp
 
     k, n2 = len(layout.free), 2 * layout.system.n_dof
@@ -111,13 +111,13 @@ def log_density(layout: DensityLayout, data: Data, phi: Any) -> Any:
     for i, (r, measures, dof, offset) in enumerate(layout.channels):
         readings = _measured(layout.rigs[r], p, paths[r], data["tables"][r]["forces"], measures, dof)
         shift = offsets[offset] if offset >= 0 else 0.0
-        left = (data["values"][i] - readings[data["node_of"][i]] - shift) * jnp.exp(-log_sigma[i])
-        value -= 0.5 * jnp.sum(left**2) + data["values"][i].size * log_sigma[i]
+        residual = (data["values"][i] - readings[data["node_of"][i]] - shift) * jnp.exp(-log_sigma[i])
+        value -= 0.5 * jnp.sum(residual**2) + data["values"][i].size * log_sigma[i]
     return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
 
 def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, measures: str, dof: int) -> Any:
-    """What an ideal sensor gives at every node, (K,), from the states there (K, d)."""
+    """Return the noise-free measurement at every node, (K,), from the states there (K, d)."""
     import jax.numpy as jnp
 
     n = system.n_dof
@@ -128,27 +128,27 @@ def _measured(system: System, p: Mapping[str, Any], path: Any, forces: Any, meas
 
 
 def _path(layout: DensityLayout, system: System, p: Mapping[str, Any], start: Any, table: Mapping[str, Any]) -> Any:
-    """States ``[x, v, z]`` at the nodes of a record, (K, d)."""
+    """Compute the states ``[x, v, z]`` at the nodes of a record, (K, d)."""
     import jax
     import jax.numpy as jnp
 
     first = jnp.concatenate([jnp.asarray(start), jnp.zeros(system.n_hidden)])
     if not system.linear:
         return rk4_scan(system, p, first, table["h"], table["push"])[table["reached"]]
-    carriers = _carriers(layout, system, p, table["gaps"])
+    transitions = _transitions(layout, system, p, table["gaps"])
 
     def exact(state: Any, inputs: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         h, push, which = inputs
         whole = jnp.concatenate([state, push[0], (push[2] - push[0]) / h]) if layout.forced else state
-        new = carriers[which] @ whole
+        new = transitions[which] @ whole
         return new, new
 
     _, path = jax.lax.scan(exact, first, (table["h"], table["push"], table["which"]))
     return jnp.concatenate([first[None], path])[table["reached"]]
 
 
-def _carriers(layout: DensityLayout, system: System, p: Mapping[str, Any], gaps: Any) -> Any:
-    """The upper rows of the matrix exponentials that carry ``[x, v]`` (and force and its slope) over each gap."""
+def _transitions(layout: DensityLayout, system: System, p: Mapping[str, Any], gaps: Any) -> Any:
+    """Return the rows for ``[x, v]`` of the matrix exponentials over each interval, by state, force and slope."""
     import jax
     import jax.numpy as jnp
 
