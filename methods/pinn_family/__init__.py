@@ -1,6 +1,7 @@
-"""The PINN family: one loss, many ways to train; see :mod:`methods.pinn_family.method`. Loads no torch by itself.
+"""The PINN family: one loss with many training methods (:mod:`methods.pinn_family.method`).
 
-:class:`Optimizer`, :class:`Weighting` and :class:`Features` are the base classes of what other packages add.
+:class:`Optimizer`, :class:`Weighting` and :class:`Features` are base classes for components of other packages.
+Importing this package does not import torch.
 """
 
 from importlib import import_module

@@ -1,7 +1,7 @@
-"""Other functions of time than the paper's tanh network, each as features that a linear layer combines.
+"""Architectures besides the paper's tanh network, each as features combined by a linear output layer.
 
-An architecture says what shapes its coefficients have, how they start, and what its features are, as jets in scaled
-time; everything else (rows, Jacobian, output layer) is common to all, see :class:`FeatureAnsatz`.
+An architecture defines its initial coefficients and its features as jets in scaled time; rows, Jacobian and output
+layer are common to all (:class:`FeatureAnsatz`).
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from methods.pinn.block import Block
 from methods.pinn_family.choices import TrainingComponent
 
 Parts = Sequence[Tensor]
-"""Coefficients, layer by layer."""
+"""Coefficients of the layers."""
 
 
 @dataclass
 class Jet:
-    """A function of time at points: ``streams`` (3, ...) are its value, first and second derivative by time.
+    """A function of time at points; ``streams`` (3, ...): value, first and second time derivative.
 
-    The three are carried through a network together (Taylor mode; see the tanh network).
+    The three are propagated through a network together (Taylor mode).
     """
 
     streams: Tensor
 
     @staticmethod
     def of_time(tau: Tensor, rate: Tensor) -> Jet:
-        """Return scaled time (n_points, 1) itself, whose derivative by time is ``rate``."""
+        """Return scaled time (n_points, 1), with time derivative ``rate``."""
         return Jet(torch.stack([tau, rate.expand_as(tau), torch.zeros_like(tau)]))
 
     @property
     def value(self) -> Tensor:
-        """The function itself."""
+        """Return the value."""
         return self.streams[0]
 
     def linear(self, weight: Tensor, bias: Tensor | float = 0.0) -> Jet:
@@ -49,7 +49,7 @@ class Jet:
         return Jet(torch.cat([mapped[:1] + bias, mapped[1:]]))
 
     def through(self, value: Tensor, slope: Tensor, curvature: Tensor) -> Jet:
-        """Return a function of this, given its value and its two derivatives by this value."""
+        """Apply a function, given its value and its first two derivatives at this value."""
         _, first, second = self.streams
         return Jet(torch.stack([value, slope * first, slope * second + curvature * first**2]))
 
@@ -65,7 +65,7 @@ class Jet:
         return self.through(s, c, -s)
 
     def gaussians(self, n: int) -> Jet:
-        """Return n Gaussian bumps of each entry of the last axis, centred evenly on [-1, 1]: (..., k) to (..., k n)."""
+        """Return n Gaussians of each entry of the last axis, with even centres on [-1, 1]: (..., k) to (..., k n)."""
         like, width = self.streams, 2.0 / (n - 1)
         centres = torch.linspace(-1.0, 1.0, n, dtype=like.dtype, device=like.device)
         u = (self.value[..., None] - centres) / width
@@ -85,29 +85,29 @@ class Jet:
         return Jet(torch.stack([a * b, a1 * b + a * b1, a2 * b + 2.0 * a1 * b1 + a * b2]))
 
     def scaled(self, factor: Tensor | float) -> Jet:
-        """Return this times a number."""
+        """Return the product with a number."""
         return Jet(self.streams * factor)
 
-    def beside(self, other: Jet) -> Jet:
-        """Return both, along the last axis."""
+    def concatenate(self, other: Jet) -> Jet:
+        """Concatenate two jets along the last axis."""
         return Jet(torch.cat([self.streams, other.streams], -1))
 
     def with_one(self) -> Jet:
-        """Return this and the constant 1, along the last axis."""
+        """Append the constant 1 along the last axis."""
         zero = torch.zeros_like(self.value[..., :1])
-        return self.beside(Jet(torch.stack([zero + 1.0, zero, zero])))
+        return self.concatenate(Jet(torch.stack([zero + 1.0, zero, zero])))
 
 
 @dataclass(frozen=True)
 class Features(TrainingComponent, ABC):
-    """Features of scaled time on [-1, 1]: ``width`` of them, from layers ``depth`` deep."""
+    """``width`` features of scaled time on [-1, 1], from ``depth`` layers."""
 
     width: int = 64
     depth: int = 2
 
     @abstractmethod
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
-        """Return the first coefficients, layer by layer, for a function of about so many oscillations."""
+        """Return the initial coefficients of the layers for a function of about ``cycles`` oscillations."""
 
     @abstractmethod
     def jet(self, parts: Parts, time: Jet) -> Jet:
@@ -124,22 +124,22 @@ def _glorot(n_out: int, n_in: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _frequencies(n: int, cycles: float, rng: np.random.Generator) -> np.ndarray:
-    """Draw angular frequencies (n, 1) of scaled time about those of so many oscillations."""
+    """Draw angular frequencies (n, 1) in scaled time, of the size of ``cycles`` oscillations."""
     return rng.standard_normal((n, 1)) * math.pi * max(cycles, 1.0)
 
 
 def _waves(frequencies: Tensor, time: Jet) -> Jet:
-    """Return sines and cosines of time; the frequencies stay as they are drawn."""
+    """Return sines and cosines of time; the frequencies are not trained."""
     fixed = frequencies.detach()
-    return time.linear(fixed).sin().beside(time.linear(fixed, 0.5 * math.pi).sin())
+    return time.linear(fixed).sin().concatenate(time.linear(fixed, 0.5 * math.pi).sin())
 
 
 @dataclass(frozen=True)
 class Sine(Features):
-    """Sine activations: V. Sitzmann et al., NeurIPS 2020. The first layer's frequencies reach twice the record's."""
+    """Sine activations: V. Sitzmann et al., NeurIPS 2020. First frequencies are at most twice the record's."""
 
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
-        fastest = 2.0 * math.pi * max(cycles, 1.0)  # two cycles of scaled time's half-length
+        fastest = 2.0 * math.pi * max(cycles, 1.0)  # twice the record's angular frequency in scaled time
         parts = [rng.uniform(-fastest, fastest, (self.width, 1)), rng.uniform(-math.pi, math.pi, self.width)]
         for _ in range(self.depth - 1):
             weights = rng.uniform(-1.0, 1.0, (self.width, self.width)) * math.sqrt(6.0 / self.width)
@@ -172,10 +172,10 @@ class Fourier(Features):
 
 @dataclass(frozen=True)
 class KolmogorovArnold(Features):
-    """A Kolmogorov-Arnold network (Z. Liu et al., ICLR 2025) whose edges are Gaussian bumps.
+    """A Kolmogorov-Arnold network (Z. Liu et al., ICLR 2025) with Gaussian edge functions.
 
-    Bumps in place of B-splines: Z. Li, arXiv:2405.06721, 2024. Between its layers stands tanh, so that values stay on
-    the bumps' grid. The last layer's edges are the output layer.
+    Gaussians in place of B-splines: Z. Li, arXiv:2405.06721, 2024. A tanh between layers keeps values on the grid of
+    centres. The edges of the last layer are the output layer.
     """
 
     bumps: ClassVar[int] = 8
@@ -199,7 +199,7 @@ class KolmogorovArnold(Features):
 
 @dataclass(frozen=True)
 class Pirate(Features):
-    """PirateNet: gated residual blocks that start as the identity on Fourier features.
+    """PirateNet: gated residual blocks, initially the identity, on Fourier features.
 
     S. Wang et al., J. Mach. Learn. Res. 25:402, 2024. ``depth`` counts blocks of three layers each.
     """
@@ -207,7 +207,7 @@ class Pirate(Features):
     def start(self, cycles: float, rng: np.random.Generator) -> list[np.ndarray]:
         n = 2 * (self.width // 2)
         parts = [_frequencies(n // 2, cycles, rng)]
-        for _ in range(2 + 3 * max(1, self.depth - 1)):  # two gates, then three layers a block
+        for _ in range(2 + 3 * max(1, self.depth - 1)):  # two gates, then three layers per block
             parts += [_glorot(n, n, rng), np.zeros(n)]
         return [*parts, np.zeros(max(1, self.depth - 1))]
 
@@ -241,10 +241,10 @@ COMPONENTS: Mapping[str, type[Features]] = {
 
 @dataclass
 class FeatureAnsatz(Ansatz):
-    """A linear combination of trainable features at the points ``tau`` (B, n_points), for each path.
+    """Linear combinations of trainable features at points ``tau`` (B, n_points), one per path.
 
-    ``shapes`` are those of the features' coefficients, which stand in a vector before the output layer's (weights path
-    by path, then one constant a path).
+    ``shapes``: shapes of the features' coefficients, which precede those of the output layer (for each path, weights
+    and a constant).
     """
 
     features: Features
@@ -309,7 +309,7 @@ class FeatureAnsatz(Ansatz):
 
 @dataclass(frozen=True, eq=False)
 class FeatureFunction:
-    """Return the representation of the response by features; see :class:`methods.pinn.settings.PhysicsSettings`."""
+    """Representation of the response by features; see :class:`methods.pinn.settings.PhysicsSettings`."""
 
     features: Features
 
@@ -318,7 +318,7 @@ class FeatureFunction:
         return [part.shape for part in self.features.start(resolution, np.random.default_rng(0))]
 
     def ansatz(self, block: Block, resolution: int) -> FeatureAnsatz:
-        """Return the function at the points of a record."""
+        """Return the ansatz at the points of a record."""
         device = block.values.device
         tau = torch.as_tensor(2.0 * block.times / block.duration[:, None] - 1.0, device=device)
         rate = torch.as_tensor(2.0 / block.duration, device=device)
@@ -327,19 +327,19 @@ class FeatureFunction:
     def first_coefficients(
         self, n_paths: int, resolution: int, cycles: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> np.ndarray:
-        """Return the coefficients to start from, (B, count): those of the output layer are zero."""
+        """Return the initial coefficients, (B, count); those of the output layer are zero."""
         head = np.zeros(n_paths * (self.features.n_features() + 1))
         bodies = [[part.ravel() for part in self.features.start(resolution, rng)] for rng in rngs]
         return np.stack([np.concatenate([*body, head]) for body in bodies])
 
     def response(self, coefficients: np.ndarray, n_paths: int, resolution: int, duration: float) -> FeatureResponse:
-        """Return the paths by time."""
+        """Return the response as a function of time."""
         return FeatureResponse(self.features, self.shapes(resolution), coefficients, n_paths, duration)
 
 
 @dataclass(frozen=True, eq=False)
 class FeatureResponse:
-    """Paths by time, (n,) to (n_paths, n): a feature network with its coefficients."""
+    """A feature network with its coefficients as a function of time, (n,) to (n_paths, n)."""
 
     features: Features
     shapes: Sequence[tuple[int, ...]]
@@ -348,7 +348,7 @@ class FeatureResponse:
     duration: float
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Return the paths at times (n,)."""
+        """Evaluate the paths at times (n,)."""
         tau = torch.as_tensor(2.0 * np.asarray(times, float) / self.duration - 1.0)[None]
         ansatz = FeatureAnsatz(self.features, self.shapes, tau, torch.ones(1, dtype=torch.float64), self.n_paths)
         with torch.no_grad():

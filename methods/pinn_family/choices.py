@@ -1,7 +1,8 @@
-"""What the family compares: the values of its settings, with their names in tables, their sources and packages.
+"""The values of the family's settings, with their titles in tables, sources and packages.
 
-Optimisers, weightings and architectures may come from other packages, by entry points of the groups
-``pinn_family.optimizers``, ``pinn_family.weightings`` and ``pinn_family.architectures``. Loads no torch by itself.
+Other packages can add optimisers, weightings and architectures by entry points of the groups
+``pinn_family.optimizers``, ``pinn_family.weightings`` and ``pinn_family.architectures``. Importing this module does not
+import torch.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from bench import Choice, InputError, check_name, entry_points_of, load_entry_po
 
 
 class TrainingComponent:
-    """Base class of optimisers, weightings and architectures; one of another package states what its row says.
+    """Base class of optimisers, weightings and architectures; a component of another package defines these attributes.
 
-    ``title``: its name in tables; ``source``: where it was published; ``package``: what it is computed with, beside its
-    own package; ``version``: raised where a change of the class alters results, so that stored ones are stale.
+    ``title``: name in tables; ``source``: publication; ``package``: package used for its computation; ``version``:
+    increased when a change of the class alters results, so that stored results become stale.
     """
 
     title: ClassVar[str] = ""
@@ -27,35 +28,35 @@ class TrainingComponent:
 
 
 class OpenChoices(Mapping[str, Choice]):
-    """The values of a setting: ours, and those that installed packages register, which are loaded when looked up.
+    """The values of a setting: built-in ones, and those registered by installed packages, loaded on access.
 
-    ``base``: module and class that a component subclasses; the module names ours in its ``COMPONENTS``.
+    ``base``: module and base class of the components; ``COMPONENTS`` of the module has the built-in ones.
     """
 
-    def __init__(self, setting: str, base: str, ours: Mapping[str, Choice]) -> None:
-        self.setting, self.ours, self.group = setting, ours, f"pinn_family.{setting}s"
+    def __init__(self, setting: str, base: str, builtin: Mapping[str, Choice]) -> None:
+        self.setting, self.builtin, self.group = setting, builtin, f"pinn_family.{setting}s"
         self.module, _, self.base = base.partition(":")
 
     def __iter__(self) -> Iterator[str]:
-        return iter({**self.ours, **entry_points_of(self.group)})
+        return iter({**self.builtin, **entry_points_of(self.group)})
 
     def __len__(self) -> int:
-        return len({**self.ours, **entry_points_of(self.group)})
+        return len({**self.builtin, **entry_points_of(self.group)})
 
     def __contains__(self, name: object) -> bool:
-        return name in self.ours or name in entry_points_of(self.group)
+        return name in self.builtin or name in entry_points_of(self.group)
 
     def __getitem__(self, name: str) -> Choice:
-        if name in self.ours or name not in self:
-            return self.ours[name]
+        if name in self.builtin or name not in self:
+            return self.builtin[name]
         component, point = self.load(name), entry_points_of(self.group)[name]
         package = component.package or (point.dist.name if point.dist else "")
         return Choice(component.title, component.source, package, point.value, component.version)
 
     def load(self, name: str) -> Any:
-        """Return the class of a value; a name of ours stays ours.
+        """Return the class of a value; built-in names take precedence.
 
-        Raises InputError for an entry point that does not load, or does not state what a row of the table needs.
+        Raises InputError for an entry point that cannot be loaded or lacks a required attribute.
         """
         module = import_module(f"methods.pinn_family.{self.module}")
         if name in module.COMPONENTS:
@@ -68,9 +69,9 @@ class OpenChoices(Mapping[str, Choice]):
         return component
 
     def check(self, value: str) -> None:
-        """Raise InputError for a value that is neither ours nor registered, or whose entry point is broken."""
+        """Raise InputError for a value that is neither built in nor registered, or whose entry point is broken."""
         check_name(f"method.{self.setting}", value, list(self))
-        if value not in self.ours:
+        if value not in self.builtin:
             self.load(value)
 
 

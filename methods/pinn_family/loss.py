@@ -1,7 +1,7 @@
-"""What every optimiser of the family minimises, half the squared, weighted residual vector, and their base class.
+"""The loss of the family, half the squared weighted residual vector, and the base class of optimisers.
 
-The budget is counted in gradients, so that a training is the same on every machine; what else an optimiser does is
-counted by what it costs beside one (:data:`COSTS`, measured on the reference network).
+The budget is counted in gradients, so that a training is the same on every machine; other operations have the relative
+:data:`COSTS` measured on the reference network.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from methods.pinn_family.sampling import Sampling
 from methods.pinn_family.weighting import Weighting
 
 COSTS = {"value": 0.3, "gradient": 1.0, "equations": 5.0, "matrix": 8e-7}
-"""Work in gradients: of a value, a gradient, a linearisation with its matrix, and of an entry of a dense matrix that
-is read and written once."""
+"""Work, in gradients, of a loss, a gradient, a linearisation with its matrix, and one access to an entry of a dense
+matrix."""
 FIRST_MOVE, LAST_MOVE = 5, 35
-"""Least-squares steps between which weights and points move before each: at rest, where training begins, no equation
-is violated and no weight is right."""
+"""Range of least-squares steps in which weights and points are updated. At rest, where training begins, no equation is
+violated and weights would be meaningless."""
 NEGLIGIBLE = 1e-6
-"""Share of a loss below which a decrease is negligible, where the loss is no log posterior."""
+"""Relative decrease of a loss that is negligible, where the loss is not a log posterior."""
 GROWTH = 1.15
-"""Work from one record of a path to the next, as a factor: moments are evenly spaced in its logarithm."""
+"""Ratio of the work at successive entries of a path."""
 
 
 class Exhausted(Exception):
-    """Raised where the work of a stage is used up; the loss holds the best point of it."""
+    """Raised when the work of a stage is used up; the loss has its best point."""
 
 
 class TrainingPath:
-    """Moments of a training: processor seconds, log-parameters, and the plain residual vector on the first grid.
+    """History of a training: processor time (s), log-parameters, and the unweighted residual vector on the first grid.
 
-    Seconds count from ``begun`` on, a time of :func:`time.process_time`, without those that noting itself takes.
+    The time is relative to ``begun`` (:func:`time.process_time`) and excludes the recording itself.
     """
 
     def __init__(self, begun: float) -> None:
@@ -50,7 +50,7 @@ class TrainingPath:
         self.rows: list[np.ndarray] = []
 
     def note(self, residuals: Residuals, z: Tensor, work: float) -> None:
-        """Note where z (1, n_z) is; after how much work the next note is due follows."""
+        """Record the point z (1, n_z), and set the work at which the next entry is due."""
         now = time.process_time()
         self.seconds.append(now - self.begun)
         ones = torch.ones(1, residuals.n_rows, dtype=torch.float64, device=residuals.device)
@@ -60,7 +60,7 @@ class TrainingPath:
         self.begun += time.process_time() - now
 
     def traces(self, deviations: Tensor) -> Mapping[str, np.ndarray]:
-        """Return the path as arrays; the loss is at the weights that ``deviations`` (1, n_rows) state."""
+        """Return the path as arrays, with the loss for ``deviations`` (1, n_rows)."""
         scaled = np.array(self.rows) / plain(deviations[0])
         return {
             "path_cpu_s": np.array(self.seconds),
@@ -70,15 +70,15 @@ class TrainingPath:
 
 
 class Loss:
-    """One problem's loss at the present weights and collocation points, as a function of z (n_z,).
+    """The loss of one problem at the current weights and collocation points, as a function of z (n_z,).
 
     Args:
-        residuals: The residual vector on the first grid, on which the path is noted.
-        weighting: What gives the rows their weights, and may change them as training goes on.
-        sampling: What moves the collocation points, if anything does.
-        path: Notes where the training is.
-        shapes: Shapes of the parts of z: coefficients layer by layer, and the other unknowns.
-        tolerance: A decrease that is negligible where the loss is a log posterior; None where it is none.
+        residuals: The residual vector on the first grid, used for the path.
+        weighting: The weights of the rows, possibly changing during training.
+        sampling: The collocation points, possibly changing during training.
+        path: The history of the training.
+        shapes: Shapes of the parts of z: coefficients of the layers, and the other unknowns.
+        tolerance: Negligible decrease of the loss where it is a log posterior; None otherwise.
     """
 
     def __init__(
@@ -102,37 +102,37 @@ class Loss:
 
     @property
     def deviations(self) -> Tensor:
-        """Standard deviations of the rows, (1, n_rows): a weight w is a deviation divided by its square root."""
+        """Return the standard deviations of the rows, (1, n_rows); a weight w divides one by its square root."""
         return self.weighting.deviations
 
     @property
     def progress(self) -> float:
-        """The share of the stage's work that is done."""
+        """Return the share of the stage's work that is done."""
         return min(1.0, (self.work - self.stage_begun) / max(self.limit - self.stage_begun, 1e-9))
 
     def negligible(self, value: float) -> float:
-        """Return the decrease of a loss of this value that is not worth a step."""
+        """Return the negligible decrease of a loss of this value."""
         return max(NEGLIGIBLE * value if self.tolerance is None else self.tolerance, 1e-300)
 
     def begin(self, work: float) -> None:
-        """Begin a stage of so much work; what was best at other weights is forgotten."""
+        """Begin a stage with a given work; the best point, of other weights, is reset."""
         self.stage_begun, self.limit, self.best = self.work, self.work + work, None
 
     def charge(self, work: float) -> None:
-        """Count work; raises Exhausted where the stage's is used up."""
+        """Count work; raises Exhausted when that of the stage is used up."""
         self.work += work
         if self.work >= self.limit:
             raise Exhausted
 
     def value(self, z: Tensor) -> float:
-        """Return the loss alone."""
+        """Return the loss without its gradient."""
         self.charge(COSTS["value"])
-        return self.seen(z, self.residuals.evaluate(z[None], self.deviations))
+        return self.record(z, self.residuals.evaluate(z[None], self.deviations))
 
     def gradient(self, z: Tensor) -> tuple[float, Tensor]:
         """Return the loss and its gradient (n_z,)."""
         state, gradient = self.residuals.gradient(z[None], self.deviations)
-        value = self.seen(z, state)
+        value = self.record(z, state)
         self.gradients += 1
         self._move(z, state, self.gradients)
         self.charge(COSTS["gradient"])
@@ -148,11 +148,11 @@ class Loss:
                 self._move(z, state)
             self.moving = self.steps < LAST_MOVE
             state = self.residuals.evaluate(z[None], self.deviations)
-        self.seen(z, state)
+        self.record(z, state)
         return state, equations(self.residuals, state, self.deviations)
 
     def _move(self, z: Tensor, state: State, count: int = 0) -> None:
-        """Move the weights and points that are due after so many gradients; at a count of 0 all that ever move."""
+        """Update the weights and points that are due after ``count`` gradients; at 0 all that are adaptive."""
         weigh, sample = (every > 0 and count % every == 0 for every in (self.weighting.every, self.sampling.every))
         if not self.moving or not (weigh or sample):
             return
@@ -164,11 +164,11 @@ class Loss:
         self.best = None
 
     def freeze(self) -> None:
-        """Let weights and points stay from here on: a line search needs one and the same function."""
+        """Stop updates of weights and points, since a line search requires a fixed function."""
         self.moving, self.best = False, None
 
-    def seen(self, z: Tensor, state: State) -> float:
-        """Note a point whose state is known; returns its loss."""
+    def record(self, z: Tensor, state: State) -> float:
+        """Record a point with its state; return its loss."""
         value = float(state.loss[0])
         if np.isfinite(value) and (self.best is None or value < self.best[0]):
             self.best = value, z.detach().clone()
@@ -178,10 +178,9 @@ class Loss:
 
 
 class Optimizer(TrainingComponent, ABC):
-    """A way to the minimum of a loss, with a first learning ``rate`` where it has any; ``rng`` is all its randomness.
+    """Base class of optimisers, with an initial learning ``rate`` if any and a random generator ``rng``.
 
-    The ``rate`` of the class is what ``method.rate`` replaces. Where ``adam_first``, Adam has a share of the work
-    before.
+    ``method.rate`` replaces the ``rate`` of the class. With ``adam_first``, Adam is run first with a share of the work.
     """
 
     rate: float = 1e-3
@@ -193,16 +192,16 @@ class Optimizer(TrainingComponent, ABC):
 
     @abstractmethod
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
-        """Return the unknowns (n_z,) at the least loss found, from z on.
+        """Minimise from z; return the unknowns (n_z,) of the least loss.
 
-        ``loss.gradient(z)`` gives the loss and its gradient, ``loss.value(z)`` the loss alone. Both raise
-        :class:`Exhausted` where the work is used up; let it pass: the best point seen is then the answer.
+        ``loss.gradient(z)`` returns the loss and its gradient, ``loss.value(z)`` the loss alone. Both raise
+        :class:`Exhausted` when the work is used up, which must not be caught: the best point recorded is then returned.
         ``loss.progress`` is the share of the work that is done, ``loss.shapes`` the shapes of the parts of z.
         """
 
 
 def best_of(loss: Loss, z: Tensor, optimizer: Optimizer) -> Tensor:
-    """Return what an optimiser reaches from z within the stage's work: its answer, or the best point it saw."""
+    """Run an optimiser from z within the stage's work; return its result, or the best point recorded."""
     try:
         return optimizer.minimise(loss, z)
     except Exhausted:
@@ -210,10 +209,10 @@ def best_of(loss: Loss, z: Tensor, optimizer: Optimizer) -> Tensor:
 
 
 def plain(z: Tensor) -> np.ndarray:
-    """Return a vector as numpy has it."""
+    """Convert a tensor to NumPy."""
     return np.asarray(z.detach().cpu())
 
 
 def tensor(values: np.ndarray, like: Tensor) -> Tensor:
-    """Return a numpy vector on the device of another."""
+    """Convert a NumPy vector to a tensor on the device of another."""
     return torch.as_tensor(values, dtype=torch.float64, device=like.device)

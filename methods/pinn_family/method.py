@@ -1,10 +1,9 @@
-"""The PINN family: the loss of the inverse PINN, and the ways that the literature has of training it.
+"""The PINN family: training methods of the literature for the loss of the inverse PINN.
 
-Every setting but one is that of a base, so that a row of its table differs from it by one thing: the optimiser, the
-weighting of the loss, the function of time, or where the equation of motion is asked for. All act on the residual
-vector of :mod:`methods.pinn.residuals`, begin at the same start scan, and have the same budget of work, counted in
-gradients (:mod:`methods.pinn_family.loss`). Each fit notes its path, and how far its end is from the minimum of what it
-minimised. Optimisers, weightings and functions of time may be those of other packages
+Each row of the table differs from a base by one setting: the optimiser, the weighting of the loss, the architecture, or
+the collocation points. All use the residual vector of :mod:`methods.pinn.residuals`, the same initial guesses, and the
+same budget of work, counted in gradients (:mod:`methods.pinn_family.loss`). Each fit records its path, and the distance
+of its end from a minimum of its loss. Other packages can add optimisers, weightings and architectures
 (:mod:`methods.pinn_family.choices`).
 """
 
@@ -27,19 +26,19 @@ from methods.starts.waves import Guess
 
 @dataclass(frozen=True)
 class PINNFamily(FamilySettings):
-    """The family; see the module, and :class:`methods.pinn_family.settings.FamilySettings` for what can be set."""
+    """A PINN with selectable training; settings: :class:`methods.pinn_family.settings.FamilySettings`."""
 
     extra: ClassVar[str] = "training"
     requires: ClassVar[tuple[str, ...]] = ("torch", "pytorch_optimizer")
     card: ClassVar[Card] = Card(
-        summary="the PINN's loss, trained in the ways of the literature, one setting apart from a base each",
+        summary="the PINN's loss with training methods of the literature, each differing from a base by one setting",
         start="used when known",
         scale="native",
         reconstruction="own",
         uncertainty="Gauss-Newton covariance at the end of the training, network weights profiled out, Student's t",
-        settings_source="the sources of each choice; what they leave open is stated in the code of each",
+        settings_source="the sources of each choice; values not given there are documented in the code",
         tuning="learning rate, 3 trials each on dev_sparse at 20 dB, both losses: Adam 3e-3, SOAP 3e-3, Muon 1e-2; "
-        "that of Adam before L-BFGS is the paper's 1e-3; the others have none to choose",
+        "that of Adam before L-BFGS is the paper's 1e-3; the others have none",
         title="PINN family",
         order=68,
         remarks=True,
@@ -53,17 +52,17 @@ class PINNFamily(FamilySettings):
     )
 
     def attempt(self, tasks: Sequence[Task]) -> None:
-        """Fit each, and start those in a bad basin again elsewhere, with what is left of the budget."""
+        """Fit each task, and restart those in a bad basin with the rest of the budget."""
         from methods.pinn_family.training import TrainingPath, train
 
         for task in tasks:
-            path, left = TrainingPath(time.process_time()), self.budget
+            path, remaining = TrainingPath(time.process_time()), self.budget
             for n in range(1 + self.restarts):
-                if task.wants(n) and left > 0:
-                    settings, watch = replace(self, budget=left), partial(self._report, [task])
+                if task.wants(n) and remaining > 0:
+                    settings, watch = replace(self, budget=remaining), partial(self._report, [task])
                     fit, work = train(task.scaled, task.guesses[n], settings, task.rng, path, watch)
                     task.fits.append(fit)
-                    path, left = TrainingPath(path.begun), left - work
+                    path, remaining = TrainingPath(path.begun), remaining - work
 
     def _fit(
         self,
@@ -72,24 +71,24 @@ class PINNFamily(FamilySettings):
         rngs: Sequence[np.random.Generator],
         tasks: Sequence[Task] = (),
     ) -> list[Fit]:
-        """Train the members of an ensemble or a bootstrap, each with the whole budget."""
+        """Train the members of an ensemble or a bootstrap, each with the full budget."""
         from methods.pinn_family.training import TrainingPath, train
 
         fits: list[Fit] = []
         for problem, guess, rng in zip(problems, guesses, rngs, strict=True):
             fit, _ = train(problem, guess, self, rng, TrainingPath(time.process_time()), lambda results: None)
-            fit.attempt = None  # which is large, and of use to the best fit alone
+            fit.attempt = None  # large, and used of the best fit only
             fits.append(fit)
         return fits
 
     def _resample(self, task: Task) -> None:
-        """State the uncertainty in another way than the linearised (:mod:`methods.pinn_family.uncertainty`)."""
+        """Replace the linearised uncertainty (:mod:`methods.pinn_family.uncertainty`)."""
         best = task.best
         if best is None or self.uncertainty in ("ensemble", "bootstrap"):
             return super()._resample(task)
         from methods.pinn_family import uncertainty
 
-        answer = uncertainty.stated(best, self, task.rng)
+        answer = uncertainty.with_uncertainty(best, self, task.rng)
         task.fits = [answer if fit is best else replace(fit, loss=np.inf) for fit in task.fits]
         return None
 

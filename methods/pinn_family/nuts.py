@@ -4,20 +4,19 @@ L. Yang, X. Meng and G. Karniadakis, J. Comput. Phys. 425:109913, 2021: a standa
 likelihood of data and equation of motion. The sampler is blackjax's NUTS (M. D. Hoffman and A. Gelman, J. Mach. Learn.
 Res. 15:1593, 2014), in :class:`Coordinates`, from the trained point.
 
-These are the output layer relative to the hidden ones. Nearly hard physics ties the output layer's weights and the
-parameters to each other and to the hidden layers: at fixed hidden layers h they vary over ranges that differ by a
-factor of 10^5, and which combinations are stiff changes with h. Here they are ``y = y*(h) + L(h)^-T v``, where y*
-minimises the residuals linearised about the trained response, with the prior, and ``L Lᵀ`` is the Gauss-Newton matrix
-there (a non-centred parametrisation: O. Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22:59, 2007). Of a linear
-system v is nearly a standard normal, whatever h. The change of variables is exact for any system: its determinant
-enters the density.
+These describe the output layer relative to the hidden layers h. Nearly hard physics couples output weights and
+parameters to each other and to h: at fixed h their ranges differ by a factor of 10^5, and the stiff combinations depend
+on h. The coordinates are ``y = y*(h) + L(h)^-T v``, where y* minimises the residuals linearised about the trained
+response, with the prior, and ``L Lᵀ`` is the Gauss-Newton matrix there (a non-centred parametrisation: O.
+Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22:59, 2007). For a linear system v is nearly a standard normal
+for any h. The change of variables is exact for any system, with its determinant in the density.
 
-The hidden weights are stiff even so, and what the step size allows them would hold up the parameters: a first warm-up
-finds their step, and they are then as heavy as makes it that of the others.
+The hidden weights are still stiffer than v and would reduce the common step size: a first warm-up estimates their step,
+and their mass is then chosen so that a larger step is stable.
 
-Two chains. Whether they agree is judged on parameters, offsets, the displacement at :data:`PLACES` times, and the log
-density, by the split R-hat and the effective draws of A. Vehtari et al., Bayesian Analysis 16:667, 2021; not on
-weights, of which many permutations give the same function of time. The answer says where they do not.
+Convergence of the two chains is assessed on parameters, offsets, the displacement at :data:`PLACES` times, and the log
+density, by the split R-hat and the effective sample size of A. Vehtari et al., Bayesian Analysis 16:667, 2021; not on
+weights, which are not identifiable. A message states the result.
 """
 
 from __future__ import annotations
@@ -42,36 +41,36 @@ from methods.pinn_family.training import TrainedFit, TrainedPosterior
 
 CHAINS = 2
 WARMUP = (60, 40)
-"""Steps of the two warm-ups of a chain."""
+"""Steps of the two warm-up phases of a chain."""
 DRAWS = 150
-"""Draws of a chain."""
+"""Draws per chain."""
 DOUBLINGS = 4
-"""The most doublings of a path: up to 15 gradients a draw."""
+"""Largest number of doublings of a trajectory: up to 15 gradients per draw."""
 STEP = 0.3
-"""The step that output layer and parameters should have."""
+"""Step size of output layer and parameters."""
 R_HAT, EFFECTIVE = 1.05, 50.0
-"""The largest R-hat and the least effective draws that are believed."""
+"""Largest R-hat and least effective sample size of converged chains."""
 PLACES = 10
 LEAST_PRECISION = 1e-12
 """Precision, over the largest, of an unknown that neither data nor prior determine."""
 
 
-def stated(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator) -> TrainedFit:
-    """Draw all weights and parameters."""
+def sample(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator) -> TrainedFit:
+    """Draw all weights and parameters; return the fit with their distribution."""
     coordinates, n_free = Coordinates(posterior), len(posterior.residuals.free)
     positions, densities, gradients = zip(*(_chain(coordinates, rng) for _ in range(CHAINS)), strict=True)
     paths, density = np.stack(positions), np.stack(densities)[..., None]
     draws = [coordinates.point(u) for u in paths.reshape(-1, paths.shape[-1])]
-    judged = np.array([_judged(posterior, z) for z in draws]).reshape(*paths.shape[:2], -1)
-    groups = {"parameters": judged[..., :n_free], "displacement": judged[..., n_free:], "density": density}
-    health = {name: _health(values) for name, values in groups.items()}
+    monitored = np.array([_monitored(posterior, z) for z in draws]).reshape(*paths.shape[:2], -1)
+    groups = {"parameters": monitored[..., :n_free], "displacement": monitored[..., n_free:], "density": density}
+    diagnostics = {name: _diagnostics(values) for name, values in groups.items()}
     bad = [
         f"{name} R-hat {r_hat:.2f}, {effective:.0f} effective draws"
-        for name, (r_hat, effective) in health.items()
+        for name, (r_hat, effective) in diagnostics.items()
         if not (r_hat <= R_HAT and effective >= EFFECTIVE)
     ]
     remark = f"; the chains have not converged ({'; '.join(bad)})" if bad else "; the chains have converged"
-    worst = np.array(list(health.values()))
+    worst = np.array(list(diagnostics.values()))
     traces = {"r_hat": worst[:, 0], "effective_sample_size": worst[:, 1], "log_density": density[..., 0]}
     answer = posterior.from_draws(fit, draws, sum(gradients))
     answer.reason, answer.history = fit.reason + remark, {**fit.history, **traces}
@@ -79,18 +78,18 @@ def stated(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generato
     return answer
 
 
-def _judged(posterior: TrainedPosterior, z: Tensor) -> np.ndarray:
-    """Return free log-parameters, displacements at some times, and offsets."""
+def _monitored(posterior: TrainedPosterior, z: Tensor) -> np.ndarray:
+    """Return free log-parameters, displacements at ``PLACES`` times, and offsets."""
     logs, offsets = posterior.unknowns(z)
     few = [x[:, np.linspace(0, x.shape[1] - 1, PLACES).astype(int)].ravel() for x in posterior.motion(z)[0]]
     return np.concatenate([logs[posterior.residuals.free], *few, offsets])
 
 
-def _health(paths: np.ndarray) -> tuple[float, float]:
-    """Return the worst R-hat and effective draws of (chains, draws, size)."""
+def _diagnostics(paths: np.ndarray) -> tuple[float, float]:
+    """Return the worst R-hat and effective sample size of (chains, draws, size)."""
     from blackjax.diagnostics import ess_bulk, rhat
 
-    moving = np.ptp(paths, axis=(0, 1)) > 0  # an initial state that the ansatz has exactly does not
+    moving = np.ptp(paths, axis=(0, 1)) > 0  # an exact initial state is constant
     if not np.any(moving):
         return float("inf"), 0.0
     worst = float(np.max(rhat(paths[..., moving]))), float(np.min(ess_bulk(paths[..., moving])))
@@ -98,21 +97,21 @@ def _health(paths: np.ndarray) -> tuple[float, float]:
 
 
 def _chain(coordinates: Coordinates, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return positions u (draws, n), log densities (draws,), and how many gradients they took."""
+    """Return positions u (draws, n), log densities (draws,), and the number of gradients."""
     try:
         import blackjax  # noqa: F401
     except ImportError as error:
-        sentence = "uncertainty=nuts needs blackjax: pip install 'vibration-bench[nuts]'"
+        sentence = "uncertainty=nuts requires blackjax: pip install 'vibration-bench[nuts]'"
         raise NoEstimate(sentence, Status.MISSING_DEPENDENCY) from error
     import jax
     from blackjax.adaptation.step_size import dual_averaging_adaptation
 
     jax.config.update("jax_enable_x64", True)
-    n, hidden, asked = coordinates.first.numel(), coordinates.n_hidden, 0
+    n, hidden, evaluations = coordinates.first.numel(), coordinates.n_hidden, 0
 
     def target(u: Any) -> tuple[np.float64, np.ndarray]:
-        nonlocal asked
-        asked += 1
+        nonlocal evaluations
+        evaluations += 1
         value, slope = coordinates.value_and_slope(np.array(u))
         return np.float64(value), slope
 
@@ -122,7 +121,7 @@ def _chain(coordinates: Coordinates, rng: np.random.Generator) -> tuple[np.ndarr
     begin, move = compiled(n)
     first, update, finish = dual_averaging_adaptation(0.8)
     step, metric = 0.01 if hidden else 0.1, np.ones(n)
-    HELD.append(target)
+    TARGETS.append(target)
     try:
         state, path = begin(plain(coordinates.first)), []
         for number, steps in enumerate(WARMUP):
@@ -137,32 +136,32 @@ def _chain(coordinates: Coordinates, rng: np.random.Generator) -> tuple[np.ndarr
             state, _ = move(key, state, step, metric)
             path.append((np.asarray(state.position), float(state.logdensity)))
     finally:
-        HELD.pop()
+        TARGETS.pop()
     positions, densities = zip(*path, strict=True)
-    return np.array(positions), np.array(densities), asked
+    return np.array(positions), np.array(densities), evaluations
 
 
-HELD: list[Callable[[Any], tuple[np.float64, np.ndarray]]] = []
-"""The log density and gradient that the compiled code asks: the last; so that it is compiled once for all problems."""
+TARGETS: list[Callable[[Any], tuple[np.float64, np.ndarray]]] = []
+"""Log density and gradient called by the compiled code (the last entry), so that it is compiled once."""
 
 
 @cache
 def compiled(n: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Compile the state at a position (n,), and a step by key, state, step size and inverse masses (n,)."""
+    """Return compiled functions: the state at a position (n,); a step by key, state, step size, inverse masses (n,)."""
     import blackjax
     import jax
     import jax.numpy as jnp
 
     shapes = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((n,), jnp.float64)
 
-    def asked(u: Any) -> Any:
-        return jax.pure_callback(lambda position: HELD[-1](position), shapes, u)
+    def evaluate(u: Any) -> Any:
+        return jax.pure_callback(lambda position: TARGETS[-1](position), shapes, u)
 
     @jax.custom_vjp
     def log_density(u: Any) -> Any:
-        return asked(u)[0]
+        return evaluate(u)[0]
 
-    log_density.defvjp(asked, lambda slope, weight: (weight * slope,))
+    log_density.defvjp(evaluate, lambda slope, weight: (weight * slope,))
     kernel = blackjax.mcmc.nuts.build_kernel()
 
     def moved(key: Any, state: Any, step: Any, metric: Any) -> Any:
@@ -172,9 +171,9 @@ def compiled(n: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
 
 
 def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
-    """Return streams (3, n_points, n_functions) of what the output layer combines, differentiable by theta (1, count).
+    """Return streams (3, n_points, n_functions) of the output layer's inputs, differentiable by theta (1, count).
 
-    As ``Ansatz.head`` has them, but the tanh network's own are made in place, which autograd cannot follow.
+    As in ``Ansatz.head``, without the in-place operations of the tanh network, which autograd does not support.
     """
     if isinstance(ansatz, SumAnsatz):
         return torch.cat([functions(ansatz.inner, theta[:, : ansatz.inner.count]), ansatz.fixed.functions[0]], 2)
@@ -187,10 +186,10 @@ def functions(ansatz: Ansatz, theta: Tensor) -> Tensor:
 
 
 class Coordinates:
-    """Takes u (n,), hidden weights and then v, to the log posterior density; all weights have a standard normal prior.
+    """Map u (n,), hidden weights and then v, to the log posterior density; all weights have a standard normal prior.
 
-    ``first`` is where u starts, the trained point; ``n_hidden`` of its entries are hidden weights. Weights that
-    training never moves (random frequencies) are no unknowns.
+    ``first``: u at the trained point; ``n_hidden`` of its entries are hidden weights. Weights that are not trained
+    (random frequencies) are constants.
     """
 
     def __init__(self, posterior: TrainedPosterior) -> None:
@@ -208,7 +207,7 @@ class Coordinates:
         self.first = torch.cat([z[0, self.hidden], root.mT @ (short[0] - centre)])
 
     def _trained(self) -> Tensor:
-        """Return the places in z of the hidden weights that the functions depend on."""
+        """Return the indices in z of the hidden weights on which the functions depend."""
         residuals = self.posterior.residuals
         with torch.enable_grad():
             z = self.posterior.z.clone().requires_grad_(True)

@@ -1,4 +1,4 @@
-"""The family's optimisers by name; here first-order and quasi-Newton training, in ``second_order`` the others."""
+"""First-order and quasi-Newton optimisers, and the names of all; the others are in ``second_order``."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from methods.pinn_family.second_order import (
 )
 
 MEMORY = 50
-"""Pairs that L-BFGS remembers."""
+"""Number of correction pairs of L-BFGS."""
 
 
 class Descent(Optimizer):
-    """Steps of torch's optimisers until the work is used up; the rates fall along a half cosine.
+    """Base of torch's optimisers, run until the work is used up, with a half-cosine schedule of the rate.
 
-    The gradient is that of a mean over the rows, which the usual rates of these methods are made for.
+    The gradient is that of the mean over rows, to which the usual rates of these methods apply.
     """
 
     @abstractmethod
     def steppers(self, parts: Sequence[Tensor]) -> list[torch.optim.Optimizer]:
-        """Return torch's optimisers of the parts of z, each of its own shape."""
+        """Return torch's optimisers of the parts of z."""
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
         sizes = [math.prod(shape) for shape in loss.shapes]
@@ -73,7 +73,7 @@ class SOAP(Descent):
 
 
 class Muon(Descent):
-    """Muon (K. Jordan et al., 2024) for the weights between hidden layers, Adam for all else, as its authors advise."""
+    """Muon (K. Jordan et al., 2024) for the weights between hidden layers, Adam for all else, as its authors recommend."""
 
     rate = 1e-2
 
@@ -85,7 +85,7 @@ class Muon(Descent):
 
 
 class LBFGS(Optimizer):
-    """L-BFGS with a line search for the Wolfe conditions: scipy's L-BFGS-B without bounds."""
+    """L-BFGS with a Wolfe line search: SciPy's L-BFGS-B without bounds."""
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
         loss.freeze()
@@ -99,7 +99,7 @@ class LBFGS(Optimizer):
 
 
 class AdamLBFGS(LBFGS):
-    """Adam, then L-BFGS: the paper's."""
+    """Adam, then L-BFGS, as in the paper."""
 
     adam_first = True
 
@@ -108,7 +108,7 @@ class SelfScaledBFGS(Optimizer):
     """Self-scaled BFGS or Broyden: J. F. Urbán, P. Stefanou and J. A. Pons, J. Comput. Phys. 523:113656, 2025.
 
     The inverse Hessian approximation H is dense. With step s, change of gradient y, ``b = -α sᵀg / yᵀs`` and
-    ``h = yᵀH y / yᵀs``, their equations give the scaling τ and the member φ of Broyden's family
+    ``h = yᵀH y / yᵀs``, their equations give the scaling τ and the parameter φ of Broyden's family
     (M. Al-Baali, SIAM J. Optim. 1998, for the latter), and
     ``H+ = (H - H y yᵀH / yᵀH y + φ yᵀH y v vᵀ) / τ + s sᵀ / yᵀs`` with ``v = s / yᵀs - H y / yᵀH y``.
     """
@@ -135,9 +135,9 @@ class SelfScaledBFGS(Optimizer):
             if ys > 1e-300:
                 inverse = self._updated(inverse, s, y, ys, length * float(-(s @ gradient)))
                 loss.charge(COSTS["matrix"] * z.shape[0] ** 2)
-            settled = abs(value - after) <= 1e-13 * max(abs(value), abs(after), 1e-300)
+            converged = abs(value - after) <= 1e-13 * max(abs(value), abs(after), 1e-300)
             before, value, z, gradient = value, after, z + s, new_gradient
-            if settled:
+            if converged:
                 return z
 
     def _updated(self, inverse: Tensor, s: Tensor, y: Tensor, ys: float, sBs: float) -> Tensor:
@@ -161,7 +161,7 @@ class SelfScaledBFGS(Optimizer):
 
 
 class SelfScaledBroyden(SelfScaledBFGS):
-    """The member of Broyden's family that the same authors advise."""
+    """The member of Broyden's family recommended by the same authors."""
 
     family = "broyden"
 
@@ -173,24 +173,24 @@ def _scaled_identity(gradient: Tensor) -> Tensor:
 def _line_search(
     loss: Loss, z: Tensor, value: float, gradient: Tensor, direction: Tensor, before: float | None
 ) -> tuple[float, float, Tensor] | None:
-    """Return a length for the strong Wolfe conditions (scipy's), the loss and the gradient there; None without one."""
+    """Return a step length for the strong Wolfe conditions (SciPy's), loss and gradient there; None without one."""
 
-    @lru_cache(maxsize=1)  # scipy asks for value and slope of a point one after the other
-    def at_bytes(point: bytes) -> tuple[float, Tensor]:
+    @lru_cache(maxsize=1)  # SciPy evaluates value and slope of a point separately
+    def evaluate_bytes(point: bytes) -> tuple[float, Tensor]:
         return loss.gradient(tensor(np.frombuffer(point).copy(), z))
 
-    def at(x: np.ndarray) -> tuple[float, Tensor]:
-        return at_bytes(x.tobytes())
+    def evaluate(x: np.ndarray) -> tuple[float, Tensor]:
+        return evaluate_bytes(x.tobytes())
 
     vectors = (plain(z), plain(direction), plain(gradient))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         length, _, _, after, _, slope = line_search(
-            lambda x: at(x)[0], lambda x: plain(at(x)[1]), *vectors, value, before
+            lambda x: evaluate(x)[0], lambda x: plain(evaluate(x)[1]), *vectors, value, before
         )
     if length is None or slope is None or not np.isfinite(after):
         return None
-    return float(length), float(after), at(plain(z) + length * plain(direction))[1]
+    return float(length), float(after), evaluate(plain(z) + length * plain(direction))[1]
 
 
 COMPONENTS: Mapping[str, type[Optimizer]] = {

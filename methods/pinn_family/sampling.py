@@ -1,4 +1,4 @@
-"""Where the equation of motion is asked for: fixed, drawn anew at each step, or where it is violated most."""
+"""Collocation points: fixed, random at each step, or concentrated where residuals are large."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from methods.pinn.block import Block, exact_start
 from methods.pinn.residuals import Residuals
 
 CANDIDATES = 10
-"""Points among which residual-based adaption chooses, over those it keeps."""
+"""Number of candidates of residual-based adaption over that of selected points."""
 
 
 class Sampling:
-    """Keeps the points as they are, evenly spaced as in the paper; others draw new ones every so many gradients."""
+    """Fixed, evenly spaced points as in the paper; subclasses draw new points after ``every`` gradients."""
 
     every = 0
 
@@ -29,7 +29,7 @@ class Sampling:
         self.problem, self.make_ansatz, self.omega, self.rng = problem, make_ansatz, omega, rng
 
     def points(self, residuals: Residuals, z: Tensor) -> list[np.ndarray]:
-        """Return new points (collocation,) of each record, its ends included, for the response at z (n_z,)."""
+        """Return new points (collocation,) of each record, including its ends, for the response at z (n_z,)."""
         raise NotImplementedError
 
     def moved(self, residuals: Residuals, z: Tensor) -> Residuals:
@@ -37,7 +37,7 @@ class Sampling:
         return self.placed(residuals, self.points(residuals, z))
 
     def placed(self, residuals: Residuals, points: Sequence[np.ndarray]) -> Residuals:
-        """Return the residual vector with the equation of motion at these points."""
+        """Return the residual vector with the equation of motion at given points."""
         other = copy.copy(residuals)
         other.blocks = [self._placed(k, block, points[k]) for k, block in enumerate(residuals.blocks)]
         other.ansatzes = [self.make_ansatz(k, block) for k, block in enumerate(other.blocks)]
@@ -57,7 +57,7 @@ class Sampling:
 
 
 class Random(Sampling):
-    """Uniformly random, drawn anew at each step; the ends of the record stay."""
+    """Uniformly random points, drawn at each step; the ends of the record are kept."""
 
     every = 1
 
@@ -70,7 +70,7 @@ class Random(Sampling):
 
 
 class Adaptive(Sampling):
-    """Drawn with a probability that grows with the residual, every hundred steps.
+    """Points drawn every hundred steps with a probability that increases with the residual.
 
     Residual-based adaptive distribution with k = c = 1: C. Wu et al., Comput. Methods Appl. Mech. Eng. 403:115671,
     2023.
@@ -81,7 +81,7 @@ class Adaptive(Sampling):
     def points(self, residuals: Residuals, z: Tensor) -> list[np.ndarray]:
         fine = [np.linspace(0.0, block.duration[0], CANDIDATES * block.collocation) for block in residuals.blocks]
         sizes = [np.zeros(times.size) for times in fine]
-        for first in range(CANDIDATES):  # as many points at a time as the vector has rows for
+        for first in range(CANDIDATES):  # the vector has rows for ``collocation`` points
             placed = self.placed(residuals, [times[first::CANDIDATES] for times in fine])
             for size, part in zip(sizes, _equation_sizes(placed, z), strict=True):
                 size[first::CANDIDATES] = part
@@ -94,7 +94,7 @@ class Adaptive(Sampling):
 
 
 def _equation_sizes(residuals: Residuals, z: Tensor) -> list[np.ndarray]:
-    """Return the absolute residual of the equation at each point, summed over the paths, record by record."""
+    """Return the absolute residual of the equation at each point of each record, summed over the paths."""
     ones = torch.ones(1, residuals.n_rows, dtype=torch.float64, device=residuals.device)
     rows = np.abs(residuals.evaluate(z[None], ones).rows[0].cpu().numpy())
     sizes, first = [], 0

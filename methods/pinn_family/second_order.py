@@ -14,25 +14,25 @@ from methods.pinn.levenberg import GREATEST_DAMPING, LEAST_DAMPING, Walk, minimi
 from methods.pinn_family.loss import COSTS, Loss, Optimizer, plain, tensor
 
 FIRST_DAMPING = 1e-6
-"""Levenberg-Marquardt's first damping, over the largest squared row of J."""
+"""Initial damping of Levenberg-Marquardt, over the largest squared row of J."""
 NATURAL_DAMPINGS = (1e-12, 1e-9, 1e-6)
-"""The natural gradient's, likewise, one after the other."""
+"""Successive dampings of the natural gradient, over the largest squared row of J."""
 LENGTHS = 0.5 ** np.arange(0.0, 31.0, 1.0)
-"""Lengths that the natural gradient's line search tries, as its authors do: powers of a half down to 2^-30."""
+"""Step lengths of the natural gradient's line search, as used by its authors."""
 GAIN = 1e-6
-"""The natural gradient raises its damping where no length gains this share of the loss."""
+"""Relative decrease of the loss below which the natural gradient increases its damping."""
 RANK, REFRESH, CG_STEPS = 60, 20, 60
-"""Rank of the preconditioner, steps from one to the next, and the most products with the Hessian in a step."""
+"""Rank of the preconditioner, steps between its updates, and largest number of CG iterations per step."""
 CG_DAMPING = 1e-6
-"""Added to the Hessian, over its largest eigenvalue that the preconditioner finds."""
+"""Damping of the Hessian, over its largest eigenvalue in the preconditioner."""
 DIFFERENCE = 1e-5
-"""Half the distance of the two gradients of a difference."""
+"""Half step of the central difference of gradients."""
 INNER = 20
-"""The most Levenberg-Marquardt steps to the output layer of given parameters."""
+"""Largest number of Levenberg-Marquardt steps for the output layer at given parameters."""
 
 
 class LevenbergMarquardt(Optimizer):
-    """Levenberg-Marquardt with Nielsen's damping (IMM-REP-1999-05), until the linear model promises next to nothing."""
+    """Levenberg-Marquardt with Nielsen's damping (IMM-REP-1999-05)."""
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
         damping, growth = FIRST_DAMPING, 2.0
@@ -40,12 +40,12 @@ class LevenbergMarquardt(Optimizer):
             state, normal = loss.equations(z)
             value, size = float(state.loss[0]), float(normal.size[0])
             while True:
-                step, promise = normal.solve(torch.full((1,), damping * size, dtype=torch.float64))
-                promised = float(promise[0])
-                if promised < loss.negligible(value):
+                step, decrease = normal.solve(torch.full((1,), damping * size, dtype=torch.float64))
+                predicted = float(decrease[0])
+                if predicted < loss.negligible(value):
                     return z
                 after = loss.value(z - step[0])
-                gain = (value - after) / promised if promised > 0 else -1.0
+                gain = (value - after) / predicted if predicted > 0 else -1.0
                 if gain > 0:
                     break
                 damping, growth = damping * growth, 2.0 * growth
@@ -59,7 +59,7 @@ class LevenbergMarquardt(Optimizer):
 class NaturalGradient(Optimizer):
     """Energy natural gradient: J. Müller and M. Zeinhofer, ICML 2023; by Woodbury's identity, arXiv:2505.12149, 2025.
 
-    For a sum of squares this is a Gauss-Newton step at a fixed, small damping; its length is the best of a grid.
+    For a sum of squares this is a Gauss-Newton step at a fixed, small damping, with the best length of a grid.
     """
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
@@ -68,30 +68,30 @@ class NaturalGradient(Optimizer):
             while least < value * (1.0 - GAIN):
                 state, normal = loss.equations(z)
                 value = float(state.loss[0])
-                step, promise = normal.solve(normal.size * damping)
+                step, decrease = normal.solve(normal.size * damping)
                 length, least = 0.0, value
-                if np.isfinite(float(promise[0])):
+                if np.isfinite(float(decrease[0])):
                     length, least = _best_length(loss, z, step[0], value)
                 z = z - length * step[0] if length else z
         return z
 
 
 def _best_length(loss: Loss, z: Tensor, step: Tensor, value: float) -> tuple[float, float]:
-    """Return the length of the grid with the least loss, and that loss; zero where none is below ``value``."""
+    """Return the length of least loss on the grid, and that loss; zero where none is below ``value``."""
     best, least = 0.0, value
     for length in LENGTHS:
         trial = loss.value(z - length * step)
         if trial < least:
             best, least = length, trial
         elif best:
-            break  # the best of the grid is behind
+            break  # the minimum on the grid has been passed
     return best, least
 
 
 class NystromNewtonCG(Optimizer):
     """Adam, then Newton steps by conjugate gradients with a randomised preconditioner, with Armijo's rule.
 
-    P. Rathore, W. Lei, Z. Frangella, L. Lu and M. Udell, Challenges in Training PINNs, ICML 2024. The engine's gradient
+    P. Rathore, W. Lei, Z. Frangella, L. Lu and M. Udell, Challenges in Training PINNs, ICML 2024. The gradient
     is in closed form, so products with the Hessian are central differences of it.
     """
 
@@ -130,7 +130,7 @@ def _hessian_product(loss: Loss, z: Tensor, vector: Tensor) -> Tensor:
 
 
 def _nystrom(loss: Loss, z: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Return leading eigenvectors (n_z, rank) and eigenvalues of the Hessian, largest first: a randomised sketch."""
+    """Return leading eigenvectors (n_z, rank) and eigenvalues of the Hessian by a randomised sketch, largest first."""
     sketch = torch.linalg.qr(torch.randn(z.shape[0], RANK, dtype=torch.float64, generator=generator))[0]
     image = torch.stack([_hessian_product(loss, z, column) for column in sketch.unbind(1)], 1)
     shift = np.finfo(float).eps ** 0.5 * float(image.norm())
@@ -138,14 +138,14 @@ def _nystrom(loss: Loss, z: Tensor, generator: torch.Generator) -> tuple[Tensor,
     core = sketch.mT @ image
     values, axes = torch.linalg.eigh(0.5 * (core + core.mT))
     root = axes * values.clamp(min=1e-12 * float(values[-1])).rsqrt()
-    left, sizes, _ = torch.linalg.svd(image @ root, full_matrices=False)
-    return left, (sizes**2 - shift).clamp(min=0.0)
+    vectors, sizes, _ = torch.linalg.svd(image @ root, full_matrices=False)
+    return vectors, (sizes**2 - shift).clamp(min=0.0)
 
 
 def _conjugate_gradients(
     loss: Loss, z: Tensor, gradient: Tensor, vectors: Tensor, values: Tensor, damping: float
 ) -> Tensor:
-    """Return an approximate Newton direction; stop at a direction of negative curvature."""
+    """Return an approximate Newton direction, truncated at negative curvature."""
 
     def precondition(r: Tensor) -> Tensor:
         inside = vectors.mT @ r
@@ -172,12 +172,12 @@ def _conjugate_gradients(
 
 
 class VariableProjection(Optimizer):
-    """Variable projection on random features: the hidden layers stay as drawn, the output layer is solved for.
+    """Variable projection on random features: hidden layers are fixed, the output layer is solved for.
 
     An extreme learning machine (G.-B. Huang et al., Neurocomputing 70:489, 2006; as a PINN V. Dwivedi and B.
-    Srinivasan, Neurocomputing 391:96, 2020). For given physical parameters the output layer is that of a least-squares
-    problem; what is left is a function of the parameters alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10:413,
-    1973), which scipy's trust-region least squares minimises.
+    Srinivasan, Neurocomputing 391:96, 2020). For given physical parameters the output layer solves a least-squares
+    problem; the remaining function of the parameters (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973) is
+    minimised by SciPy's trust-region least squares.
     """
 
     def minimise(self, loss: Loss, z: Tensor) -> Tensor:
@@ -187,7 +187,7 @@ class VariableProjection(Optimizer):
         free = slice(heads.n_coefficients, heads.n_coefficients + len(residuals.free))
 
         def projected(logs: np.ndarray) -> Tensor:
-            """Return all unknowns of the output layer's problem where the parameters are given."""
+            """Solve for the output layer at given parameters."""
             point = short.clone()
             point[0, free] = tensor(logs, point)
             walk = Walk(point, 1e-9)
@@ -198,7 +198,7 @@ class VariableProjection(Optimizer):
         def rows(logs: np.ndarray) -> np.ndarray:
             point = projected(logs)
             state = heads.evaluate(point, deviations)
-            loss.seen(residuals.with_heads(z[None], point)[0], state)
+            loss.record(residuals.with_heads(z[None], point)[0], state)
             return plain(state.rows[0])
 
         search = least_squares(rows, plain(short[0, free]), ftol=1e-9, xtol=1e-10, diff_step=1e-6)

@@ -1,4 +1,4 @@
-"""The settings of the family, and what represents the response under each."""
+"""The settings of the family, and the ansatz of each architecture."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ Uncertainty = Literal["laplace", "ensemble", "bootstrap", "nuts", "variational",
 
 @dataclass(frozen=True)
 class FamilySettings(PhysicsInformed):
-    """The settings are those of :class:`methods.pinn.settings.PhysicsSettings`, and what a row of the table changes.
+    """Settings of :class:`methods.pinn.settings.PhysicsSettings`, and those compared in the table.
 
-    ``budget``: work of a fit, all its starts together, in gradients. ``rate``: first learning rate of an optimiser that
-    has one (None: that of its class). ``width``, ``depth``: of the network.
+    ``budget``: work of a fit including restarts, in gradients. ``rate``: initial learning rate of an optimiser that has
+    one (None: that of its class). ``width``, ``depth``: of the network.
     """
 
     optimizer: str = "lm"
     weighting: str = "noise"
     architecture: str = "tanh"
     sampling: Literal["uniform", "random", "adaptive"] = "uniform"
-    uncertainty: Uncertainty = "laplace"  # type: ignore[assignment] # more ways than the base has
+    uncertainty: Uncertainty = "laplace"  # type: ignore[assignment] # more values than the base
     budget: float = 10_000.0
     rate: float | None = None
     width: int = 64
@@ -49,17 +49,17 @@ class FamilySettings(PhysicsInformed):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InputError(f"method.{name}", value, "a positive number")
         if self.batch != 1:
-            raise InputError("method.batch", self.batch, "1: each fit of the family goes its own way")
+            raise InputError("method.batch", self.batch, "1: fits of the family are not batched")
         for choices in (OPTIMIZERS, WEIGHTINGS, ARCHITECTURES):
             choices.check(getattr(self, choices.setting))
         if self.optimizer == "variable_projection" and self.weighting not in ("noise", "paper"):
-            remedy = "noise or paper: variable_projection holds weights fixed"
+            remedy = "noise or paper: variable_projection requires fixed weights"
             raise InputError("method.weighting", self.weighting, remedy)
 
     def _function_of_time(self) -> PhysicsSettings | FeatureFunction:
-        """Return what represents the response: the engine's tanh network or spline, or features of the family."""
+        """Return the representation of the response: the PINN's tanh network, the spline, or features of the family."""
         if self.architecture == "tanh":
-            # with the paper's training, since that always has one network
+            # with the paper's training, which uses no windows
             return PINN(width=self.width, depth=self.depth, collocation=self.collocation, optimizer="adam_lbfgs")
         if self.architecture == "spline":
             return Collocation(collocation=self.collocation)

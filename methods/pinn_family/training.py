@@ -1,4 +1,4 @@
-"""One fit of the family: the engine's residuals of one problem, trained as the settings say; and its posterior."""
+"""Training of one problem by the settings of the family, and its posterior."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
     from methods.pinn_family.settings import FamilySettings
 
 STAGES = ((30.0, 0.1), (1.0, 0.2), (1.0, 0.7))
-"""How soft the physics is and which share of the work it takes, stage by stage, where the noise is estimated."""
+"""Softness of the physics and share of the work of each stage, where the noise is estimated."""
 ADAM_SHARE = 0.3
-"""Share of a stage's work that Adam gets before L-BFGS or another second method."""
+"""Share of a stage's work for Adam before another optimiser."""
 ROUNDS, SETTLED = 3, 0.03
-"""As the engine: how often the last stage may be run again with a noise that has changed by more than this."""
+"""Largest number of runs of the last stage, repeated while the noise changes by more than this."""
 POLISH, POLISHED = 50, 1e-6
-"""Steps of Levenberg-Marquardt to the minimum that a training is judged by, and the promise over the loss to end at."""
+"""Levenberg-Marquardt steps to the reference minimum, and the relative predicted decrease at which they end."""
 CURVES = 50
-"""The most responses that are averaged in a reconstruction."""
+"""Largest number of responses averaged in a reconstruction."""
 
 
 class FamilyAttempt(Attempt):
-    """One problem's fit; see the module. Only one at a time, since each optimiser goes its own way."""
+    """The training of one problem."""
 
     def __init__(
         self,
@@ -69,18 +69,18 @@ class FamilyAttempt(Attempt):
         )
 
     def _sizes(self) -> Tensor:
-        """Return what takes the dimension off the rows: a wave of the data's size and of the scan's frequency."""
+        """Return the scales of the rows, from a wave of the data's size and of the scan's frequency."""
         size = np.max(self.rms * self.to_displacement, 1)
         acceleration = self.omega**2 * size
         return self.residuals.deviations(Spread(self.rms, acceleration, acceleration, size, self.omega * size))
 
     def _shapes(self) -> list[tuple[int, ...]]:
-        """Return shapes of the coefficients, layer by layer, and of the other unknowns, in the order of z."""
+        """Return the shapes of the layers' coefficients and of the other unknowns, in the order of z."""
         shapes = [shape for ansatz in self.residuals.ansatzes for shape in _ansatz_shapes(ansatz)]
         return [*shapes, (self.residuals.n_unknowns,)] if self.residuals.n_unknowns else shapes
 
     def train(self) -> None:
-        """Go through all stages; the noise is estimated after each."""
+        """Run all stages; the noise is estimated after each."""
         loss, budget = self.loss, self.family.budget
         z = self.walk.z[0]
         loss.path.note(loss.first, z[None], 0.0)
@@ -103,11 +103,11 @@ class FamilyAttempt(Attempt):
                     break
         loss.path.note(loss.first, z[None], loss.work)
         self.walk.evaluations[0] = self.walk.iterations[0] = loss.gradients
-        ended = "it found no further decrease" if loss.work < budget else "the budget of work was used up"
+        ended = "no further decrease was found" if loss.work < budget else "the budget of work was used up"
         self.walk.reasons[0] = ended
 
     def _minimise(self, z: Tensor, last: bool) -> Tensor:
-        """Run one stage by the optimiser of the settings."""
+        """Run one stage with the optimiser of the settings."""
         loss, optimizer = self.loss, self.optimizer
         if optimizer.adam_first:
             end = loss.limit
@@ -117,12 +117,12 @@ class FamilyAttempt(Attempt):
         if isinstance(optimizer, LevenbergMarquardt) and not last:
             return self._on_heads(z)
         z = best_of(loss, z, optimizer)
-        while loss.moving and loss.adaptive and loss.work < loss.limit:  # it converged before the weights settled
+        while loss.moving and loss.adaptive and loss.work < loss.limit:  # converged before the weights
             z = best_of(loss, z, optimizer)
         return z
 
     def _on_heads(self, z: Tensor) -> Tensor:
-        """Optimise the output layer alone, as the engine begins."""
+        """Optimise the output layer only."""
         whole, loss = self.residuals, self.loss
         heads, short = whole.heads(z[None])
         loss.moving = False
@@ -132,12 +132,11 @@ class FamilyAttempt(Attempt):
         finally:
             loss.residuals, loss.expand, loss.best = whole, lambda point: point, None
 
-    def judged(self) -> Mapping[str, np.ndarray]:
-        """Return the path, and how far its end is from the minimum of the loss at the weights of the end.
+    def path_traces(self) -> Mapping[str, np.ndarray]:
+        """Return the path, and the distance of its end from a minimum of the loss at the final weights.
 
-        The minimum is where Levenberg-Marquardt goes from there, on the first grid. ``certificate``: the gradient over
-        the product of the lengths of Jacobian and residual, ``‖Jᵀ r‖ / (‖J‖ ‖r‖)`` with the Frobenius norm of J: a
-        cosine that is zero at a minimum.
+        The minimum is found by Levenberg-Marquardt from the end, on the first grid. ``certificate``: ``‖Jᵀ r‖ / (‖J‖
+        ‖r‖)`` with the Frobenius norm of J, zero at a minimum.
         """
         residuals, deviations = self.residuals, self.loss.deviations
         state = residuals.evaluate(self.walk.z, deviations)
@@ -176,23 +175,23 @@ class TrainedFit(Fit):
 def train(
     problem: Problem, guess: Guess, settings: FamilySettings, rng: np.random.Generator, path: TrainingPath, watch: Watch
 ) -> tuple[TrainedFit, float]:
-    """Train from a starting guess; returns the fit, with the path and its judgement, and its work."""
+    """Train from an initial guess; return the fit with its traces, and its work."""
     with torch_threads(settings.threads), torch.no_grad():
         attempt = FamilyAttempt(problem, guess, settings, rng, watch, path)
         attempt.record()
         attempt.train()
         attempt.record()
         fit = attempt.results()[0]
-        fit.history = {**fit.history, **attempt.judged()}
+        fit.history = {**fit.history, **attempt.path_traces()}
         return TrainedFit(**vars(fit), attempt=attempt), attempt.loss.work
 
 
 class TrainedPosterior:
     """Minus the log posterior at the end of a training, up to a constant: half the squared residual vector.
 
-    Its deviations are those of ``weighting=noise`` at the noise estimated last, the physics as hard as ``slack`` says,
-    whatever the weights that the training had. ``residuals`` is the vector, ``z`` (1, n_z) where the training ended,
-    ``n_weights`` the number of coefficients, which stand before the other unknowns.
+    Its deviations are those of ``weighting=noise`` at the last noise estimate and at ``slack``, for any weighting of
+    the training. ``residuals``: the residual vector; ``z`` (1, n_z): the end of the training; ``n_weights``: number of
+    coefficients, which precede the other unknowns in z.
     """
 
     def __init__(self, attempt: FamilyAttempt) -> None:
@@ -209,20 +208,23 @@ class TrainedPosterior:
         return plain(logs[0]), plain(offsets[0])
 
     def motion(self, z: Tensor) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Return displacements (n_dof, collocation) and initial states (2, n_dof), record by record."""
+        """Return displacements (n_dof, collocation) and initial states (2, n_dof) of each record."""
         outputs = self.residuals.evaluate(z, self.deviations).outputs
         records = [(plain(out[0])[..., : b.n_dof], b) for out, b in zip(outputs, self.residuals.blocks, strict=True)]
         return [out[0, : b.collocation].T for out, b in records], [out[:2, 0] for out, _ in records]
 
     def responses(self, z: Tensor) -> tuple[Function, ...]:
-        """Return the response by time, record by record."""
+        """Return the response of each record as a function of time."""
         parts, _ = self.residuals.split_flat(z)
         return tuple(self.attempt._response(0, k, plain(part[0])) for k, part in enumerate(parts))
 
     def from_draws(self, fit: TrainedFit, draws: Sequence[Tensor], gradients: int) -> TrainedFit:
-        """Return a fit as draws of z (1, n_z) state it, which took so many gradients.
+        """Return the fit with mean and covariance of log-parameters, and mean and spread of the response, of draws.
 
-        They give mean and covariance of the log-parameters, and mean and spread of the response.
+        Args:
+            fit: The trained fit.
+            draws: Draws of z, (1, n_z) each.
+            gradients: Number of gradients that they required.
         """
         logs, offsets = (np.array(part) for part in zip(*map(self.unknowns, draws), strict=True))
         paths, starts = zip(*map(self.motion, draws), strict=True)
@@ -242,10 +244,10 @@ class TrainedPosterior:
 
 @dataclass(frozen=True, eq=False)
 class AveragedResponse:
-    """The mean of responses; can be pickled where they can."""
+    """The mean of several responses."""
 
     responses: tuple[Function, ...]
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Return the displacement, shape (n_dof, n_times), at times of shape (n_times,)."""
+        """Evaluate the displacement, (n_dof, n_times), at times (n_times,)."""
         return np.asarray(np.mean([response(times) for response in self.responses], axis=0))

@@ -1,7 +1,7 @@
-"""The uncertainty of a trained fit in other ways than the engine's linearisation; NUTS has a file of its own.
+"""Uncertainty of a trained fit by methods besides the linearisation; NUTS is in another module.
 
-Ensemble and bootstrap are the spread of further fits, as for the PINN. Every other way is a function of the posterior
-at the end of the training, the fit and a random stream, and returns the fit as it states it.
+Ensemble and bootstrap are the spread of further fits, as for the PINN. Every other method is a function of the
+posterior at the end of the training, the fit and a random generator, and returns the fit with its uncertainty.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ if TYPE_CHECKING:
     from methods.pinn_family.settings import FamilySettings
 
 VARIATIONAL_STEPS, VARIATIONAL_RATE = 2000, 0.01
-"""Adam's steps, and its first rate, of means in deviations and of deviations in their logarithms."""
+"""Steps and initial rate of Adam for scaled means and log standard deviations."""
 VARIATIONAL_DRAWS = 200
-"""Draws from the normal that the answer is made of."""
+"""Number of draws from the fitted normal distribution."""
 DROPOUT, DROPOUT_STEPS, DROPOUT_RATE = 0.05, 2000, 1e-3
-"""Probability that a unit is silent; Adam's steps with masks, and its first rate."""
+"""Dropout probability of a unit; steps and initial rate of Adam with masks."""
 MASKS = 100
-"""The least number of masks that the answer is made of."""
+"""Least number of masks."""
 
 
-def stated(fit: Fit, settings: FamilySettings, rng: np.random.Generator) -> TrainedFit:
-    """Return the fit with its uncertainty as the way of the settings states it."""
+def with_uncertainty(fit: Fit, settings: FamilySettings, rng: np.random.Generator) -> TrainedFit:
+    """Return the fit with its uncertainty by the method of the settings."""
     assert isinstance(fit, TrainedFit)
     assert fit.attempt is not None
     with torch_threads(settings.threads), torch.no_grad():
-        return WAYS[settings.uncertainty](TrainedPosterior(fit.attempt), fit, rng)
+        return METHODS[settings.uncertainty](TrainedPosterior(fit.attempt), fit, rng)
 
 
 def last_layer(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator) -> TrainedFit:
-    """Linearise over output layer and parameters alone: the hidden layers stay where training left them.
+    """Linearise over output layer and parameters only, with fixed hidden layers.
 
     A. Kristiadi, M. Hein and P. Hennig, ICML 2020; E. Daxberger et al., NeurIPS 2021.
     """
@@ -62,11 +62,11 @@ def last_layer(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Gene
 def variational(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator) -> TrainedFit:
     """Fit an independent normal for each weight and each parameter: mean-field variational inference.
 
-    Its mean and deviations maximise the evidence lower bound by stochastic gradients of reparametrised draws (C.
-    Blundell et al., ICML 2015), with a standard normal prior of the weights. The mean starts at the trained point, each
-    deviation at that of its unknown with all others fixed, ``(JᵀJ + I)^(-1/2)`` on the diagonal, which is the optimum
-    where the posterior is a normal (C. Bishop, Pattern Recognition and Machine Learning, 2006, section 10.1.2). Steps
-    are counted in deviations, for the posterior's axes differ in length by many orders of ten.
+    Means and deviations maximise the evidence lower bound by stochastic gradients of reparametrised draws (C. Blundell
+    et al., ICML 2015), with a standard normal prior of the weights. The means start at the trained point, each
+    deviation at that of its unknown with all others fixed, ``(JᵀJ + I)^(-1/2)`` on the diagonal, the optimum for a
+    normal posterior (C. Bishop, Pattern Recognition and Machine Learning, 2006, section 10.1.2). Steps are scaled by
+    the deviations, since the posterior's scales differ by many orders of magnitude.
     """
     residuals, deviations, z, n = posterior.residuals, posterior.deviations, posterior.z, posterior.n_weights
     linear = residuals.linearise(state := residuals.evaluate(z, deviations), deviations)
@@ -79,7 +79,7 @@ def variational(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Gen
         deviation = scale * log_sd.detach().exp() * _normal(rng, z)
         point = z + scale * mean.detach() + deviation
         _, gradient = residuals.gradient(point, deviations)
-        gradient[:, :n] += point[:, :n]  # the prior's
+        gradient[:, :n] += point[:, :n]  # gradient of the prior
         mean.grad, log_sd.grad = scale * gradient, deviation * gradient - 1.0
         optimizer.param_groups[0]["lr"] = VARIATIONAL_RATE * _half_cosine(step / VARIATIONAL_STEPS)
         optimizer.step()
@@ -94,14 +94,13 @@ def variational(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Gen
 
 
 def dropout(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generator) -> TrainedFit:
-    """State the spread over networks of which a random few hidden units are silent: Monte-Carlo dropout.
+    """Return the spread over networks with randomly omitted hidden units: Monte-Carlo dropout.
 
-    Y. Gal and Z. Ghahramani, ICML 2016; as for PINNs D. Zhang et al., J. Comput. Phys. 397:108850, 2019. The units are
-    those that the output layer combines. Training goes on with a new mask at each step of Adam, at the weights of the
-    rows that it ended with. Then, for each mask of the answer, the response is the masked network's, and the parameters
-    are those of least squared residuals (equation of motion and prior) for that response. A network whose output
-    weights are large and cancel, as a second-order method leaves them, does not bear this: without a unit its response
-    is another.
+    Y. Gal and Z. Ghahramani, ICML 2016; for PINNs D. Zhang et al., J. Comput. Phys. 397:108850, 2019. The units are the
+    inputs of the output layer. Training continues with a new mask at each step of Adam, with the final weights of the
+    rows. For each mask, the response is that of the masked network, and the parameters minimise the residuals (equation
+    of motion and prior) for that response. The method fails for networks with large, cancelling output weights, as
+    second-order optimisers produce them, since omitting a unit changes their response completely.
     """
     residuals, deviations = posterior.residuals, posterior.attempt.loss.deviations
     z = posterior.z.clone().requires_grad_(True)
@@ -116,9 +115,9 @@ def dropout(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generat
 
 
 def random_mask(posterior: TrainedPosterior, rng: np.random.Generator) -> Tensor:
-    """Draw factors (1, n_z) of z that silence units; the others are ``1 / (1 - DROPOUT)`` times as large.
+    """Draw factors (1, n_z) of z that omit units and scale the others by ``1 / (1 - DROPOUT)``.
 
-    Units are the functions that the output layer combines and that are no constant and no forced motion.
+    Units are the inputs of the output layer except constants and forced motions.
     """
     residuals, z = posterior.residuals, posterior.z
     short = []
@@ -135,7 +134,7 @@ def random_mask(posterior: TrainedPosterior, rng: np.random.Generator) -> Tensor
 
 
 def with_best_parameters(posterior: TrainedPosterior, z: Tensor) -> Tensor:
-    """Return z (1, n_z) with its parameters and offsets of least squared residuals, the response held."""
+    """Return z (1, n_z) with the parameters and offsets that minimise the residuals at a fixed response."""
     residuals, deviations, n = posterior.residuals, posterior.deviations, posterior.n_weights
 
     def point(unknowns: np.ndarray) -> Tensor:
@@ -159,10 +158,10 @@ def _half_cosine(progress: float) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * progress))
 
 
-Way = Callable[[TrainedPosterior, TrainedFit, np.random.Generator], TrainedFit]
-WAYS: Mapping[str, Way] = {
+Method = Callable[[TrainedPosterior, TrainedFit, np.random.Generator], TrainedFit]
+METHODS: Mapping[str, Method] = {
     "last_layer": last_layer,
     "variational": variational,
     "dropout": dropout,
-    "nuts": nuts.stated,
+    "nuts": nuts.sample,
 }

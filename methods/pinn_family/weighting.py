@@ -1,10 +1,10 @@
-"""How the rows of the loss are weighed against each other, and how these weights change during training.
+"""Weights of the rows of the loss, and their adaptation during training.
 
-Except for ``noise``, which knows what each row's standard deviation should be, the terms are mean squares of numbers
-without dimension: data over their root mean square, the equation of motion over the acceleration of a wave of that size
-and of the scan's frequency, a known initial state likewise, and the prior in its standard deviations (:data:`PRIOR` of
-it, for the paper's is mild). A weight w of a row stands in the loss as ``w r²``, so the row's standard deviation is
-divided by its root.
+Except for ``noise``, which uses standard deviations of the rows, the terms are mean squares of dimensionless numbers:
+data over their root mean square, the equation of motion over the acceleration of a wave of that size and of the scan's
+frequency, a known initial state likewise, and the prior in standard deviations (with weight :data:`PRIOR`, since the
+paper's is weak). A weight w of a row appears in the loss as ``w r²``, so the row's standard deviation is divided by its
+square root.
 """
 
 from __future__ import annotations
@@ -18,18 +18,17 @@ from methods.pinn.residuals import TERMS, Residuals, State
 from methods.pinn_family.choices import TrainingComponent
 
 PRIOR = 1e-3
-"""Weight of the mean square of the prior's term where no noise is estimated."""
-PHYSICS, BELIEF = TERMS.index("physics"), len(TERMS) - 1
+"""Weight of the prior's term where the weights do not follow from the noise."""
+PHYSICS, PRIOR_TERM = TERMS.index("physics"), len(TERMS) - 1
 
 
 class Weighting(TrainingComponent):
-    """Gives every row a standard deviation; one with fixed weights has nothing to add.
+    """Base class of weightings, with fixed weights by default.
 
-    ``sizes`` (1, n_rows) are the deviations that take the dimension off. ``weights`` (4,) are those of the terms (data,
-    physics, initial state, prior), ``row_weights`` (n_rows,) those of the rows besides; :meth:`update` may change
-    either after every ``every`` gradients (0: never). ``members`` (4, n_rows), 0 and 1, and ``counts`` (4,) say which
-    rows a term has, and how many; ``balanced`` (4,) which terms are present and balanced, all but the prior. ``shift``
-    (1, n_rows), if any, is added to the rows.
+    ``sizes`` (1, n_rows): scales of the rows. ``weights`` (4,): weights of the terms (data, physics, initial state,
+    prior). ``row_weights`` (n_rows,): additional weights of the rows. :meth:`update` may change both after ``every``
+    gradients (0: never). ``members`` (4, n_rows): indicators of the rows of each term; ``counts`` (4,): their numbers.
+    ``balanced`` (4,): terms that are present, without the prior. ``shift`` (1, n_rows): added to the rows, if any.
     """
 
     every = 0
@@ -39,19 +38,19 @@ class Weighting(TrainingComponent):
         self.sizes = sizes
         self.members = residuals.term_rows.T
         self.counts = self.members.sum(1).clamp(min=1.0)
-        self.balanced = (self.members.sum(1) > 0) & (torch.arange(len(TERMS)) != BELIEF)
+        self.balanced = (self.members.sum(1) > 0) & (torch.arange(len(TERMS)) != PRIOR_TERM)
         self.weights = torch.ones(len(TERMS), dtype=torch.float64)
-        self.weights[BELIEF] = PRIOR
+        self.weights[PRIOR_TERM] = PRIOR
         self.row_weights = torch.ones(residuals.n_rows, dtype=torch.float64)
         self.deviations = self.scaled()
 
     def scaled(self) -> Tensor:
-        """Return the deviations (1, n_rows) for the weights."""
+        """Return the deviations (1, n_rows) for the current weights."""
         by_row = ((self.weights / self.counts) @ self.members) * self.row_weights
         return self.sizes * by_row.clamp(min=1e-30).rsqrt()
 
     def begin(self, by_noise: Tensor) -> None:
-        """Begin a stage, at whose estimate of the noise the rows have the deviations ``by_noise`` (1, n_rows)."""
+        """Begin a stage; ``by_noise`` (1, n_rows): deviations of the rows at the current noise estimate."""
         self.deviations = self.scaled()
 
     def move(self, residuals: Residuals, state: State) -> None:
@@ -63,12 +62,12 @@ class Weighting(TrainingComponent):
         """Change ``weights`` or ``row_weights``, from a state whose rows are divided by ``deviations``."""
 
     def plain_rows(self, state: State) -> Tensor:
-        """Return the residual vector (n_rows,) as it is, without shift or weights."""
+        """Return the residual vector (n_rows,) without shift and weights."""
         rows = (state.rows * self.deviations)[0]
         return rows if self.shift is None else rows - self.shift[0]
 
     def squares(self, state: State) -> Tensor:
-        """Return the squared rows (n_rows,) without dimension."""
+        """Return the squared dimensionless rows (n_rows,)."""
         return (self.plain_rows(state) / self.sizes[0]) ** 2
 
     def means(self, by_row: Tensor) -> Tensor:
@@ -77,18 +76,18 @@ class Weighting(TrainingComponent):
 
 
 class Noise(Weighting):
-    """Minus the log posterior at the noise that the residuals of earlier stages show; the physics nearly hard."""
+    """Minus the log posterior at the noise estimated in earlier stages, with nearly hard physics."""
 
     def begin(self, by_noise: Tensor) -> None:
         self.deviations = by_noise
 
 
 class Paper(Weighting):
-    """Fixed weights, all one: "selected empirically" is all that the paper says of its own."""
+    """Fixed weights, all one; the paper states only that its weights were "selected empirically"."""
 
 
 class GradientNorms(Weighting):
-    """Terms have gradients of equal length: S. Wang, Y. Teng and P. Perdikaris, SIAM J. Sci. Comput. 43:A3055, 2021.
+    """Equal gradient norms of the terms: S. Wang, Y. Teng and P. Perdikaris, SIAM J. Sci. Comput. 43:A3055, 2021.
 
     With their moving average of 0.9, in the form of S. Wang et al., arXiv:2308.08468 (norms instead of largest and
     mean entry). The prior keeps its weight.
@@ -107,7 +106,7 @@ class GradientNorms(Weighting):
 
 
 class TangentKernel(Weighting):
-    """Terms have equal traces of the neural tangent kernel: S. Wang, X. Yu and P. Perdikaris, JCP 449:110768, 2022."""
+    """Equal traces of the terms' neural tangent kernel: S. Wang, X. Yu and P. Perdikaris, JCP 449:110768, 2022."""
 
     every = 100
 
@@ -122,7 +121,7 @@ class ReLoBRaLo(Weighting):
     """Relative loss balancing with random lookback: R. Bischof and M. Kraus, arXiv:2110.09813, 2021.
 
     Temperature 0.1, decay 0.99 (that of the published code for short runs), expected lookback 0.999. The lookback is
-    drawn from a generator of its own.
+    drawn from a separate generator.
     """
 
     every = 1
@@ -149,7 +148,7 @@ class ReLoBRaLo(Weighting):
 
 
 class SelfAdaptive(Weighting):
-    """A trained weight for each row, ascending while the network descends.
+    """A trained weight for each row, by gradient ascent.
 
     L. McClenny and U. Braga-Neto, J. Comput. Phys. 474:111722, 2023, with the square as mask and Adam at 5e-3.
     """
@@ -164,7 +163,7 @@ class SelfAdaptive(Weighting):
 
     def update(self, residuals: Residuals, state: State) -> None:
         squares = self.squares(state) / (self.counts @ self.members)
-        squares[self.members[BELIEF] > 0] = 0.0
+        squares[self.members[PRIOR_TERM] > 0] = 0.0
         self.masks.grad = 2.0 * self.masks.detach() * squares
         self.optimizer.step()
         self.row_weights = self.masks.detach() ** 2
@@ -188,7 +187,7 @@ class ResidualAttention(Weighting):
 
 
 class AugmentedLagrangian(Weighting):
-    """Physics as a constraint: multipliers for its rows, and a penalty that grows where the constraint is not met.
+    """Physics as a constraint, with multipliers and a penalty that increases while violations persist.
 
     Method of multipliers (D. P. Bertsekas, Constrained Optimization and Lagrange Multiplier Methods, 1982, chapter 2);
     for inverse PINNs as in PINNverse, arXiv:2504.05248, 2025.
@@ -210,12 +209,12 @@ class AugmentedLagrangian(Weighting):
         violation = float(violations.norm())
         if violation > self.wanted * self.before and self.weights[PHYSICS] < self.largest:
             self.weights[PHYSICS] *= self.growth
-            self.shift /= self.growth  # the multiplier itself, penalty times shift, stays
+            self.shift /= self.growth  # the multiplier, penalty times shift, is unchanged
         self.before = violation
 
 
 class Causal(Weighting):
-    """A point of the equation counts once those before it are met.
+    """Causal weights: a collocation point has weight once the residuals before it are small.
 
     S. Wang, S. Sankaran and P. Perdikaris, Comput. Methods Appl. Mech. Eng. 421:116813, 2024: weights
     ``exp(-strictness * sum of earlier squares)``, the strictness raised tenfold each time the last weight exceeds 0.99.

@@ -24,11 +24,11 @@ from methods.pinn_family import nuts, uncertainty  # noqa: E402
 from methods.pinn_family.loss import TrainingPath  # noqa: E402
 from methods.pinn_family.nuts import Coordinates  # noqa: E402
 from methods.pinn_family.training import TrainedFit, TrainedPosterior, train  # noqa: E402
-from methods.pinn_family.uncertainty import WAYS  # noqa: E402
+from methods.pinn_family.uncertainty import METHODS  # noqa: E402
 
 TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
 PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
-BEYOND = sorted(WAYS)
+BEYOND = sorted(METHODS)
 QUICK, NUTS = [way for way in BEYOND if way != "nuts"], pytest.param("nuts", marks=pytest.mark.slow)
 
 
@@ -95,7 +95,7 @@ def checked(estimate: Estimate) -> None:
 
 def test_every_way_of_the_setting_is_named_and_made() -> None:
     assert set(get_args(Uncertainty)) == set(UNCERTAINTIES)
-    assert set(WAYS) == set(UNCERTAINTIES) - {"laplace", "ensemble", "bootstrap"}
+    assert set(METHODS) == set(UNCERTAINTIES) - {"laplace", "ensemble", "bootstrap"}
     assert PINNFamily.card.choices["uncertainty"] is UNCERTAINTIES
 
 
@@ -204,7 +204,7 @@ def test_nuts_draws_are_those_of_the_nearly_normal_posterior_of_a_spline() -> No
     found, posterior = trained(problem(0.02), architecture="spline", collocation=60)
     mode, covariance = with_unit_prior(posterior)
     with torch.no_grad():
-        answer = nuts.stated(posterior, found, np.random.default_rng(0))
+        answer = nuts.sample(posterior, found, np.random.default_rng(0))
     assert "have converged" in answer.reason
     draws = answer.draws
     assert draws is not None
