@@ -34,7 +34,19 @@ NOT_PROSE = re.compile(
 """Parts of a page that get no link to the glossary: code, headings, tables, links, comments and tags."""
 LINKED_TO_GLOSSARY = re.compile(r"results/.*\.md|which_method\.md|trust\.md|readme\.md")
 """Pages outside of docs/ that link to the glossary too."""
-COMMON_WORDS = ("alternative", "archive", "audit", "card", "cell", "identifiable", "round", "store", "track", "verdict")
+COMMON_WORDS = (
+    "alternative",
+    "archive",
+    "audit",
+    "bound",
+    "card",
+    "cell",
+    "identifiable",
+    "round",
+    "store",
+    "track",
+    "verdict",
+)
 """Terms that are ordinary words too; they are linked behind an article only."""
 
 
@@ -107,7 +119,8 @@ def linked_to_glossary(markdown: str, glossary: str) -> str:
 
     terms = "|".join(sorted(map(re.escape, remaining), key=len, reverse=True))
     pattern = re.compile(
-        rf"(?P<article>\b(?:an?|the|each|every|one|per) )?\b(?P<term>{terms})(?P<plural>s?)\b(?![-=])", re.IGNORECASE
+        rf"(?P<article>\b(?:an?|the|each|every|one|per|Cramér-Rao) )?\b(?P<term>{terms})(?P<plural>s?)\b(?![-=])",
+        re.IGNORECASE,
     )
     parts = NOT_PROSE.split(markdown)
     return "".join(part if i % 2 else pattern.sub(link, part) for i, part in enumerate(parts))
