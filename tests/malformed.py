@@ -145,7 +145,7 @@ reproduce cell=zz                                 | cell=zz                     
 track forced=9                                    | forced=9                         |
 track follow=true                                 | follow=true                      | from=
 track state=state.json resume=true                | state=state.json                 | not a state file
-track from=random                                 | stream=                          | lines that read
+track from=random                                 | stream=                          | no line of the form
 -m experiment=measured set=nonsense               | set=nonsense                     | one of
 -m experiment=online system=sdof scenario=ramp,ramp | scenario=ramp                  | once
 -m experiment=online system=sdof system.varying.k=jump dry_run=true | system.varying.k.kind=jump |

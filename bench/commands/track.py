@@ -89,7 +89,7 @@ def track(
     from bench.reporting.whole_file import check_file, is_special
     from bench.twin.filtering import Filter, look, survey
     from bench.twin.lines import ENOUGH, FEW, form_of, head_of, lines_of, opened
-    from bench.twin.pressure import Intake, report
+    from bench.twin.pressure import Intake
     from bench.twin.session import Output, Session, interval_of
     from bench.twin.state import read, resumed
 
@@ -127,10 +127,10 @@ def track(
         lines += islice(source, max(look(interval) - len(lines), 0))
     first = [s for line in lines if (s := form.sample(line))]
     thinned, text = survey(first, interval, band, decimate or kept.get("decimate"))
-    report(text)
+    LOG.info(text)
     filtered = Filter(interval, thinned, band, measured)
     if filtered.sections is not None:
-        report(f"the estimates lag by {filtered.delay:.3g} s, the delay of the filter")
+        LOG.info(f"the estimates lag by {filtered.delay:.3g} s, the delay of the filter")
     interval *= thinned
     tracker = identifier.start(layout(interval))
     if state is not None and kept:

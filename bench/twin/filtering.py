@@ -163,7 +163,7 @@ def survey(
     text = f"{_seen(rate, thinned)}; strongest{within}: {peaks[0][0]:.4g} Hz{others}"
     mains = any(abs(strongest - base * max(round(strongest / base), 1)) < NEAR for base in MAINS)
     if mains or spare < 1.0:
-        reason = "may be the mains" if mains else f"has {rate / strongest:.2g} samples a cycle"
+        reason = "may be the mains" if mains else f"has {rate / strongest:.2g} samples per cycle"
         text += (
             f". {strongest:.4g} Hz {reason}: if it is not the motion, give band=lo:hi (Hz) about the motion's frequency"
         )
@@ -171,7 +171,7 @@ def survey(
 
 
 def _seen(rate: float, thinned: int) -> str:
-    return f"{rate:,.6g} samples a second, decimate={thinned}" + (
+    return f"sampling rate {rate:,.6g} 1/s, decimate={thinned}" + (
         f" leaves {rate / thinned:,.4g}" if thinned > 1 else ""
     )
 

@@ -73,7 +73,8 @@ def form_of(above: Sequence[str], lines: Sequence[str], roles: Sequence[str], op
     SI. Rows unlike most, such as half a line of a serial port, do not count.
     """
     if not lines:
-        raise InputError("stream", f"{len(above)} line(s)", f"lines that read {', '.join(roles)}")
+        remedy = f"no line of the form {', '.join(roles)}; name other columns by a header or columns="
+        raise InputError("stream", f"{len(above)} line(s)", remedy)
     cut = format_of(list(enumerate(lines)))
     rows = [cut.row(0, line.strip("\r\n")) for line in lines]
     shape = shape_of(rows)

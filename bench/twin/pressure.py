@@ -6,8 +6,8 @@ back. ``decimate``: while the queue is more than half full, only every second, f
 
 from __future__ import annotations
 
+import logging
 import queue
-import sys
 import threading
 from collections.abc import Iterable
 from typing import Literal
@@ -74,21 +74,21 @@ class Intake:
         if self.policy == "decimate":
             if part > FULL and self.thinned < MOST_THINNED:
                 self.thinned *= 2
-                report(f"samples come faster than the method: one sample in {self.thinned} is taken (policy=decimate)")
+                report(f"samples arrive too fast to process: one in {self.thinned} is used (policy=decimate)")
             elif part < EMPTY and self.thinned > 1:
                 self.thinned //= 2
-                report(f"one sample in {self.thinned} is taken")
+                report(f"one sample in {self.thinned} is used")
         elif part > FULL and not self._late:
             self._late = True
-            report(f"samples come faster than the method: {self.waiting} wait, none is left out (policy=lag)")
+            report(f"samples arrive too fast to process: {self.waiting} queued, all are used (policy=lag)")
 
     def _count_unreadable(self, text: str) -> None:
         if text.strip() and not text.lstrip().startswith("#"):
             self.unreadable += 1
             if str(self.unreadable).strip("0") == "1":  # 1, 10, 100, ...
-                report(f"{self.unreadable} line(s) left out that do not read {self.form}: {text.strip()[:60]!r}")
+                report(f"{self.unreadable} line(s) ignored, not of the form {self.form}: {text.strip()[:60]!r}")
 
 
 def report(sentence: str) -> None:
-    """Print a sentence to the error stream."""
-    print(f"bench track: {sentence}", file=sys.stderr, flush=True)
+    """Log a warning."""
+    logging.getLogger("bench").warning(sentence)

@@ -17,7 +17,7 @@ from bench.errors import InputError
 from bench.online.follow import moments
 from bench.online.score import Z95
 from bench.twin.filtering import Filter
-from bench.twin.pressure import Intake
+from bench.twin.pressure import Intake, report
 from bench.twin.state import save
 
 WIDEST = 20.0
@@ -39,7 +39,9 @@ def interval_of(samples: Iterable[Sample | None], columns: str) -> float:
     times = sorted({sample.time for sample in samples if sample is not None})
     steps = sorted(b - a for a, b in itertools.pairwise(times))
     if not steps:
-        raise InputError("stream", f"{len(times)} sample(s)", f"lines that read {columns}; or say rate=")
+        raise InputError(
+            "stream", f"{len(times)} sample(s)", f"at least two of the form {columns} are needed, or rate="
+        )
     return float(steps[len(steps) // 2])
 
 
@@ -67,10 +69,10 @@ class Session:
                 taken = sample if tracker.is_far(sample.time) else self.filter.take(sample)
                 if taken is None:
                     continue
-                report = self.report(taken, tracker.update(taken))
-                output.write(LINE.encode(report), at_once=not self.intake.waiting)
+                state = self.report(taken, tracker.update(taken))
+                output.write(LINE.encode(state), at_once=not self.intake.waiting)
                 for display in self.displays:
-                    display.add(report)
+                    display.add(state)
                 if self.state and tracker.samples % self.save_every == 0:
                     output.flush()
                     save(self.state, self.method, tracker, self.filter)
@@ -80,7 +82,7 @@ class Session:
             for display in self.displays:
                 display.close()
             if again:
-                print(f"bench track: {again} sample(s) had been seen before; left out", file=sys.stderr)
+                report(f"{again} sample(s) used before are ignored")
 
     def report(self, sample: Sample, standing: TrackerOutput) -> dict[str, Any]:
         """Return the answer to a sample as JSON holds it; null stands for what is not known."""
