@@ -121,7 +121,7 @@ def test_a_recording_is_not_overwritten(field, alias, tmp_path, capsys) -> None:
     assert main(["track", *RLS, f"from={log}", f"{field}={alias.format(tmp_path)}"]) == 2
     assert "from= names the same file" in capsys.readouterr().err
     assert main(["track", *RLS, f"from={log}", f"out={tmp_path}/new", f"state={tmp_path}/more/../new"]) == 2
-    assert "out= is the same file" in capsys.readouterr().err
+    assert "out= names the same file" in capsys.readouterr().err
     assert log.read_text() == RECORD
     assert not (tmp_path / "new").exists()
 
