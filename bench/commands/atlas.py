@@ -71,20 +71,20 @@ def _check_packages() -> None:
 def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: str) -> None:
     """Write the atlas, its tables and maps, and print their paths."""
     from bench.atlas.point import FreeDecay
-    from bench.reporting.atlas import PAGES, atlas_frame, packed, written
+    from bench.reporting.atlas import PAGES, atlas_frame, write_atlas, write_compressed
     from bench.reporting.pictures.maps import draw_atlas
     from bench.reporting.pictures.style import save
 
     out, slices = work.out, [s for s in atlas_slices(test) if s.name in blocks]
     frames = [(s, atlas_frame(blocks[s.name], work.store)) for s in slices]
     stored = [(s, frame) for s, frame in frames if not frame.empty]
-    paths = [packed(frame, out / f"atlas_{s.name}.csv.gz") for s, frame in stored]
+    paths = [write_compressed(frame, out / f"atlas_{s.name}.csv.gz") for s, frame in stored]
     if SAMPLED in blocks:
         frame = atlas_frame(blocks[SAMPLED], work.store)
         if frame.empty:
             raise InputError("store", work.store, "no finished blocks; leave fit=false out to compute them")
         page = next(page for page in PAGES if page.kind is TESTS[test])
-        paths += [*written(frame, page, out, command)]
+        paths += [*write_atlas(frame, page, out, command)]
     if TESTS[test] is FreeDecay:
         paths += [path for pair in stored for path in save(draw_atlas(*pair), out / "figures")]
     print(*paths, sep="\n")

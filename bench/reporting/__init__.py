@@ -1,1 +1,1 @@
-"""What people read: tables, figures, the page, and the text of terminals. Reads the store, computes no cell."""
+"""Tables, figures, pages and texts for the terminal, from stored cells; this package computes none."""

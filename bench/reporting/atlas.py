@@ -1,4 +1,4 @@
-"""An atlas as a frame, a line a point and method, and what is written of it."""
+"""The atlas as a table with one line per point and method, and the page that summarises it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from bench.reporting.tables.render import MISSING, Columns, listing, markdown_ta
 from bench.reporting.whole_file import write
 
 NEAR = 1.2
-"""A method is near the bound where its core error is within so many times it, and gross errors are rare."""
+"""Largest ratio of error (without outlier fits) to bound of a method that counts as near the bound."""
 RARE = 0.05
-"""Share of gross errors."""
+"""Largest share of outlier fits of a method that counts as near the bound."""
 
 
 def atlas_frame(blocks: Sequence[PointBlock], folder: Path) -> pd.DataFrame:
-    """A line for each point and method of the blocks that are finished, with the bound; all of one kind of test."""
+    """Return one line per point and method of the finished blocks, with the bound; all of one kind of test."""
     lines = []
     for block in blocks:
         stored = read_block(folder, block) or ()
@@ -42,12 +42,12 @@ def atlas_frame(blocks: Sequence[PointBlock], folder: Path) -> pd.DataFrame:
 
 
 def point_frame(point: Point) -> pd.DataFrame:
-    """A line for a point, with the bound, as the model of the atlas asks for it."""
+    """Return one line for a point, with the bound, as input of the model of the atlas."""
     return pd.DataFrame([{**_test(point), **_bounds(point)}])
 
 
 def test_columns(kind: type[Point]) -> list[str]:
-    """The columns that say which test it is."""
+    """Return the columns that identify a test."""
     return [*(axis.name for axis in kind.AXES), kind.CHOICE.name, "aliased"]
 
 
@@ -57,7 +57,7 @@ def _test(point: Point) -> dict[str, Any]:
 
 @cache
 def _bounds(point: Point) -> dict[str, float]:
-    """The bounds, and the expected share of wrong basins, NaN where it is not known."""
+    """Return the bounds, and the expected share of wrong basins (NaN if unknown)."""
     least = bound_at(point)
     basin = wrong_basin(point) if isinstance(point, FreeDecay) and not point.aliased else math.nan
     bounds = {**least.sds, DISPLACEMENT: least.displacement}
@@ -65,31 +65,40 @@ def _bounds(point: Point) -> dict[str, float]:
 
 
 def near(frame: pd.DataFrame, quantity: str = GROUPS[0]) -> pd.Series:
-    """Whether each line is near the bound in a quantity."""
+    """Return whether each line is near the bound in a quantity."""
     return (frame[f"{quantity}_core"] <= NEAR) & (frame[f"{quantity}_gross"] <= RARE)
 
 
 @dataclass(frozen=True)
 class AtlasPage:
-    """What is said of the atlas of a kind of test, in files called ``name``."""
+    """Texts of the page of an atlas.
+
+    Attributes:
+        kind: Kind of test.
+        name: Name of the files.
+        title: Title.
+        box: Description of the points.
+        columns: Descriptions of the columns of this kind of test.
+        modelled: Whether the page describes the model of the atlas.
+    """
 
     kind: type[Point]
     name: str
     title: str
     box: str
-    words: Mapping[str, str]
+    columns: Mapping[str, str]
     modelled: bool = False
 
 
-def written(frame: pd.DataFrame, page: AtlasPage, out: Path, command: str) -> list[Path]:
-    """The atlas as compressed CSV, and its summary with the data dictionary."""
-    summed = out / f"{page.name}.md"
-    write(summed, summary(frame, page, command), out)
-    return [packed(frame, out / f"{page.name}.csv.gz"), summed]
+def write_atlas(frame: pd.DataFrame, page: AtlasPage, out: Path, command: str) -> list[Path]:
+    """Write the atlas as compressed CSV, and its summary with the data dictionary."""
+    summary_file = out / f"{page.name}.md"
+    write(summary_file, summary(frame, page, command), out)
+    return [write_compressed(frame, out / f"{page.name}.csv.gz"), summary_file]
 
 
-def packed(frame: pd.DataFrame, path: Path) -> Path:
-    """Write a frame as compressed CSV: of the same frame the same bytes."""
+def write_compressed(frame: pd.DataFrame, path: Path) -> Path:
+    """Write a table as compressed CSV; the same table gives the same bytes."""
     text = frame.dropna(axis=1, how="all").to_csv(index=False, float_format="%.4g", lineterminator="\n")
     content = io.BytesIO()
     with gzip.GzipFile("", "wb", fileobj=content, mtime=0) as file:
@@ -99,55 +108,54 @@ def packed(frame: pd.DataFrame, path: Path) -> Path:
 
 
 def summary(frame: pd.DataFrame, page: AtlasPage, command: str) -> str:
-    """What a sampled atlas holds, a line a method, and what its columns mean."""
+    """Return the page of an atlas: one table per quantity with a row per method, the model, and the columns."""
     points = len(frame.drop_duplicates([axis.name for axis in page.kind.AXES]))
     head = f"{int(frame.fits.sum()):,} fits at {points:,} points. {page.box}\n\n{HEAD}"
     tables = [f"## {TITLES[name]}\n\n{_table(frame, name)}" for name in page.kind.QUANTITIES]
-    words = "\n".join(f"- `{name}`: {text}" for name, text in {**page.words, **DICTIONARY}.items())
+    dictionary = "\n".join(f"- `{name}`: {text}" for name, text in {**page.columns, **DICTIONARY}.items())
     model = [f"## Its model\n\n{MODEL}\n\n{_model_table(frame)}"] if page.modelled else []
     parts = [
-        f"# {page.title}", head, *tables, *model, f"## Columns of `{page.name}.csv.gz`\n\n{words}",
+        f"# {page.title}", head, *tables, *model, f"## Columns of `{page.name}.csv.gz`\n\n{dictionary}",
         f"Regenerate: `{command}`",
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
 
 
 TITLES = {"k_over_m": "k/m, the squared natural frequency", "c_over_m": "c/m, the decay rate", "m": "m, the mass"}
-HEAD = f"""Of a quantity a test tells nothing useful where the Cramér-Rao bound on the standard deviation of its
-logarithm is above {TOLD:g}, and it is ambiguous where the samples do not tell its frequency from others; the tables are
-over the other points.
+HEAD = f"""A quantity is identifiable at a point if the Cramér-Rao bound on the standard deviation of its logarithm is
+at most {TOLD:g}. A test is ambiguous if its samples do not distinguish the natural frequency from its aliases. The
+tables are over unambiguous points with an identifiable quantity.
 
-**near**: share of points at which a method's errors are within {NEAR:g} times the bound, gross ones left out, and at
-most {100 * RARE:g} % are gross; **gross**: share of fits whose error is beyond five times the bound, or that give no
-answer; **coverage**: of 95 % intervals, the mean over points."""
-MODEL = f"""`python -m bench design` says what a method is expected to do at any test inside the box, by trees with
-gradient boosting, fitted to `atlas.csv.gz`. Here is how they do at points that they were not fitted to, each left out
-once in {FOLDS} parts. **error**: median size of the error of the log excess, which is itself counted in few fits; **in
-range**: share of points inside the range from the 10 % to the 90 % quantile; **gross, off by**: mean distance of
-predicted and counted share of gross errors, in tenths of the points by prediction, in percentage points."""
+**near**: share of points where a method's errors without outlier fits are within {NEAR:g} times the bound, and at most
+{100 * RARE:g} % of the fits are outliers; **outliers**: share of outlier fits, with an error beyond five times the bound
+or without an estimate; **coverage**: of the 95 % intervals, mean over points."""
+MODEL = f"""`python -m bench design` predicts the errors of a method at any test within the ranges of the atlas, by
+gradient-boosted trees fitted to `atlas.csv.gz`. The table is a cross-validation in {FOLDS} parts. **error**: median
+absolute error of the predicted log excess, part of which is the error of the observed one, an average over few fits;
+**in range**: share of points within the predicted range of 10 % to 90 %; **outliers, error**: mean difference of
+predicted and observed share of outlier fits, over tenths of the points sorted by prediction, in percentage points."""
 DICTIONARY = {
-    "aliased": "whether the test is ambiguous: without a force, where the natural frequency is at or above half the "
-    "sampling rate",
-    "method": "by the name that `method=` takes",
-    "bound_*": "Cramér-Rao bound on the standard deviation of the logarithm; of the displacement, that on the root "
+    "aliased": "whether the test is ambiguous: no force, and a natural frequency at or above half the sampling rate",
+    "method": "name of the method, as in `method=`",
+    "bound_*": "Cramér-Rao bound on the standard deviation of the logarithm; for the displacement, bound on the root "
     "mean square error over the record, m",
-    "fits, failed, seconds": "fits at the point; share without an estimate; median wall time of one",
-    "*_bias, *_core": "mean and root mean square error over the bound, of fits that are not gross",
-    "*_median, *_p90": "quantiles of the error's size over the bound, of all fits",
-    "*_gross": "share of fits beyond five times the bound, or without an answer",
-    "*_held, *_told": "share of 95 % intervals that hold the truth, of those there are; share of fits with one",
+    "fits, failed, seconds": "number of fits at the point; share without an estimate; median wall time of a fit",
+    "*_bias, *_core": "mean and root mean square of error over bound, without outlier fits",
+    "*_median, *_p90": "quantiles of the absolute error over the bound, all fits",
+    "*_gross": "share of outlier fits: error beyond five times the bound, or no estimate",
+    "*_held, *_told": "coverage of the 95 % intervals; share of fits with an interval",
 }
 FREE_DECAYS = AtlasPage(
     FreeDecay,
     "atlas",
     "The atlas of free decays",
-    "Points are spread evenly over the box of all tests: samples, cycles and damping ratio by their logarithms, SNR,\n"
-    "phase of the start, and whether the start is told.",
+    "The points are spread evenly over the ranges of samples, cycles and damping ratio (logarithmic), SNR, phase of\n"
+    "the initial state, and known or unknown initial state.",
     {
-        "samples, cycles, damping_ratio, snr_db, phase, start_known": "the test; `phase` in rad: the start is "
+        "samples, cycles, damping_ratio, snr_db, phase, start_known": "the test; `phase` (rad) of the initial state "
         "`x0 = A cos(phase)`, `v0 = -A ω sin(phase)`, with ω the undamped natural frequency; `cycles` are undamped "
         "periods",
-        "wrong_basin": "expected share of records whose likelihood is largest in a wrong basin; empty where aliased",
+        "wrong_basin": "expected share of records whose likelihood is largest in a wrong basin; empty if aliased",
     },
     modelled=True,
 )
@@ -155,51 +163,51 @@ FORCED_TESTS = AtlasPage(
     Forced,
     "atlas_forced",
     "The atlas of tests with a measured force",
-    "Points are spread evenly over the box of all tests from rest under a force that is measured with noise: samples,\n"
-    "cycles, damping ratio and the force's bandwidth by their logarithms, SNR of displacement and of force, and the\n"
-    "kind of force. Every method takes the force as told; the bound is that of a force known exactly.",
+    "Tests from rest under a force that is measured with noise. The points are spread evenly over the ranges of\n"
+    "samples, cycles, damping ratio and bandwidth of the force (logarithmic), SNR of displacement and of force, and\n"
+    "kind of force. The methods treat the measured force as exact; the bound is that of an exactly known force.",
     {
         "samples, cycles, damping_ratio, snr_db": "the test; `cycles` are undamped periods in the record",
-        "bandwidth": "highest frequency of the force over the natural frequency; of a pulse, where its spectrum has "
-        "fallen to half",
+        "bandwidth": "highest frequency of the force over the natural frequency; for a pulse, the frequency where its "
+        "spectrum has fallen to half",
         "force_snr_db": "mean square of the force over the variance of its sensor's noise",
-        "force": "its kind, as in `system.force.kind`",
+        "force": "kind of force, as in `system.force.kind`",
     },
 )
 PAGES = (FREE_DECAYS, FORCED_TESTS)
 
 
 def _table(frame: pd.DataFrame, quantity: str) -> str:
-    """Return a line a method, those first that are near the bound most often."""
+    """Return one row per method, in the order of the share of points near the bound."""
     columns: Columns[pd.DataFrame] = {
         "method": _method,
-        "points": lambda own: f"{len(own):,}",
-        "near %": lambda own: percent(near(own, quantity).mean()),
-        "median error over the bound": lambda own: f"{own[f'{quantity}_core'].median():.2f}",
-        "gross %": lambda own: percent(own[f"{quantity}_gross"].mean(), 1),
-        "coverage %": lambda own: percent(own[f"{quantity}_held"].mean()),
-        "ms a fit": lambda own: f"{1e3 * own.seconds.median():.1f}",
+        "points": lambda lines: f"{len(lines):,}",
+        "near %": lambda lines: percent(near(lines, quantity).mean()),
+        "median error over the bound": lambda lines: f"{lines[f'{quantity}_core'].median():.2f}",
+        "outliers %": lambda lines: percent(lines[f"{quantity}_gross"].mean(), 1),
+        "coverage %": lambda lines: percent(lines[f"{quantity}_held"].mean()),
+        "ms per fit": lambda lines: f"{1e3 * lines.seconds.median():.1f}",
     }
     methods = [own for _, own in told(frame, quantity).groupby("method", sort=False)]
-    return markdown_table(*listing(sorted(methods, key=lambda own: -near(own, quantity).mean()), columns))
+    return markdown_table(*listing(sorted(methods, key=lambda lines: -near(lines, quantity).mean()), columns))
 
 
 HELD_OUT: Columns[HeldOut] = {
     "points": lambda model: f"{model.points:,}",
     "error": lambda model: MISSING if math.isnan(model.error) else f"{model.error:.3f}",
     "in range %": lambda model: percent(model.within),
-    "gross, off by": lambda model: percent(model.calibration, 1),
+    "outliers, error": lambda model: percent(model.calibration, 1),
 }
 
 
 def _model_table(frame: pd.DataFrame) -> str:
-    """Return how the model does at points that it has not seen, a line a method; dashes where these are too few."""
+    """Return the cross-validation of the model, one row per method; dashes if there are too few points."""
     rows = []
-    for _, own in frame.groupby("method", sort=False):
-        cells = [_method(own)]
+    for _, lines in frame.groupby("method", sort=False):
+        cells = [_method(lines)]
         for name in GROUPS:
             try:
-                model = held_out(own, name)
+                model = held_out(lines, name)
                 cells += [text(model) for text in HELD_OUT.values()]
             except ValueError:
                 cells += [MISSING] * len(HELD_OUT)
@@ -207,5 +215,5 @@ def _model_table(frame: pd.DataFrame) -> str:
     return markdown_table(rows, ["method", *(f"{readable(name)} {word}" for name in GROUPS for word in HELD_OUT)])
 
 
-def _method(own: pd.DataFrame) -> str:
-    return load_method(str(own.method.iloc[0])).card.title
+def _method(lines: pd.DataFrame) -> str:
+    return load_method(str(lines.method.iloc[0])).card.title

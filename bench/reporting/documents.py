@@ -1,7 +1,8 @@
-"""Numbers in documents: ``{{ name }}`` stands for a number, ``<!-- holds: name -->`` behind what a conclusion carries.
+"""Fill numbers into documents and check their conclusions.
 
-The pages of docs/ are filled in when the site is built. README.md and the paper are read as they are, and keep their
-numbers between comments, ``<!-- {{ name }} -->25<!-- / -->``, which ``python -m bench tables what=claims`` checks.
+``{{ name }}`` is replaced by a number, and ``<!-- holds: name -->`` marks a sentence that depends on a conclusion. The
+pages of docs/ are filled in when the site is built. README.md and the paper contain their numbers between comments,
+``<!-- {{ name }} -->25<!-- / -->``, which ``python -m bench tables what=claims`` checks.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ KEPT = re.compile(r"<!-- \{\{ (\w+) \}\} -->(.*?)<!-- / -->", re.DOTALL)
 PLACE = re.compile(r"\{\{ (\w+) \}\}")
 HOLDS = re.compile(r" *<!-- holds: (\w+) -->")
 PAGES = ("README.md", "paper/*.md", "docs/**/*.md")
-"""Where prose with numbers stands, below the folder that holds ``results``."""
+"""Documents with numbers, relative to the folder that contains ``results``."""
 
 
 def documents(root: Path) -> dict[Path, str]:
-    """Read the pages in a folder; raises InputError without a README.md, and for one that cannot be read."""
+    """Read the documents in a folder; raises InputError without a README.md, or for a page that cannot be read."""
     if not (root / "README.md").is_file():
         raise InputError("root", root, "a folder with a README.md; run the command in a clone")
     try:
@@ -35,12 +36,12 @@ def used(text: str) -> tuple[set[str], set[str]]:
 
 
 def rewritten(text: str, facts: Facts) -> str:
-    """Return the text with every number between comments as the results have it now."""
+    """Return the text with every number between comments updated from the results."""
     return KEPT.sub(lambda place: f"<!-- {{{{ {place[1]} }}}} -->{facts.numbers.get(place[1], '?')}<!-- / -->", text)
 
 
 def filled(text: str, facts: Facts) -> str:
-    """Fill in the numbers and remove the marks, as the site shows a text; InputError where it has :func:`problems`."""
+    """Fill in the numbers and remove the marks; raises InputError for a text with :func:`problems`."""
     wrong = problems(text, facts)
     if wrong:
         raise InputError("documents", wrong[0], "see python -m bench tables what=claims")
@@ -50,7 +51,7 @@ def filled(text: str, facts: Facts) -> str:
 
 
 def problems(text: str, facts: Facts) -> list[str]:
-    """List what is wrong with a text: a name that is unknown, or a conclusion that no longer holds."""
+    """List the problems of a text: unknown names, and conclusions that do not hold."""
     numbers, conclusions = used(text)
     return [
         *(f"no number is called {name}" for name in sorted(numbers - facts.numbers.keys())),

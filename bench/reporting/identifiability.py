@@ -24,15 +24,21 @@ PRACTICALLY_NOT, NOT = "practically not identifiable", "not identifiable"
 MEANING = {
     FROM_DATA: "identifiable from the data alone",
     WITH_PRIOR: "identifiable only with the prior, but limited more by the noise than by the prior",
-    BY_PRIOR: f"more than {100 * DECIDED_BY_PRIOR:.0f} % of its variance is the prior's",
-    PRACTICALLY_NOT: "identifiable from perfect data; these leave an uncertainty above its own size",
+    BY_PRIOR: f"more than {100 * DECIDED_BY_PRIOR:.0f} % of its variance is due to the prior",
+    PRACTICALLY_NOT: "identifiable from perfect data, but with these data the uncertainty exceeds the value",
     NOT: "not identifiable even from perfect data, and there is no prior",
 }
-"""Each verdict on a quantity with its meaning."""
+"""Meanings of the verdicts on a quantity."""
 
 
 def verdict(structural: bool, relative_sd: float, prior_share: float) -> str:
-    """Return the verdict on a quantity from the structural one, its bound and the prior's share of its variance."""
+    """Return the verdict on a quantity.
+
+    Args:
+        structural: Whether it is identifiable from perfect data.
+        relative_sd: Cramér-Rao bound on its relative standard deviation.
+        prior_share: Share of the bound's variance that is due to the prior.
+    """
     if not structural and not prior_share > 0:
         return NOT
     if prior_share > DECIDED_BY_PRIOR:
@@ -43,7 +49,7 @@ def verdict(structural: bool, relative_sd: float, prior_share: float) -> str:
 
 
 def correlations(information: Information, quantities: Sequence[Quantity]) -> np.ndarray:
-    """Return the correlations of the logarithms of n quantities at the bound, shape (n, n), on informed directions."""
+    """Return the correlations of the logarithms of n quantities at the bound, shape (n, n)."""
     w = np.zeros((len(quantities), len(information.precision)))
     w[:, : len(information.names)] = [q.vector(information.names) for q in quantities]
     covariance = w @ information.covariance @ w.T
@@ -54,7 +60,7 @@ def correlations(information: Information, quantities: Sequence[Quantity]) -> np
 def identifiability_page(
     scenario: Scenario, measured: Sequence[int], structure: Structure, information: Information
 ) -> str:
-    """Return the verdicts on a scenario's quantities as text, no wider than a terminal."""
+    """Return the verdicts on a scenario's quantities as text for a terminal."""
     known = scenario.make_system().quantities
     quantities = [*known, *(group for group in structure.groups if group not in known)]
     initial = "the initial state of this scenario" if structure.at_start else "any initial state"
@@ -76,7 +82,7 @@ def identifiability_page(
             ),
             *(wrapped(f"- {line}") for line in structure.sentences()),
             f"\nThese {scenario.samples} samples over {scenario.duration:g} s:\n",
-            table(rows, ["", "bound %", "prior's share %", "verdict"], (0, 3)) + "\n",
+            table(rows, ["", "bound %", "due to prior %", "verdict"], (0, 3)) + "\n",
             *(wrapped(f"{word}: {meaning}") for word, meaning in MEANING.items() if word in used),
             "",
             wrapped(condition),
@@ -92,7 +98,7 @@ def _condition(information: Information, prior: bool) -> str:
 
 
 def _strongest(structure: Structure, information: Information, quantities: Sequence[Quantity]) -> str:
-    """Return the strongest correlations of parameters, or of groups where some parameter is not identifiable."""
+    """Return the strongest correlations of parameters, or of groups if some parameter is not identifiable."""
     compared = [q for q in quantities if len(q.exponents) == 1]
     if any(math.isinf(information.variance(q)) for q in compared):
         compared = list(structure.groups)

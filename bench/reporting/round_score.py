@@ -1,4 +1,4 @@
-"""The score of a file of predictions of a round: by kind of problem, and ranked beside this project's methods."""
+"""The score of predictions for a round: by kind of problem, and ranked among the methods of this project."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KINDS = (
-    "kind", "answered", "outliers", "error over bound", "tier", "excess", "95 % cover", "of", "interval score",
+    "kind", "answered", "outliers", "error over bound", "tier", "excess", "coverage %", "of", "interval score",
     "time (s)",
 )  # fmt: skip
-RANKING = ("tier", "method", "problems served", "error over bound", "first tier there", "lost")
+RANKING = ("tier", "method", "problems served", "error over bound", "first tier there", "outlier fits")
 LEGEND = {
-    "answered": "problems with a value for every quantity asked for",
-    "outliers": f"answered problems with an error beyond {OUTLIER_FACTOR:g} bounds",
+    "answered": "problems with a value for every requested quantity",
+    "outliers": f"answered problems with an error beyond {OUTLIER_FACTOR:g} times the bound",
     "error over bound": "geometric mean over problems of the root mean square, over quantities, of error over "
-    f"Cramér-Rao bound: at least 1, at most {CAP:g}, as for an outlier or no answer; efficient estimators have about "
-    f"{ON_BOUND:.2f}. Of {' and '.join(DISTURBED)} the bound is that of white noise alone",
-    "tier": "methods that these problems do not tell apart, without a winner; beside the tiers stands what has no "
-    "answer at all to the problems of a kind that ask for the same quantities: it does not serve these",
-    "excess": "root mean square of error over bound, of the values given; a few outliers decide it",
-    "95 % cover": "share (%) of the 95 % intervals, of so many, that contain the true value",
+    f"Cramér-Rao bound, from 1 to {CAP:g} (outliers, no answer); about {ON_BOUND:.2f} for an efficient estimator. For "
+    f"{' and '.join(DISTURBED)} the bound assumes white noise",
+    "tier": "methods that do not differ significantly on these problems; a method without any answer to the problems "
+    "of a kind with the same quantities does not serve these, and has no tier",
+    "excess": "root mean square of error over bound, of the values given; a few outliers dominate it",
+    "coverage %": "share of the 95 % intervals that contain the true value; of: number of intervals",
     "interval score": "mean of width and 40 times the miss over that of ideal intervals, each at most "
-    f"{MOST_SCORE:g}: 1 is ideal, too wide and too narrow intervals have more",
+    f"{MOST_SCORE:g}; 1 is ideal, and too wide or too narrow intervals score more",
     "time": "median of the seconds in the file, as stated by its author",
-    "first tier there": "its error over bound on the problems that a method serves",
-    "lost": "outliers, and problems served without an answer",
+    "first tier there": "error over bound of the first tier on the problems that a method serves",
+    "outlier fits": "outliers, and problems served without an answer",
 }
-"""Meaning of the columns."""
+"""Meanings of the columns."""
 ALONE = "no method to compare with: python -m bench round solve --help"
 
 
 @dataclass(frozen=True)
 class RoundReport:
-    """Report on predictions called ``name``: ``answer`` in a few words, ``sentences``, and two tables."""
+    """Report on predictions: the answer in one line, sentences, and two tables."""
 
     name: str
     answer: str
@@ -61,11 +61,11 @@ class RoundReport:
 
     @property
     def compared(self) -> bool:
-        """Return whether other methods are in the ranking."""
+        """Whether other methods are in the ranking."""
         return "" in self.ranking.classes
 
     def line(self, round_name: str, commitment: str) -> str:
-        """Return one line of Markdown to cite."""
+        """Return a line of Markdown for citation."""
         of = f"{round_name} of vibration-bench {__version__}, commitment `{commitment[:12]}`"
         return f"**{self.name}** ({of}): {self.answer}. {' '.join(self.sentences)}"
 
@@ -78,21 +78,26 @@ class RoundReport:
         return "\n\n".join([head, *tables, "\n".join(map(wrapped, legend))])
 
     def page(self, line: str, origin: Mapping[str, str]) -> str:
-        """Return the report as a page; ``origin`` says what was scored on what."""
+        """Return the report as a page; ``origin`` names the predictions and the round."""
         return rendered("score.html.j2", report=self, line=line, origin=origin, legend=LEGEND, alone=ALONE)
 
 
 def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
-    """Report the predictions called ``name`` among the rows of all methods, of ``bench.rounds.scoring.score_rows``."""
-    rows, fits = scored[name], {label: _fits(each) for label, each in scored.items()}
+    """Report on predictions.
+
+    Args:
+        name: Name of the predictions.
+        scored: Rows of :func:`bench.rounds.scoring.score_rows`, by method, these predictions included.
+    """
+    rows, fits = scored[name], {label: _fits(table) for label, table in scored.items()}
     kind_of = list(rows.groupby("scenario")["kind"].first())
     kinds = sorted(set(kind_of))
 
     def places(chosen: Collection[str]) -> dict[str, Ranked]:
-        """Rank methods on the problems of some kinds; one without any answer has no place."""
+        """Rank methods on the problems of some kinds; a method without any answer is left out."""
         parts = {
-            label: [fit for fit, kind in zip(each, kind_of, strict=True) if kind in chosen]
-            for label, each in fits.items()
+            label: [fit for fit, kind in zip(logs, kind_of, strict=True) if kind in chosen]
+            for label, logs in fits.items()
         }
         return {place.label: place for place in ranked(parts)}
 
@@ -108,14 +113,16 @@ def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
 
 
 def _fits(rows: pd.DataFrame) -> list[np.ndarray]:
-    """Return log error over bound of each problem (1,); none (0,) of one that the method does not serve.
+    """Return the log error over bound of each problem, shape (1,), or (0,) if the method does not serve it.
 
-    Where no other problem of a kind asks for the same quantities, answers to others of the kind say that it is served.
+    A method serves a problem if it answers any problem of the kind with the same quantities; for a problem without
+    such others, if it answers any problem of the kind.
     """
-    asked = rows.groupby("scenario")["quantity"].transform(" ".join)
-    alike = rows.groupby([rows["kind"], asked])
-    alone = alike["scenario"].transform("nunique") == 1
-    served = (alike["value"].transform("count") > 0) | (alone & (rows.groupby("kind")["value"].transform("count") > 0))
+    quantities = rows.groupby("scenario")["quantity"].transform(" ".join)
+    similar = rows.groupby([rows["kind"], quantities])
+    single = similar["scenario"].transform("nunique") == 1
+    of_kind = rows.groupby("kind")["value"].transform("count") > 0
+    served = (similar["value"].transform("count") > 0) | (single & of_kind)
     return [
         log_sizes(of["error"].to_numpy()[:, None]) if served[of.index[0]] else np.empty(0)
         for _, of in rows.groupby("scenario")
@@ -154,14 +161,14 @@ def _answer(name: str, places: Mapping[str, Ranked]) -> str:
         return "no answer to any problem"
     place, in_tiers = places[name], [place.tier for place in places.values() if place.tier]
     served = "" if place.served == place.scenarios else f" on {place.served} of {place.scenarios} problems"
-    tier = f"tier {place.tier} of {max(in_tiers)} among {len(in_tiers)} methods" if place.tier else "beside the tiers"
+    tier = f"tier {place.tier} of {max(in_tiers)} among {len(in_tiers)} methods" if place.tier else "no tier"
     return f"error {_typical(place)} times the Cramér-Rao bound{served}" + (f", {tier}" if len(places) > 1 else "")
 
 
 def _sentences(scores: RoundScores) -> list[str]:
-    """Say how many problems were answered, how well, and what the intervals are worth."""
-    many = f"{scores.answered} of {scores.problems} problems answered, outlier fits: {scores.outliers}; "
-    errors = f"{many}root mean square of error over bound (excess) {excess_text(scores.excess)}."
+    """Summarise the answers and the intervals in sentences."""
+    answers = f"{scores.answered} of {scores.problems} problems answered, outlier fits: {scores.outliers}; "
+    errors = f"{answers}root mean square of error over bound (excess) {excess_text(scores.excess)}."
     if not scores.intervals:
         return [errors, "No intervals: their coverage is not stated."]
     ends = wilson_interval(scores.covered, scores.intervals)

@@ -1,4 +1,4 @@
-"""A file written in one step, so that nobody meets half of one, nor an empty one where the disk is full."""
+"""Write files in one step, so that no incomplete file is left if writing fails."""
 
 from __future__ import annotations
 
@@ -11,12 +11,18 @@ from bench.files import write_whole
 
 
 def write(path: Path, content: str | bytes, given: Path | None = None, field: str = "out") -> None:
-    """Write a file in one step; a text in UTF-8.
+    """Write a file in one step.
 
-    Raises InputError where that cannot be done, which names the ``field`` and the folder that the user had ``given``
-    in it, or the file.
+    Args:
+        path: The file.
+        content: Bytes, or a text to be encoded in UTF-8.
+        given: Folder that the user named, for errors; None for the file itself.
+        field: Field that named it, for errors.
+
+    Raises:
+        InputError: If the file cannot be written.
     """
-    if is_special(path):  # a device or a pipe would be gone, and a file be in its place
+    if is_special(path):  # writing would replace a device or a pipe by a file
         raise InputError(field, given or path, "it is a device or a pipe; name a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -27,17 +33,17 @@ def write(path: Path, content: str | bytes, given: Path | None = None, field: st
 
 
 def is_special(path: Path) -> bool:
-    """Return whether something is there that is neither file nor folder."""
+    """Return whether a path exists that is neither file nor folder."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 def check_folder(folder: Path, field: str = "out") -> None:
-    """Raise InputError before any work where nothing can be written into a folder after it; nothing is left there."""
+    """Raise InputError, before any computation, if no file can be written into a folder; leaves nothing behind."""
     _check(folder / ".write-test", folder, field)
 
 
 def check_file(path: Path, field: str = "out") -> None:
-    """Raise InputError before any work where a file cannot be written after it; nothing is left there."""
+    """Raise InputError, before any computation, if a file cannot be written; leaves nothing behind."""
     if os.path.isdir(path) or is_special(path):
         what = "a folder" if os.path.isdir(path) else "a device or a pipe"
         raise InputError(field, path, f"it is {what}; name a file")
@@ -45,7 +51,7 @@ def check_file(path: Path, field: str = "out") -> None:
 
 
 def _check(probe: Path, given: Path, field: str) -> None:
-    """Write a file and take it away again, and with it the folders that it needed."""
+    """Write a file, and remove it again with the folders that were created for it."""
     new = [folder for folder in probe.parents if not os.path.lexists(folder)]
     try:
         write(probe, "", given, field)
