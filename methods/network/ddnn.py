@@ -214,7 +214,7 @@ class Smoother:
         self.layer = np.concatenate([np.full(w.size + b.size, i) for i, (w, b) in enumerate(layers)])
         self.sds = np.full(len(layers), 1.0 / np.sqrt(width))
         times = np.concatenate([c.times for c in record.channels])
-        self.ansatz = self._at(times)
+        self.ansatz = self._network(times)
         self.dof = torch.as_tensor(np.concatenate([np.full(c.n, c.dof) for c in record.channels]))
         self.values = torch.as_tensor(np.concatenate([c.values for c in record.channels]))
         sizes = np.array([np.sqrt(np.mean(c.values**2)) if c.n else 0.0 for c in record.channels])
@@ -227,7 +227,7 @@ class Smoother:
         self.evaluations = self.steps = 0
         self.sigmas: list[float] = []
 
-    def _at(self, times: np.ndarray) -> Network:
+    def _network(self, times: np.ndarray) -> Network:
         """Return the network at given times."""
         tau = self.torch.as_tensor(2.0 * times / self.duration - 1.0)[None]
         return self.tanh.Network(self.widths, tau, self.torch.full((1,), 2.0 / self.duration, dtype=tau.dtype))
@@ -332,7 +332,7 @@ class Smoother:
 
     def streams(self, times: np.ndarray, move: Tensor | float = 0.0) -> np.ndarray:
         """Return x, x', x'' of the fit, with its weights displaced by ``move``, (3, n_times, n_dof)."""
-        return np.asarray(self._at(times).forward((self.theta + move)[None]).output[0])
+        return np.asarray(self._network(times).forward((self.theta + move)[None]).output[0])
 
     def response(self) -> NetworkResponse:
         return NetworkResponse(tuple(self.tanh.layers_of(self.theta.numpy().copy(), self.widths)), self.duration)

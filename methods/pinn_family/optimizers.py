@@ -73,7 +73,7 @@ class SOAP(Descent):
 
 
 class Muon(Descent):
-    """Muon (K. Jordan et al., 2024) for the weights between hidden layers, Adam for all else, as its authors recommend."""
+    """Muon (K. Jordan et al., 2024) for weights between hidden layers, Adam for the rest, as its authors recommend."""
 
     rate = 1e-2
 

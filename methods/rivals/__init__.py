@@ -1,1 +1,1 @@
-"""Inverse PINNs of other people's packages, as they ship: their networks, losses and optimisers, one package a file."""
+"""Methods of other packages for comparison: inverse PINNs with their networks, losses and optimisers, and EMA."""

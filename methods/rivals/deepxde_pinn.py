@@ -1,10 +1,10 @@
 """The inverse PINN of DeepXDE, on torch in double precision: Adam, then its L-BFGS.
 
 L. Lu, X. Meng, Z. Mao, G. E. Karniadakis, SIAM Review 63:208, 2021. As in its examples of inverse problems for ordinary
-differential equations: a ``TimeDomain``, the data as a ``PointSetBC``, a known start as ``IC`` and ``OperatorBC``, the
-unknowns as external trainable variables, Glorot-normal weights. Its L-BFGS has the options that it ships, but comes
-back after 20 iterations instead of 1,000, so that the clock can be read; it takes a return after a single iteration for
-convergence, so a return must not be due to the number of evaluations.
+differential equations: a ``TimeDomain``, the data as a ``PointSetBC``, a known initial state as ``IC`` and
+``OperatorBC``, the unknowns as external trainable variables, Glorot-normal weights. Its L-BFGS has the default options,
+but returns after 20 iterations instead of 1,000, so that the time limit can be checked. The package interprets a return
+after one iteration as convergence, so the number of evaluations must not end a call.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from methods.rivals.rival import (
 
 ITERATIONS_A_RETURN = 20
 MANY = 10**9
-"""Steps, where the clock decides."""
+"""Number of steps where the time limit ends a stage."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ class DeepXDE(TorchRival):
 
 
 def _package() -> ModuleType:
-    """Import DeepXDE with torch behind it, without the file in the home folder that it else writes.
+    """Import DeepXDE with the torch backend, without writing its configuration file to the home folder.
 
-    Raises NoEstimate where it was imported earlier with something else behind it.
+    Raises NoEstimate where it was imported before with another backend.
     """
     import torch
 
@@ -98,14 +98,14 @@ def _package() -> ModuleType:
             os.environ.pop("DDE_BACKEND", None)
         else:
             os.environ["DDE_BACKEND"] = backend
-    torch.set_default_device(None)  # its import chooses a graphics card where there is one
+    torch.set_default_device(None)  # its import selects a GPU if there is one
     if deepxde.backend.backend_name != "pytorch":
-        raise NoEstimate(f"DeepXDE runs on {deepxde.backend.backend_name} in this process; it is needed on torch")
+        raise NoEstimate(f"DeepXDE runs on {deepxde.backend.backend_name} in this process; torch is required")
     return deepxde
 
 
 def _model(dde: ModuleType, decay: DecayRecord, logs: list[Any]) -> tuple[Any, int]:
-    """Return the model of equation, data, known start and network; and the number of terms of the loss."""
+    """Return the model of equation, data, known initial state and network; and the number of terms of the loss."""
     import torch
 
     speed = decay.speed
@@ -134,7 +134,7 @@ def _model(dde: ModuleType, decay: DecayRecord, logs: list[Any]) -> tuple[Any, i
 
 
 def _watch(dde: ModuleType, path: FitPath, now: Any) -> Any:
-    """Return a callback that counts each step on the path, and ends the training when it says so."""
+    """Return a callback that counts steps on the path and ends the training at its limits."""
 
     class Watch(dde.callbacks.Callback):  # type: ignore[misc,name-defined]
         before = -1

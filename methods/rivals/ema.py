@@ -1,15 +1,14 @@
 """sdypy-EMA 0.31 (MIT, https://github.com/sdypy/sdypy-EMA) on frequency responses; averages by pyFRF 1.5.
 
-Poles are those of its least-squares complex frequency method (LSCF), orders 1 to 60 as in its introduction; shapes are
-those of its least-squares frequency domain method (LSFD), with residuals below and above. A person picks poles off its
-chart; here whatever stays, within its own tolerances (frequency 0.1 %, damping 5 %), through half of the orders, and of
-it the pole with the median damping. Its ``select_closest_poles`` is not used: it takes frequencies that are known
-before, and averages within 25 Hz of these.
+Poles come from its least-squares complex frequency method (LSCF) with orders 1 to 60 as in its introduction, shapes
+from its least-squares frequency domain method (LSFD) with lower and upper residuals. Users select poles in its
+stabilisation chart; here poles are selected that are stable within its tolerances (frequency 0.1 %, damping 5 %) over
+half of the orders, with the median damping. Its ``select_closest_poles`` is not used, since it requires known
+frequencies and averages within 25 Hz of these.
 
-Blows are averaged to H1 by pyFRF (MIT, https://github.com/ladisk/pyFRF) as by a person with a hammer: a force window
-up to the end of the pulse, and an exponential window down to 1 % where the response has not ended by itself, whose
-damping is taken off. Both are put on here: its own windows scale the response by their mean, and shapes with it. No
-uncertainty is stated.
+Hammer impacts are averaged to H1 by pyFRF (MIT, https://github.com/ladisk/pyFRF), with a force window up to the end of
+the pulse, and an exponential window down to 1 % for responses that have not decayed, whose damping is subtracted. The
+windows are applied here, since those of the package scale response and shapes by their mean. There is no uncertainty.
 """
 
 from __future__ import annotations
@@ -35,17 +34,17 @@ from methods.modal.stabilisation import linked
 from methods.starts.search_range import unevenness
 
 FREQUENCY_STAYS, DAMPING_STAYS = 0.001, 0.05
-"""Tolerances of the package's chart."""
+"""Tolerances of the package's stabilisation chart."""
 PULSE = 0.1
-"""Of a force's peak: above it, well out of the noise, is the pulse; the window is open as long again after it."""
+"""Fraction of a force's peak above which samples belong to the pulse; the window is twice as long."""
 ENDED = 0.01
-"""Of a response's peak, below which a record has ended; and what an exponential window leaves at the end."""
+"""Fraction of a response's peak below which it has decayed, and final value of the exponential window."""
 DERIVATIVES = {"receptance": "d", "mobility": "v", "accelerance": "a"}
 
 
 @dataclass(frozen=True)
 class EMA(ModalIdentifier):
-    """Orders 1 to ``order``, of as many pairs of poles."""
+    """LSCF and LSFD of sdypy-EMA with orders 1 to ``order`` (pairs of poles)."""
 
     order: int = 60
 
@@ -53,8 +52,8 @@ class EMA(ModalIdentifier):
     requires: ClassVar[tuple[str, ...]] = ("sdypy", "pyFRF")
     extra: ClassVar[str] = "rivals"
     card: ClassVar[ModalCard] = ModalCard(
-        "LSCF and LSFD of the package sdypy-EMA, poles that stay on its chart; averages H1 of the package pyFRF",
-        "sdypy-EMA 0.31 and pyFRF 1.5 as they ship, order 60 as in the introduction",
+        "LSCF and LSFD of the package sdypy-EMA, stable poles of its chart; H1 averages of the package pyFRF",
+        "defaults of sdypy-EMA 0.31 and pyFRF 1.5, order 60 as in the introduction",
         "sdypy-EMA",
         200,
     )
@@ -64,13 +63,13 @@ class EMA(ModalIdentifier):
             raise InputError("method.order", self.order, "at least 2")
 
     def objection(self, problem: ModalProblem) -> str | None:
-        """It needs frequency responses at even lines."""
+        """Require frequency responses at evenly spaced frequencies."""
         if isinstance(problem.data, FrequencyResponses) and unevenness(problem.data.frequencies):
-            return "it needs frequency responses at even steps of frequency"
+            return "it requires frequency responses at even steps of frequency"
         return super().objection(problem)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
-        """Average, fit poles of all orders, pick those that stay, and fit their shapes."""
+        """Average, fit poles of all orders, select the stable ones, and fit their shapes."""
         from sdypy.EMA import Model
 
         data = averaged(problem.data) if isinstance(problem.data, Blows) else problem.data
@@ -87,11 +86,11 @@ class EMA(ModalIdentifier):
                 rates, [np.ones((1, poles.size)) for poles in rates], np.inf, FREQUENCY_STAYS, DAMPING_STAYS
             )
             model.pole_ind = [_middle(chain, rates) for chain in chains if 2 * len(chain) >= order]
-            model.pole_ind = [(at, i) for at, i in model.pole_ind if low <= abs(rates[at][i]) / (2 * np.pi) <= high]
+            model.pole_ind = [(n, i) for n, i in model.pole_ind if low <= abs(rates[n][i]) / (2 * np.pi) <= high]
             if not model.pole_ind:
-                return ModalEstimate((), status=Status.DIVERGED, message="no pole stays on its chart")
+                return ModalEstimate((), status=Status.DIVERGED, message="no pole is stable over the orders")
             _, residues = model.get_constants()
-        poles = np.array([rates[at][i] for at, i in model.pole_ind])
+        poles = np.array([rates[n][i] for n, i in model.pole_ind])
         s = 2j * np.pi * model.freq[:, None, None]
         parts = residues / (s - poles) + residues.conj() / (s - poles.conj())
         parts *= s ** list(DERIVATIVES).index(data.response)
@@ -99,17 +98,17 @@ class EMA(ModalIdentifier):
         strongest = np.argsort(-shares)[: problem.count or len(poles)]
         nothing, unknown = np.full((2, 2), np.nan), np.full(len(residues), np.nan)
         modes = [Mode.of_pole(poles[i] + data.window, nothing, residues[:, i], unknown, shares[i]) for i in strongest]
-        said = f"{len(poles)} poles stay through half of the orders 1 to {order}"
-        return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), message=said)
+        message = f"{len(poles)} poles are stable over half of the orders 1 to {order}"
+        return ModalEstimate(tuple(sorted(modes, key=lambda mode: mode.frequency)), message=message)
 
 
 def _middle(chain: list[tuple[int, int]], rates: list[np.ndarray]) -> tuple[int, int]:
     """Return the pole with the median damping."""
-    return sorted(chain, key=lambda at: rates[at[0]][at[1]].real)[len(chain) // 2]
+    return sorted(chain, key=lambda link: rates[link[0]][link[1]].real)[len(chain) // 2]
 
 
 def averaged(blows: Blows) -> FrequencyResponses:
-    """Average H1 by pyFRF, with the windows of a hammer."""
+    """Average H1 by pyFRF, with force and exponential windows."""
     from pyFRF import FRF
 
     samples = blows.forces.shape[1]
@@ -122,9 +121,9 @@ def averaged(blows: Blows) -> FrequencyResponses:
     window, inside = (np.exp(-decay * blows.step * np.arange(samples)) for decay in (rate, blows.window))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # it takes whole numbers of Hz only: one a sample here
+        # the package supports integer sampling rates only: 1 Hz here
         forces, responses = blows.forces * pulse * window * inside, blows.responses * window
         average = FRF(1, forces[:, None], responses, "f", DERIVATIVES[blows.response])
         values = average.get_FRF(frf_form=blows.response)[:, 0]
-    values[:, 0] = 0.0  # of motion without vibration: zero by zero
+    values[:, 0] = 0.0  # 0/0 at zero frequency for a response without a mean
     return FrequencyResponses(average.get_f_axis() / blows.step, values, blows.response, window=blows.window + rate)

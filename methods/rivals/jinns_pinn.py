@@ -1,11 +1,11 @@
 """The inverse PINN of jinns, on JAX in double precision: Adam of optax, then its self-scaled Broyden method.
 
-H. Gangloff, N. Jouvin, arXiv:2412.14132, 2024. Its ``PINN_MLP``, ``LossODE`` and ``solve`` with the first weights of
-equinox. It has no condition for an initial velocity, so that this is a second dynamic loss, which asks at the start
-whatever the time. The second optimiser is its ``scale_by_SSBroyden_family`` (after arXiv:2405.04230).
+H. Gangloff, N. Jouvin, arXiv:2412.14132, 2024. Its ``PINN_MLP``, ``LossODE`` and ``solve`` with the initial weights of
+equinox. Since it has no condition for an initial velocity, this is a second dynamic loss, evaluated at time 0 for all
+times. The second optimiser is its ``scale_by_SSBroyden_family`` (after arXiv:2405.04230).
 
-``solve`` is compiled anew for each fit and optimiser: that takes several seconds, which are on the path, but a stage's
-time begins after it. The clock is read, and the path noted, through what the package has for validation.
+``solve`` is compiled for each fit and optimiser, which takes several seconds; these count on the path, but not in a
+stage's time. The time limit and the path use the package's interface for validation.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from bench import Card, Estimate
 from methods.rivals.rival import ADAM_RATE, COLLOCATION, HIDDEN, DecayRecord, FitPath, Rival, rival_card
 
 MOST_A_SECOND = 20_000
-"""Steps that are made room for."""
+"""Steps per second for which memory is allocated."""
 ADAM_EVERY = 20
-"""Steps of Adam between two looks at the clock."""
+"""Steps of Adam between two checks of the time limit."""
 
 
 @dataclass(frozen=True)
 class Jinns(Rival):
     """jinns: Adam, then its self-scaled Broyden method; see :class:`methods.rivals.rival.Rival`.
 
-    On how many threads it computes is JAX's own affair, for the whole process.
+    The number of threads is that of JAX for the whole process.
     """
 
     second_steps: int = 300
@@ -84,7 +84,7 @@ def get_grad_fn(loss: Any, batch: Any) -> Callable[..., Any]:
 
 
 def _network(decay: DecayRecord, key: Any) -> tuple[Any, Any]:
-    """Return the package's network, and its weights with the unknowns at our start."""
+    """Return the package's network, and its weights with the initial guess of the unknowns."""
     import equinox
     import jax
     import jax.numpy as jnp
@@ -100,7 +100,7 @@ def _network(decay: DecayRecord, key: Any) -> tuple[Any, Any]:
 
 
 def _loss(decay: DecayRecord, net: Any, params: Any) -> Any:
-    """Return the loss: equation, known start and data, each with weight 1."""
+    """Return the loss: equation, known initial state and data, each with weight 1."""
     import jax
     import jax.numpy as jnp
     from jinns.loss import ODE, LossODE, LossWeightsODE
@@ -156,15 +156,15 @@ def _data(decay: DecayRecord, key: Any, other: Any) -> dict[str, Any]:
 
 
 class SolveStage:
-    """One call of ``solve``: at most ``most`` steps and so many seconds from its first, asked each ``every`` steps."""
+    """One call of ``solve``: at most ``most`` steps and ``seconds`` from the first, checked every ``every`` steps."""
 
     def __init__(self, path: FitPath, seconds: float, every: int, most: int) -> None:
         self.path, self.seconds, self.every, self.most = path, seconds, every, most
         self.begun = path.steps
-        self.noted: list[tuple[int, int]] = []  # moments of the path, and the step of this stage that each was at
+        self.noted: list[tuple[int, int]] = []  # indices of path entries with the step of this stage
 
     def solve(self, loss: Any, params: Any, data: dict[str, Any], optimiser: Any, needs: Any) -> tuple[Any, float]:
-        """Train by one optimiser until the stage ends; returns the parameters and the last loss."""
+        """Train by one optimiser until the stage ends; return the parameters and the last loss."""
         import jax
         import jinns
 
@@ -188,7 +188,7 @@ class SolveStage:
         return done[0], float(losses[taken - 1])
 
     def ask(self, log_k: Any, log_c: Any) -> np.ndarray:
-        """Return True where it is to stop, as what the compiled loop takes."""
+        """Return whether to stop, as an array for the compiled loop."""
         path = self.path
         if path.steps == self.begun:
             path.stage(self.seconds, 0)
@@ -200,7 +200,7 @@ class SolveStage:
 
 
 def _clock(ask: Callable[[Any, Any], np.ndarray], every: int) -> Any:
-    """Return what the package takes for a validation: it asks whether to stop, each so many steps."""
+    """Return a validation module of the package that checks every ``every`` steps whether to stop."""
     import equinox
     import jax
     import jax.numpy as jnp

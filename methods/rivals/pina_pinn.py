@@ -1,13 +1,13 @@
 """The inverse PINN of PINA, on torch and Lightning: Adam, then torch's L-BFGS through its optimiser interface.
 
 D. Coscia, A. Ivagnes, N. Demo, G. Rozza, Journal of Open Source Software 8:5352, 2023. An ``InverseProblem`` with the
-data, the equation and a known start as conditions, its ``FeedForward`` network with torch's first weights, its
-physics-informed solver and trainer. L-BFGS has the options that DeepXDE ships, 20 iterations a step.
+data, the equation and a known initial state as conditions, its ``FeedForward`` network with torch's initial weights,
+its physics-informed solver and trainer. L-BFGS has the default options of DeepXDE, with 20 iterations per step.
 
-Two things of version 0.3.2 stand in the way of L-BFGS where an equation has unknowns. Its callback that switches
-optimisers hands on the weights of the network alone: the second optimiser is a second solver of the same network and
-problem. And a solver adds the unknowns as a second group of parameters, of which torch's L-BFGS takes one: ours puts
-them into the first.
+Version 0.3.2 does not support L-BFGS for equations with unknowns, in two respects. Its callback that switches
+optimisers passes on the weights of the network only; here the second optimiser belongs to a second solver of the same
+network and problem. Its solver adds the unknowns as a second parameter group, while torch's L-BFGS supports one; here
+they are added to the first group.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from methods.rivals.rival import (
 ITERATIONS_A_STEP = 20
 LBFGS = {"lr": 1.0, "history_size": 100, "tolerance_grad": 1e-8, "tolerance_change": 0.0}
 WIDE = 5.0
-"""The unknowns are kept within so much of the logarithms that they start from: the package asks for bounds."""
+"""Half-width of the bounds of the log-unknowns about the initial guess, which the package requires."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class PINA(TorchRival):
             import torch
             from pina.model import FeedForward
             from pina.optim import TorchOptimizer
-            from pina.trainer import Trainer  # noqa: F401 - its import asks for all warnings
+            from pina.trainer import Trainer  # noqa: F401 - its import enables all warnings
 
             warnings.simplefilter("ignore")
             problem = _problem(decay)
@@ -61,15 +61,15 @@ class PINA(TorchRival):
             path.stage(adam, self.adam_steps)
             _fit(problem, net, TorchOptimizer(torch.optim.Adam, lr=ADAM_RATE), path, 1)
             path.stage(quasi_newton, self.second_steps)
-            own = min(ITERATIONS_A_STEP, self.second_steps or ITERATIONS_A_STEP)
-            options = {**LBFGS, "max_iter": own, "max_eval": 50 * own, "line_search_fn": "strong_wolfe"}
-            loss = _fit(problem, net, TorchOptimizer(_lbfgs(), **options), path, own)
+            iterations = min(ITERATIONS_A_STEP, self.second_steps or ITERATIONS_A_STEP)
+            options = {**LBFGS, "max_iter": iterations, "max_eval": 50 * iterations, "line_search_fn": "strong_wolfe"}
+            loss = _fit(problem, net, TorchOptimizer(_lbfgs(), **options), path, iterations)
             layers = [layer for layer in net.model if isinstance(layer, torch.nn.Linear)]
             return path.end((*_logs(problem), loss), linear_layers(layers), decay.duration)
 
 
 def _lbfgs() -> type[Any]:
-    """Return torch's L-BFGS that takes further parameters into its one group."""
+    """Return torch's L-BFGS, extended to add parameters to its single group."""
     import torch
 
     class OneGroup(torch.optim.LBFGS):
@@ -87,7 +87,7 @@ def _logs(problem: Any) -> tuple[float, float]:
 
 
 def _problem(decay: DecayRecord) -> Any:
-    """Return the package's statement of the decay, its unknowns at our start."""
+    """Return the package's formulation of the decay, with the initial guess of the unknowns."""
     import torch
     from pina import Condition, LabelTensor
     from pina.domain import CartesianDomain
@@ -138,7 +138,7 @@ def _problem(decay: DecayRecord) -> Any:
 
 
 def _fit(problem: Any, net: Any, optimiser: Any, path: FitPath, iterations: int) -> float:
-    """Train by one optimiser, of so many iterations a step, until the path ends it; the last loss."""
+    """Train by one optimiser with ``iterations`` per step until the path ends it; return the last loss."""
     from lightning.pytorch.callbacks import Callback
     from pina.solver import PhysicsInformedSingleModelSolver
     from pina.trainer import Trainer

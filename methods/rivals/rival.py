@@ -1,12 +1,12 @@
-"""What the three methods share: settings, the problem as every package gets it, the path and the end of a fit.
+"""Common parts of the three packages: settings, the scaled problem, the path and the end of a fit.
 
-The problem is one free decay in natural units, on a time from -1 to 1. With ``s = 2 t / duration - 1`` and omega the
-frequency of our start scan's wave, the equation of motion over omega² is
+The problem is one free decay in natural units, with time scaled to -1 ... 1. With ``s = 2 t / duration - 1`` and omega
+the frequency of the initial guess, the equation of motion over omega² is
 
     ``(rate / omega)² u'' + (c/m / omega) (rate / omega) u' + (k/m / omega²) u = 0``,  ``rate = 2 / duration``,
 
-so that its mean square is of order one, like that of the data, and stands in the loss with weight 1; so does a known
-initial state, as ``u(-1) = x0`` and ``rate u'(-1) / omega = v0 / omega``. The scan is that of :mod:`methods.pinn`.
+so that its mean square is of order one, like that of the data, and has the weight 1 in the loss; so has a known initial
+state, as ``u(-1) = x0`` and ``rate u'(-1) / omega = v0 / omega``. The initial guess is that of :mod:`methods.pinn`.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ from methods.starts.rounding import rounded
 from methods.starts.waves import scan
 
 COLLOCATION = 200
-"""Points at which the equation of motion is asked for, evenly spaced over the record, its ends included."""
+"""Number of collocation points, evenly spaced over the record, including its ends."""
 HIDDEN = (64, 64)
 """Units of the hidden layers."""
 ADAM_RATE = 1e-3
 ADAM_SHARE = 0.3
-"""Of the processor time of the training; the second optimiser has the rest."""
+"""Share of the processor time of the training; the second optimiser has the rest."""
 SPACING = 1.035
-"""Processor time at one moment of the path over that at the one before, at least."""
+"""Least ratio of the processor times of successive entries of the path."""
 LOGGERS = ("lightning", "lightning.pytorch", "lightning.fabric", "lightning_utilities", "jax", "pytorch_lightning")
-"""Of the packages and of what they bring; a handler of theirs writes to standard error."""
+"""Loggers of the packages and their dependencies, which write to standard error."""
 
 Layers = Sequence[tuple[np.ndarray, np.ndarray]]
-"""Weights (n_out, n_in) and biases (n_out,), layer by layer."""
+"""Weights (n_out, n_in) and biases (n_out,) of each layer."""
 Now = tuple[float, float, float]
 """log(k/m), log(c/m) and the loss."""
 
 
 class DecayRecord:
-    """The record of a problem, to ten digits, and where to start, from the best wave of the start scan.
+    """The record of a problem, rounded to ten digits, and the initial guess from the best wave of the scan.
 
-    ``times`` (n,) from -1 to 1, ``values`` (n,); ``known_start`` is (x0, v0 / omega) or None. ``logs`` are log(k/m) and
-    log(c/m) to start from, ``units`` what these are less by in units of omega; ``speed`` is rate over omega.
+    ``times`` (n,) from -1 to 1, ``values`` (n,); ``known_start``: (x0, v0 / omega) or None. ``logs``: initial log(k/m)
+    and log(c/m); ``units``: log(omega²) and log(omega), subtracted in the equation; ``speed``: rate over omega.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -70,9 +70,9 @@ class DecayRecord:
 
 
 class FitPath:
-    """Moments of a fit of ``problem``, from when this is made: when it must end, and what it answers.
+    """The history of a fit of ``problem`` from its creation, its limits, and its estimate.
 
-    ``losses`` holds one a moment, NaN where the package does not give it; ``steps`` counts the calls of :meth:`step`.
+    ``losses``: loss of each entry, NaN where the package does not provide it. ``steps``: number of steps.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -84,35 +84,35 @@ class FitPath:
         self._until, self._most = np.inf, 0
 
     def stage(self, seconds: float, most: int) -> None:
-        """Begin a stage of at most so many seconds of processor time, and ``most`` steps (0: any number)."""
+        """Begin a stage of at most ``seconds`` of processor time and ``most`` steps (0: any number)."""
         self._until = time.process_time() + seconds
         self._most = self.steps + most if most else 0
 
     def step(self, now: Callable[[], Now], steps: int = 1) -> bool:
-        """Count steps of the optimiser, note where it is if it is time to; returns True where the stage must end."""
+        """Count steps of the optimiser and record an entry if due; return True where the stage must end."""
         self.steps += steps
         clock = time.process_time()
         if not self.seconds or clock - self.began >= SPACING * self.seconds[-1]:
-            self.note(*now())
+            self.record(*now())
         return clock >= self._until or bool(self._most and self.steps >= self._most)
 
-    def note(self, log_stiffness: float, log_damping: float, loss: float) -> None:
-        """Keep this moment, and report it as the best answer so far."""
+    def record(self, log_stiffness: float, log_damping: float, loss: float) -> None:
+        """Record an entry, and report it as the current estimate."""
         self.seconds.append(time.process_time() - self.began)
         self.logs.append((log_stiffness, log_damping))
         self.losses.append(loss)
         report_progress(self.problem, self._answer)
 
     def end(self, now: Now, layers: Layers, duration: float) -> Estimate:
-        """Return the answer where the fit stands; raises NoEstimate where it is not finite."""
-        if not np.all(np.isfinite(now[:2])) or not all(np.all(np.isfinite(part)) for own in layers for part in own):
-            sentence = "its training ran to numbers that are not finite; try another seed, or a record with less noise"
+        """Return the final estimate; raises NoEstimate where it is not finite."""
+        if not np.all(np.isfinite(now[:2])) or not all(np.all(np.isfinite(part)) for layer in layers for part in layer):
+            sentence = "the training diverged; try another seed, or a record with less noise"
             raise NoEstimate(sentence, cost=Cost(self.steps, self.steps))
-        self.note(*now)
+        self.record(*now)
         return self._answer((NetworkResponse(tuple(layers), duration),), f"loss {now[2]:.3g} after {self.steps} steps")
 
     def _answer(self, responses: tuple[NetworkResponse, ...] = (), message: str = "") -> Estimate:
-        """Return the last moment; the response simulated from it stands in where the network is not given."""
+        """Return the estimate of the last entry; without a network, the reconstruction is simulated."""
         system = self.problem.system
         logs = np.insert(np.array(self.logs), 0, 0.0, axis=1)  # the mass is 1
         kinds = [("mass", "stiffness", "damping").index(parameter.kind) for parameter in system.parameters]
@@ -136,10 +136,10 @@ class FitPath:
 
 @dataclass(frozen=True)
 class Rival(Identifier):
-    """Train by ``adam_steps`` of Adam, then ``second_steps`` of a second optimiser (0: as many as there is time for).
+    """Train by ``adam_steps`` of Adam, then ``second_steps`` of a second optimiser (0: no limit of steps).
 
-    Neither stage takes more than its part of ``seconds`` of processor time, 30 % for Adam; a stage that the clock ends
-    is not the same twice.
+    The stages are limited to 30 % and 70 % of ``seconds`` of processor time; a stage ended by this limit is not
+    reproducible.
     """
 
     seconds: float = 120.0
@@ -160,13 +160,13 @@ class Rival(Identifier):
     def objection(self, problem: Problem) -> str | None:
         objection = super().objection(problem)
         if sorted(parameter.kind for parameter in problem.system.parameters) != ["damping", "mass", "stiffness"]:
-            return objection or "it needs one mass, one damping and one stiffness"
+            return objection or "it requires one mass, one damping and one stiffness"
         return objection
 
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         """Estimate the groups k/m and c/m, without uncertainty.
 
-        Raises NoEstimate where the training runs to numbers that are not finite.
+        Raises NoEstimate where the training diverges.
         """
         path = FitPath(problem)
         with quiet():
@@ -174,17 +174,17 @@ class Rival(Identifier):
 
     @property
     def stages(self) -> tuple[float, float]:
-        """Seconds of the two stages."""
+        """Return the seconds of the two stages."""
         return ADAM_SHARE * self.seconds, (1.0 - ADAM_SHARE) * self.seconds
 
     @abstractmethod
     def train(self, decay: DecayRecord, path: FitPath, seed: int) -> Estimate:
-        """Drive the package from the start to the answer."""
+        """Train the package's model from the initial guess; return the estimate."""
 
 
 @dataclass(frozen=True)
 class TorchRival(Rival):
-    """One whose package computes with torch, on so many ``threads``."""
+    """A rival whose package uses torch with ``threads`` threads."""
 
     threads: int = 1
 
@@ -195,14 +195,14 @@ class TorchRival(Rival):
 
 
 def rival_card(title: str, training: str, version: str, order: int) -> Card:
-    """Return the card of a package, trained as it ships."""
+    """Return the card of a package with its default training."""
     return Card(
         summary=f"inverse PINN of the package {title}: tanh network, {training}",
         start="used when known",
         scale="groups",
         reconstruction="own",
-        uncertainty="none: the package states none",
-        settings_source=f"{version} as it ships; network and collocation of the paper; our start scan",
+        uncertainty="none: the package gives none",
+        settings_source=f"defaults of {version}; network and collocation of the paper; initial guesses of the PINN",
         title=title,
         order=order,
         remarks=True,
@@ -216,7 +216,7 @@ def linear_layers(layers: Sequence[Any]) -> Layers:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Drop what is printed, warned and logged below the level of an error."""
+    """Suppress output, warnings and logging below the level of an error."""
     loggers = [logging.getLogger(name) for name in LOGGERS]
     levels = [logger.level for logger in loggers]
     shown = warnings.formatwarning
@@ -227,18 +227,18 @@ def quiet() -> Iterator[None]:
         try:
             yield
         finally:
-            warnings.formatwarning = shown  # PINA sets one of its own
+            warnings.formatwarning = shown  # PINA replaces it
             for logger, level in zip(loggers, levels, strict=True):
                 logger.setLevel(level)
 
 
 @contextmanager
 def torch_set_up(threads: int, seed: int) -> Iterator[None]:
-    """Torch on the processor, in double precision and seeded; then its settings and all random states as before."""
+    """Run torch on the CPU in double precision with a seed; restore its settings and all random states."""
     import torch
 
     before = torch.get_num_threads(), torch.get_default_dtype(), torch.get_default_device()
-    states = random.getstate(), np.random.get_state()  # noqa: NPY002 - that of the package is put back
+    states = random.getstate(), np.random.get_state()  # noqa: NPY002 - restored for other code
     with torch.random.fork_rng(devices=[]):
         torch.set_num_threads(threads)
         torch.set_default_dtype(torch.float64)

@@ -38,7 +38,7 @@ class Objective:
     nominal: np.ndarray | None = None
     width: np.ndarray | None = None
 
-    def at(self, unknowns: np.ndarray) -> Linearisation:
+    def linearise(self, unknowns: np.ndarray) -> Linearisation:
         """Evaluate residuals and their derivatives at unknowns (cases, p), with transient and offset fitted."""
         trials = [self._trial(row) for row in unknowns]
         residuals, slopes = np.stack([rows for rows, _ in trials]), np.stack([by for _, by in trials])
@@ -79,12 +79,12 @@ def search(objective: Objective, starts: np.ndarray, iterations: int) -> tuple[L
     """
     size, forced = starts.shape[1], objective.layout.forced
     limits = StepLimits(np.full(size, LARGEST), np.full(size, LIMIT)) if forced else None
-    ends, spent = objective.at(starts), len(starts)
+    ends, spent = objective.linearise(starts), len(starts)
     for _ in range(ROUNDS):
         units = _units(ends)
 
         def evaluate(cases: np.ndarray, unknowns: np.ndarray, units: np.ndarray = units) -> Linearisation:
-            return _scaled(objective.at(unknowns), 1.0 / units[cases])
+            return _scaled(objective.linearise(unknowns), 1.0 / units[cases])
 
         reached = minimise(evaluate, _scaled(ends, 1.0 / units), iterations, limits)
         ends, spent = _scaled(reached.at, units), spent + int(reached.iterations.sum())

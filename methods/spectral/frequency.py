@@ -134,7 +134,7 @@ class Frequency(SearchingIdentifier):
         r, g = _lowest(end.unknowns[0], objective.layout.step)
         if not r > 0:
             raise NoEstimate(NO_VIBRATION, cost=Cost(spent, spent))
-        end, used, system = objective.at(np.array([[r, g]])), 4 + int(objective.offset), problem.system
+        end, used, system = objective.linearise(np.array([[r, g]])), 4 + int(objective.offset), problem.system
         mass, damping, stiffness = _parameters(problem)
         order = [0 if stiffness in group.exponents else 1 for group in system.groups]
         covariance = _covariance(end, _noise(end, objective.y.size, used), order)

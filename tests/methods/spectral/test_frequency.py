@@ -108,8 +108,8 @@ def test_the_gradient_is_that_of_the_sum_of_squares() -> None:
     lines = real_lines(np.fft.rfft(problem.records[0].channels[0].values, norm="ortho"), 28)
     objective = Objective(HarmonicLayout(28, TIMES[1], harmonics), lines, True, np.zeros(3), np.array([0.5, 1.0, 2.0]))
     at = np.log([1.1, 0.9, 7.0])
-    trial = objective.at(at[None])
-    expected = approx_fprime(at, lambda u: float(objective.at(u[None]).cost[0]), 1e-7)
+    trial = objective.linearise(at[None])
+    expected = approx_fprime(at, lambda u: float(objective.linearise(u[None]).cost[0]), 1e-7)
     np.testing.assert_allclose(2 * trial.slopes[0].T @ trial.residuals[0], expected, rtol=1e-4)
 
 
