@@ -115,7 +115,8 @@ def compared(rivals: tuple[AuditFinding, ...]) -> str:
     within, outside = " and ".join(near), " and ".join(far)
     where = f"for {', '.join(filter(None, [row.quantity, row.case, row.place]))}"
     if not within:
-        return f"{where}: the errors of {outside} are larger than those of an efficient estimator; noise does not explain them"
+        larger = f"the errors of {outside} are larger than those of an efficient estimator"
+        return f"{where}: {larger}; noise does not explain them"
     draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
     tie = f"{draws} not determine which is more accurate, {within}"
     sentence = tie if len(near) > 1 else f"the error of {within} is typical of an efficient estimator"

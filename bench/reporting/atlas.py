@@ -127,8 +127,8 @@ at most {TOLD:g}. A test is ambiguous if its samples do not distinguish the natu
 tables are over unambiguous points with an identifiable quantity.
 
 **near**: share of points where a method's errors without outlier fits are within {NEAR:g} times the bound, and at most
-{100 * RARE:g} % of the fits are outliers; **outliers**: share of outlier fits, with an error beyond five times the bound
-or without an estimate; **coverage**: of the 95 % intervals, mean over points."""
+{100 * RARE:g} % of the fits are outliers; **outliers**: share of outlier fits, with an error beyond five times the
+bound or without an estimate; **coverage**: of the 95 % intervals, mean over points."""
 MODEL = f"""`python -m bench design` predicts the errors of a method at any test within the ranges of the atlas, by
 gradient-boosted trees fitted to `atlas.csv.gz`. The table is a cross-validation in {FOLDS} parts. **error**: median
 absolute error of the predicted log excess, part of which is the error of the observed one, an average over few fits;

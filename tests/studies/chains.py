@@ -163,21 +163,20 @@ def entry(at: Mapping[str, Any]) -> list[str]:
 
 TEXT = """Regenerate: `python -m tests.studies.chains` (what is stored already is not computed again).
 
-Chains of n masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal prior,
-5 data sets up to five masses, 3 above; true values along the chain from the ground on, over and over: masses {m} kg, \
-dampers {c} N·s/m, springs {k}
-N/m. A record lasts {periods:g} periods of the slowest mode, in whole seconds, and has {per:g} samples a period of the
-fastest: the scenario is designed from the true natural frequencies, the methods get its record alone. One setting a
-method, its default; limit {timeout:g} s by the clock and 4 GB a fit; one thread. A method that has no answer to the
-first data set of a size within these limits is not asked again.
+Chains of n masses, every displacement measured, 30 dB, the first mass released from 1 m, initial state known, nominal
+prior, 5 data sets up to five masses, 3 above. True values along the chain from the ground on, repeated: masses {m} kg,
+dampers {c} N·s/m, springs {k} N/m. A record lasts {periods:g} periods of the slowest mode, in whole seconds, and has
+{per:g} samples per period of the fastest: the scenario is designed from the true natural frequencies, the methods get
+its record alone. One setting per method, its default; limits of {timeout:g} s of wall time and 4 GB per fit; one
+thread. A method that fails on the first data set of a size within these limits is not run on the others.
 
 *Time*: processor seconds, median over the successful fits. *rmse*, *parameters*, *ratios*: root mean square error over
-the Cramér-Rao bound, 1 being the best that an unbiased method can do, of the displacement; of all 3 n masses, dampers
-and springs together (root mean over them of its square); and of their 3 n - 1 ratios to the first mass, which are what
-the data tell. The prior decides the scale, and with it much of the parameters' bound. Errors are of the successful
-fits only; *ok* says how many. *oracle* is maximum a posteriori started at the truth, *prior* the nominal values
-without any data. A single excess of so few data sets is uncertain: the oracle's shows by how much, since all methods
-get the same data."""
+the Cramér-Rao bound, 1 being the smallest that an unbiased method can reach, of the displacement; of all 3 n masses,
+dampers and springs together (root mean over them of its square); and of their 3 n - 1 ratios to the first mass, which
+are identifiable. The prior determines the scale, and with it much of the bound of the parameters. Errors are of the
+successful fits only; *ok* says how many. *oracle* is maximum a posteriori started at the true values, *prior* the
+nominal values without any data. A single excess of so few data sets is uncertain: the oracle's shows by how much, since
+all methods get the same data."""
 
 
 def page(data: pd.DataFrame, timeout_s: float) -> str:
@@ -222,9 +221,9 @@ def chains(
 ) -> int:
     """Measure how far each method reaches as the number of masses grows, and what it costs.
 
-    Chains of 1 to 20 masses, every displacement measured, 30 dB, the first mass released from 1 m, start told, nominal
-    prior. At each size every method first gets one data set; one that gives no answer within the limits is not asked
-    again, neither for more data sets of that size nor for longer chains.
+    Chains of 1 to 20 masses, every displacement measured, 30 dB, the first mass released from 1 m, initial state known,
+    nominal prior. At each size every method first gets one data set; one that gives no answer within the limits is not
+    asked again, neither for more data sets of that size nor for longer chains.
     """
     opened, names = open_store(store), methods or (*REFERENCES, *_others())
     opened.prepare()

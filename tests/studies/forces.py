@@ -116,10 +116,10 @@ def page(
 
 
 HEAD = """Tests under a measured force are drawn at random, half of them with doubt about the oscillator (the standard
-deviation stands behind the value), with {rate:g} samples a cycle, from rest, which is not told. All forces of a test
-have the same energy, with which the best one tells the wanted quantity to {errors}. Numbers are errors over that of
-the best force, by the Cramér-Rao bound of the finite record (median over the likely oscillators); a hammer blow is half
-a sine of a twentieth of a period, or of two sampling intervals, whichever is longer."""
+deviation stands behind the value), with {rate:g} samples per cycle, from rest; the initial state is unknown. All forces
+of a test have the same energy, with which the best one determines the requested quantity to {errors}. Numbers are
+errors over that of the best force, by the Cramér-Rao bound of the finite record (median over the likely oscillators); a
+hammer blow is half a sine of a twentieth of a period, or of two sampling intervals, whichever is longer."""
 REGENERATE = "Regenerate: `python -m tests.studies.forces` (from a clone)"
 
 

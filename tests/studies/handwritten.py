@@ -155,11 +155,11 @@ TITLES = {
 TEXT = """Regenerate: `python -m tests.studies.handwritten`.
 
 What an engineer would otherwise write, `scipy.optimize.least_squares` around `scipy.integrate.solve_ivp` (RK45 at a
-relative tolerance of 1e-6, forward differences, both scipy's defaults), beside two methods of this benchmark. Start
-told, nominal prior. By hand the fit starts once, at the nominal values, positive parameters in units of these; its
-residuals are plain metres, without weights or prior rows, since the noise level is not known. `output_error` starts
-there, too; `shooting` looks for its starts itself. The same data, one process, one thread, methods in turn, one fit
-each before the first that counts; seconds of processor time, limit {limit:g} s a fit.
+relative tolerance of 1e-6, forward differences, both scipy's defaults), compared with two methods of this benchmark.
+Initial state known, nominal prior. By hand the fit starts once, at the nominal values, positive parameters in units of
+these; its residuals are plain metres, without weights or prior rows, since the noise level is not known. `output_error`
+starts there, too; `shooting` looks for its starts itself. The same data, one process, one thread, methods in turn, one
+fit each before the first that counts; seconds of processor time, limit {limit:g} s a fit.
 
 *Success*: the fit says that it has converged, and its displacement error is below {within:g} times the Cramér-Rao
 bound; in brackets the 95 % interval of the rate (Wilson). *Excess*: root mean square displacement error over the

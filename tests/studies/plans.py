@@ -125,7 +125,7 @@ proposed, released from rest, and simulated {tests} times with oscillators as li
 `{method}`. **expected**: share of tests whose error of the wanted quantity is within {within:g} wanted errors, where an
 estimate is as good as the Cramér-Rao bound; **inside**: whether the simulated share is in the binomial 95 % interval
 about it. **samples by doubling**: of a test of one cycle at {habit:g} samples a cycle, whose length is doubled until it
-reaches the same; a motion that has died away tells nothing more, however long it is."""
+reaches the same; a motion that has decayed adds no information, however long it is."""
 REGENERATE = "Regenerate: `python -m tests.studies.plans` (from a clone)"
 
 

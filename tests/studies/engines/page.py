@@ -25,17 +25,17 @@ from tests.studies.engines.rivals import SOLVED
 TEXT = """Regenerate: `python -m tests.studies.engines` (`before=<folder>` for the times of an earlier checkout beside \
 these, in the same run; `rows=<a,b>` for some rows only).
 
-Processor seconds a fit, imports apart, one thread; each row in processes of its own, of this code and of the earlier in
-turn, the best of several runs on the same data. Start told, nominal prior, 20 dB where nothing else is said; chains are
-those of [chains](chains.md). *Together*: data sets fitted in one call. Limits: {limit:g} s of processor time a run, and
-8 GB of address space. *Floor*: what the evaluations that the method counts would take, were there nothing but their
-unavoidable arithmetic, at this machine's rates. *Largest difference*: of the logarithm of any parameter (or group)
-between both codes, over its standard error; of a bound, of its own logarithm. *Memory*: the most that the process held,
-all its imports included. Measured on {cores} cores ({machine}), Python {python}, numpy {numpy}: exp, cos and sin of a
-number take {functions:.1f} ns, products of matrices run at {gigaflops:.0f} GFLOP/s."""
-RIVALS = """One mass, 20 dB, the data of the first row. The others fit damping and stiffness, the weighed mass and the
-start of the motion being told, by plain residuals; *scan*: from the start that ours looks up, so that they differ by
-engine alone, and without the time that it took to find; *nominal*: from the prior's nominal values. Ours takes the
+Processor seconds per fit without imports, one thread; each row in separate processes, of this code and of the earlier
+in turn, the best of several runs on the same data. Initial state known, nominal prior, 20 dB unless stated otherwise;
+chains are those of [chains](chains.md). *Together*: data sets fitted in one call. Limits: {limit:g} s of processor time
+a run, and 8 GB of address space. *Floor*: what the evaluations that the method counts would take, were there nothing
+but their unavoidable arithmetic, at this machine's rates. *Largest difference*: of the logarithm of any parameter (or
+group) between both codes, over its standard error; of a bound, of its own logarithm. *Memory*: the most that the
+process held, all its imports included. Measured on {cores} cores ({machine}), Python {python}, numpy {numpy}: exp, cos
+and sin of a number take {functions:.1f} ns, products of matrices run at {gigaflops:.0f} GFLOP/s."""
+RIVALS = """One mass, 20 dB, the data of the first row. The others fit damping and stiffness, with known mass and
+initial state, by plain residuals; *scan*: from the initial guess of this project's search, so that only the engines
+differ, and without the time of that search; *nominal*: from the prior's nominal values. Ours takes the
 prior and the noise into account and gives the covariance, too, and its time has the search for its starts in it.
 CasADi's problem is built anew for each record, as one writes it. *Solved*: damping and stiffness over mass within
 {solved:g} of our standard errors of our answer. Median over the data sets of the best of two fits."""
