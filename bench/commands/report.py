@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import folder
+from bench.commands.log import LOG
 from bench.commands.stores import DEFAULT, ArchiveFolder, StoreFolder, named_store
 from bench.errors import InputError
 
@@ -31,6 +32,7 @@ def report(
         if results != RESULTS:  # an installed package has no folder of results
             folder("results", results)
         check_folder(out)
+        LOG.info("building the site, which takes about a minute for the published results")
         write_site(out, chain(site_files(opened, results), results_files(results)))
     except ImportError as error:
         raise InputError("package", error.name, "missing: pip install 'vibration-bench[report]'") from None

@@ -135,6 +135,7 @@ def track(
     tracker = identifier.start(layout(interval))
     if state is not None and kept:
         tracker = resumed(state, kept, identifier, layout(interval), filtered)
+    LOG.info("preparing %s, which may take some seconds", name)
     tracker.prepare()
     displays = _displays(tracker.layout, view, page, port)
     intake = Intake(chain(lines, source), form, policy, queue)

@@ -34,7 +34,7 @@ FIRST_TIER = "first tier: error over bound not significantly different from the 
 LEGEND = (
     "excess: median over cells of the root mean square error over the Cramér-Rao bound; outliers: share of fits with "
     "an error beyond five times the bound, or without an estimate; coverage: share of 95 % intervals that contain the "
-    "true value; time: median per fit; {tier}-v lists every cell"
+    "true value; time: median per fit, start-up of a batch included; {tier}-v lists every cell"
 )
 TIER = "tier: 1 for the methods not significantly different from the best (95 %), - for methods not ranked; "
 SHARED = ("system", "SNR dB", "initial state", "disturbance")

@@ -9,10 +9,10 @@ from forked import Call, Forked
 from malformed import Malformed, all_malformed
 from malformed_files import Shelf
 
-NOTICE = "line(s) left out that do not read"
-"""A remark on the lines of a stream, which precedes the error."""
+NOTICE = "line(s) ignored, not of the form"
+"""A warning about lines of a stream, which precedes the error."""
 LONGEST = 2000
-"""Letters of the one line; the longest lists all methods or scenarios."""
+"""Largest length of the line; the longest lists all methods or scenarios."""
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Shelf:
 
 
 def files(folder: Path) -> dict[str, int]:
-    """Return all that lies below a folder, files with the time of their last change."""
+    """Return the paths below a folder, with the modification time of files."""
     return {str(path): 0 if path.is_dir() else path.lstat().st_mtime_ns for path in folder.rglob("*")}
 
 
