@@ -35,7 +35,7 @@ from bench.store.bounds import Replicates, bound_identity, load_bounds  # noqa: 
 from bench.store.cell import Cell  # noqa: E402
 from bench.store.seal import sealed  # noqa: E402
 from bench.store.store import BOUND_FORMAT, Store  # noqa: E402
-from bench.store.stored import StoredCell  # noqa: E402
+from bench.store.stored_cell import StoredCell  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[1]

@@ -24,7 +24,7 @@ from bench.scoring.traces import MOMENTS
 from bench.store.cell_file import FORMAT
 from bench.store.seal import sealed
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.store.version import cell_version
 
 VERSION = {"method": 1, "system": 1, "scoring": 1}

@@ -1,1 +1,1 @@
-"""The atlas: what a free-decay test can tell, and what methods make of it, over all that such a test can be."""
+"""The atlas: accuracy of methods, and its bound, over the range of possible vibration tests of an oscillator."""

@@ -1,4 +1,4 @@
-"""The numbers of a test over which an atlas is spread, each between two limits."""
+"""Axes of an atlas: the quantities that describe a test, with their ranges."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Spacing = Literal["logarithmic", "linear"]
 
 @dataclass(frozen=True)
 class Axis:
-    """A number of a test, between two limits."""
+    """A number that describes a test, with its range."""
 
     name: str
     low: float
     high: float
     spacing: Spacing = "linear"
 
-    def at(self, share: np.ndarray) -> np.ndarray:
-        """The values at shares (0 to 1) of the way from the lower to the upper limit."""
+    def value(self, share: np.ndarray) -> np.ndarray:
+        """Return the values at shares (0 to 1) of the range."""
         if self.spacing == "logarithmic":
             return np.asarray(self.low * (self.high / self.low) ** share)
         return np.asarray(self.low + (self.high - self.low) * share)
@@ -28,11 +28,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class AxisValues:
-    """What a test has one of: ``values`` of equal share."""
+    """A categorical property of a test, whose ``values`` are equally frequent."""
 
     name: str
     values: tuple[Any, ...]
 
-    def at(self, share: float) -> Any:
-        """The value at a share from 0 to 1."""
+    def value(self, share: float) -> Any:
+        """Return the value at a share from 0 to 1."""
         return self.values[min(int(share * len(self.values)), len(self.values) - 1)]

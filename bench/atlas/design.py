@@ -1,4 +1,4 @@
-"""Where the atlas is sampled: a scrambled Sobol sequence over a box, and regular grids over two of its axes."""
+"""Sampling of the atlas: a scrambled Sobol sequence over all axes, and regular grids over two of them."""
 
 from __future__ import annotations
 
@@ -15,22 +15,26 @@ from bench.errors import InputError
 
 
 def sobol(kind: type[Point], number: int, seed: int) -> list[Point]:
-    """The first ``number`` points of the sequence over the box of a kind of test."""
+    """Return the first ``number`` points of a scrambled Sobol sequence over the axes of a kind of test.
+
+    Raises:
+        InputError: ``number`` is not a power of two, for which the sequence is balanced.
+    """
     from scipy.stats import qmc  # slow to import
 
     if number < 1 or number & (number - 1):
-        raise InputError("atlas.points", number, "a power of two, at which the sequence is balanced")
+        raise InputError("atlas.points", number, "must be a power of two, for which the sequence is balanced")
     shares = qmc.Sobol(len(kind.AXES) + 1, scramble=True, rng=np.random.default_rng(seed)).random(number)
-    values = {axis.name: axis.at(shares[:, i]) for i, axis in enumerate(kind.AXES)}
+    values = {axis.name: axis.value(shares[:, i]) for i, axis in enumerate(kind.AXES)}
     return [
-        made(kind, {name: column[i] for name, column in values.items()}, kind.CHOICE.at(shares[i, -1]))
+        make_point(kind, {name: column[i] for name, column in values.items()}, kind.CHOICE.value(shares[i, -1]))
         for i in range(number)
     ]
 
 
 @dataclass(frozen=True)
 class Slice:
-    """A grid over two axes, the other numbers of the test fixed."""
+    """A grid over two axes, horizontal (``across``) and vertical (``up``); the other numbers of the test are fixed."""
 
     name: str
     fixed: Point
@@ -39,32 +43,32 @@ class Slice:
     size: tuple[int, int]
 
     def axes(self) -> tuple[Axis, Axis]:
-        """The two axes; raises InputError for a name that is none."""
+        """Return the two axes; raises InputError for an unknown name."""
         by_name = {axis.name: axis for axis in self.fixed.AXES}
         for name in (self.across, self.up):
             if name not in by_name:
-                raise InputError("atlas.slices", name, f"one of {', '.join(by_name)}")
+                raise InputError("atlas.slices", name, f"use one of {', '.join(by_name)}")
         return by_name[self.across], by_name[self.up]
 
     def points(self) -> list[Point]:
-        """The grid, row by row from below."""
+        """Return the points of the grid, row by row from the bottom."""
         across, up = self.axes()
-        columns, rows = (axis.at(np.linspace(0.0, 1.0, n)) for axis, n in zip((across, up), self.size, strict=True))
-        return [self._at({across.name: x, up.name: y}) for y, x in itertools.product(rows, columns)]
+        columns, rows = (axis.value(np.linspace(0.0, 1.0, n)) for axis, n in zip((across, up), self.size, strict=True))
+        return [self._point({across.name: x, up.name: y}) for y, x in itertools.product(rows, columns)]
 
-    def _at(self, values: Mapping[str, float]) -> Point:
+    def _point(self, values: Mapping[str, float]) -> Point:
         kind = type(self.fixed)
-        stated = {axis.name: getattr(self.fixed, axis.name) for axis in kind.AXES}
-        return made(kind, {**stated, **values}, getattr(self.fixed, kind.CHOICE.name))
+        fixed = {axis.name: getattr(self.fixed, axis.name) for axis in kind.AXES}
+        return make_point(kind, {**fixed, **values}, getattr(self.fixed, kind.CHOICE.name))
 
 
-def made(kind: type[Point], values: Mapping[str, Any], chosen: Any) -> Point:
-    """A test of a kind from its numbers and its choice."""
+def make_point(kind: type[Point], values: Mapping[str, Any], choice: Any) -> Point:
+    """Return a test of a kind from the values of its axes and of its categorical property."""
     numbers: dict[str, Any] = {name: float(value) for name, value in values.items()}
     numbers["samples"] = round(numbers["samples"])
-    return kind(**numbers, **{kind.CHOICE.name: chosen})
+    return kind(**numbers, **{kind.CHOICE.name: choice})
 
 
 def blocks(points: Sequence[Point], size: int) -> list[list[Point]]:
-    """The points in groups of ``size``, which are computed and kept together."""
+    """Divide points into groups of ``size``, which are computed and stored together."""
     return [list(points[i : i + size]) for i in range(0, len(points), size)]

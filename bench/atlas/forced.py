@@ -1,4 +1,4 @@
-"""A test with a measured force, from rest."""
+"""A test with a measured force that acts on an oscillator at rest."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from bench.scenario.force import ForceSpec, Shape
 from bench.scenario.scenario import Scenario
 
 KINDS: tuple[Shape, ...] = ("multisine", "swept_sine", "band_limited_noise", "impulse")
-LONG = 0.82
-"""Length of a half-sine pulse times the frequency at which its amplitude spectrum is half of that at 0: where
-``cos(pi x) / (1 - 4 x²)`` is 0.5."""
-FINE = 10
-"""Samples of the force in a period of its highest frequency."""
+PULSE_LENGTH = 0.82
+"""Duration of a half-sine pulse times the frequency at which its amplitude spectrum is half of that at 0: the solution
+x of ``cos(pi x) / (1 - 4 x²) = 0.5``."""
+SAMPLES_PER_PERIOD = 10
+"""Samples of the force per period of its highest frequency."""
 
 
 @dataclass(frozen=True)
 class Forced(Point):
-    """A known force on an oscillator at rest.
+    """A measured force on an oscillator at rest.
 
-    ``bandwidth``: highest frequency of the force over the natural frequency; of a pulse, where its spectrum has fallen
-    to half. The lowest is one period in twice the record. ``force_snr_db``: mean square of the force over its sensor's
-    noise; the motion follows the clean force. ``force``: its kind.
+    ``bandwidth``: highest frequency of the force over the natural frequency; for an impulse, the frequency at which the
+    spectrum has fallen to half. The lowest frequency is one period per twice the record. ``force_snr_db``: mean square
+    of the force over the variance of its sensor noise; the motion is the response to the noise-free force. ``force``:
+    kind of force.
     """
 
     bandwidth: float
@@ -40,21 +41,21 @@ class Forced(Point):
     QUANTITIES: ClassVar[tuple[str, ...]] = (*GROUPS, "m")
 
     def numbers(self) -> list[float]:
-        """All that the test is, the kind of its force by its place."""
+        """Return the test as numbers; the kind of force is its index in :data:`KINDS`."""
         *numbers, kind = astuple(self)
         return [*map(float, numbers), float(KINDS.index(kind))]
 
     def scenario(self) -> Scenario:
-        """The force as large as moves the oscillator by its size if it were steady."""
+        """Return the scenario; the amplitude of the force is the static force for the oscillator's displacement."""
         parameters, omega, size = self._oscillator()
         duration = 2.0 * math.pi * self.cycles / omega
         high, periods = self.bandwidth * omega / (2.0 * math.pi), self.bandwidth * self.cycles
         pulse = self.force == "impulse"
-        shape = {"length_s": LONG / high} if pulse else {"low_hz": 0.5 / duration, "high_hz": high}
+        shape = {"length_s": PULSE_LENGTH / high} if pulse else {"low_hz": 0.5 / duration, "high_hz": high}
         force = ForceSpec(
             amplitude=parameters["k"] * size,
             kind=self.force,
-            samples=math.ceil(FINE * periods) + 1,
+            samples=math.ceil(SAMPLES_PER_PERIOD * periods) + 1,
             noise_db=self.force_snr_db,
             **shape,  # type: ignore[arg-type]
         )
@@ -72,5 +73,5 @@ class Forced(Point):
 
     @property
     def aliased(self) -> bool:
-        """Never: the force is sampled finely enough to tell the frequencies apart."""
+        """Always False: the known force distinguishes frequencies beyond half the sampling rate."""
         return False

@@ -1,4 +1,4 @@
-"""A test of an oscillator as a few dimensionless numbers, and the scenario that they stand for."""
+"""A vibration test of an oscillator, described by a few dimensionless numbers, and its scenario."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from bench.errors import InputError
 from bench.scenario.scenario import Scenario
 
 GROUPS = ("k_over_m", "c_over_m")
-"""What every test may tell: squared natural frequency, and twice damping ratio times natural frequency."""
+"""Quantities of every test: squared natural frequency, and twice the damping ratio times the natural frequency."""
 SIZED = Axis("samples", 8, 500, "logarithmic")
 DAMPED = Axis("damping_ratio", 5e-4, 1.2, "logarithmic")
 NOISY = Axis("snr_db", -5.0, 60.0)
 DENSE = 64
-"""Times over the record at which the displacement is scored."""
+"""Number of times at which the displacement is scored."""
 
 
 @dataclass(frozen=True)
 class Point(ABC):
-    """A test.
+    """A test, with the numbers that all kinds share.
 
-    ``samples`` over ``cycles`` undamped periods, both ends included; ``damping_ratio``; ``snr_db``: mean square of the
-    clean samples over the noise's variance. What else there is to a kind of test, its class says; in ``AXES`` and
-    ``CHOICE`` the box of all tests, in ``QUANTITIES`` what is scored against a bound.
+    ``samples``, equally spaced over ``cycles`` undamped periods, both ends included; ``damping_ratio``; ``snr_db``:
+    mean square of the noise-free samples over the variance of the noise. A subclass defines ``AXES`` and ``CHOICE``,
+    the range of its tests, and ``QUANTITIES``, the quantities that are scored against their bounds.
     """
 
     samples: int
@@ -47,22 +47,22 @@ class Point(ABC):
 
     @abstractmethod
     def scenario(self) -> Scenario:
-        """The test on an oscillator of some size, which follows from the point."""
+        """Return the scenario of the test, on an oscillator of pseudo-random scale."""
 
     @property
     @abstractmethod
     def aliased(self) -> bool:
-        """Whether the samples leave open which of several frequencies it is."""
+        """True if the samples do not distinguish the natural frequency from another one."""
 
     def numbers(self) -> list[float]:
-        """All that the test is, as numbers."""
+        """Return the test as numbers."""
         return [float(value) for value in astuple(self)]
 
     def _oscillator(self) -> tuple[dict[str, float], float, float]:
-        """Parameters, undamped natural frequency (rad/s) and size of the motion (m).
+        """Return parameters, undamped natural frequency (rad/s) and amplitude of the motion (m).
 
-        No method may profit from a mass of 1 kg or a frequency of 1 rad/s, so all are drawn: within a factor of ten of
-        1 kg, 1 Hz and 1 mm, from a random stream that the point's numbers seed.
+        They are drawn within a factor of ten of 1 kg, 1 Hz and 1 mm, with the numbers of the point as seed, so that no
+        method profits from a mass of 1 kg or a frequency of 1 rad/s.
         """
         words = np.frombuffer(np.array(self.numbers(), float).tobytes(), np.uint32)
         exponents = np.random.default_rng(words).uniform(-1.0, 1.0, 3)
@@ -72,10 +72,10 @@ class Point(ABC):
 
 @dataclass(frozen=True)
 class FreeDecay(Point):
-    """A motion without a force.
+    """A free decay.
 
-    ``phase`` (rad): of the start, ``x0 = A cos(phase)`` and ``v0 = -A omega sin(phase)``; ``start_known``: whether a
-    method is told it. A start that is turned by half a cycle is the same motion upside down.
+    ``phase`` (rad) of the initial state ``x0 = A cos(phase)``, ``v0 = -A omega sin(phase)``, up to pi, since a further
+    half cycle only changes the sign; ``start_known``: whether the initial state is given to the method.
     """
 
     phase: float
@@ -88,13 +88,13 @@ class FreeDecay(Point):
     QUANTITIES: ClassVar[tuple[str, ...]] = GROUPS
 
     def scenario(self) -> Scenario:
-        """The decay, the start told or not."""
+        """Return the scenario of the free decay."""
         parameters, omega, amplitude = self._oscillator()
-        start = (amplitude * math.cos(self.phase),), (-amplitude * omega * math.sin(self.phase),)
+        initial_state = (amplitude * math.cos(self.phase),), (-amplitude * omega * math.sin(self.phase),)
         return Scenario(
             "sdof",
             parameters,
-            start,
+            initial_state,
             self.snr_db,
             duration=float(2.0 * math.pi * self.cycles / omega),
             samples=self.samples,
@@ -104,5 +104,6 @@ class FreeDecay(Point):
 
     @property
     def aliased(self) -> bool:
-        """Whether the natural frequency is at or above half the sampling rate: a slower motion then fits as well."""
+        """True if the natural frequency is at or above half the sampling rate, so that a lower one fits equally
+        well."""
         return 2.0 * self.cycles >= self.samples - 1

@@ -1,4 +1,4 @@
-"""What is kept of the fits of a method at one point: numbers enough to know its errors, not the errors themselves."""
+"""Statistics of the fits of a method at one point of the atlas, which are stored instead of the single errors."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
 from bench.scenario.truth import Truth
 from bench.scoring.score import score
+from bench.scoring.summary import OUTLIER_FACTOR
 
-OUTLIER_FACTOR = 5.0
-"""An error beyond so many times the bound is gross: hardly one in a million of those that reach the bound."""
 LARGEST = 1e6
-"""Errors over the bound count as at most so large; an answer that is not positive, or absent, as this."""
+"""Upper limit of errors over the bound; also the error of an estimate that is missing or not positive."""
 DISPLACEMENT = "displacement"
-OF_SCORED = ("bias", "core", "median", "p90", "gross", "held", "told")
-"""Of each quantity, in units of the bound's standard deviation or as a share: mean error and root mean square error of
-the fits that are not gross; median and 90 % quantile of the error of all fits; share of gross fits; share of 95 %
-intervals that hold the truth, of the fits that told one, and the share of those that did."""
+COLUMNS = ("bias", "core", "median", "p90", "gross", "held", "told")
+"""Statistics per quantity; errors are in units of the bound's standard deviation. ``bias``, ``core``: mean and root
+mean square error without outlier fits; ``median``, ``p90``: quantiles of the absolute error of all fits; ``gross``:
+share of outlier fits; ``held``: coverage of the 95 % intervals; ``told``: share of the fits that state an interval."""
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """``values`` (n_scored, n_of_scored) float32; ``fits``; ``failed``: the share without an estimate; ``seconds``: the
-    median of a fit."""
+    """Statistics of the fits at one point.
+
+    ``values`` (n_quantities, n_columns); ``fits``: their number; ``failed``: share of fits without an estimate;
+    ``seconds``: median time of a fit.
+    """
 
     values: np.ndarray
     fits: int
@@ -34,59 +36,62 @@ class Statistics:
     seconds: float
 
     def row(self) -> np.ndarray:
-        """Everything, one behind the other."""
+        """Return all numbers as one array."""
         return np.concatenate([[self.fits, self.failed, self.seconds], self.values.ravel()]).astype(np.float32)
 
     @staticmethod
-    def of_row(row: np.ndarray) -> Statistics:
-        """The statistics of :meth:`row`."""
-        values = row[3:].reshape(-1, len(OF_SCORED))
+    def from_row(row: np.ndarray) -> Statistics:
+        """Return the statistics of an array made by :meth:`row`."""
+        values = row[3:].reshape(-1, len(COLUMNS))
         return Statistics(values, round(float(row[0])), float(row[1]), float(row[2]))
 
 
 def columns(quantities: Sequence[str]) -> list[str]:
-    """What the numbers of a row are: of the quantities, and of the displacement."""
-    return ["fits", "failed", "seconds", *(f"{name}_{of}" for name in (*quantities, DISPLACEMENT) for of in OF_SCORED)]
+    """Return the names of the numbers of :meth:`Statistics.row`."""
+    names = (*quantities, DISPLACEMENT)
+    return ["fits", "failed", "seconds", *(f"{name}_{column}" for name in names for column in COLUMNS)]
 
 
 @dataclass(frozen=True)
-class Least:
-    """The bound at a point: standard deviations of the quantities' logarithms, root mean square displacement (m)."""
+class PointBound:
+    """The bound at a point: standard deviations of the logarithms of quantities, root mean square displacement (m)."""
 
     sds: Mapping[str, float]
     displacement: float
 
 
-def one_fit(estimate: Estimate, problem: Problem, truth: Truth, least: Least) -> np.ndarray:
-    """Error over the bound and whether the 95 % interval holds the truth (NaN without one), (n_scored, 2).
+def score_fit(estimate: Estimate, problem: Problem, truth: Truth, bound: PointBound) -> np.ndarray:
+    """Score a fit.
 
-    Errors of the quantities are of their logarithms; that of the displacement is a root mean square, and has no
-    interval.
+    Returns:
+        Error over the bound, and coverage of the 95 % interval (1 or 0; NaN without an interval), (n_quantities, 2).
+        The errors are those of the logarithms of the quantities; the last is the root mean square error of
+        displacement, which has no interval.
     """
-    found = np.full((len(least.sds) + 1, 2), np.nan)
-    found[:, 0] = LARGEST
+    result = np.full((len(bound.sds) + 1, 2), np.nan)
+    result[:, 0] = LARGEST
     if estimate.status is not Status.OK:
-        return found
+        return result
     scores = score(estimate, problem, truth)
-    for i, (name, sd) in enumerate(least.sds.items()):
+    for i, (name, sd) in enumerate(bound.sds.items()):
         ratio = scores.get(f"{name}_ratio", np.nan)
         if ratio > 0 and np.isfinite(ratio):
-            found[i, 0] = np.clip(np.log(ratio) / sd, -LARGEST, LARGEST)
-        found[i, 1] = scores.get(f"{name}_coverage_95", np.nan)
+            result[i, 0] = np.clip(np.log(ratio) / sd, -LARGEST, LARGEST)
+        result[i, 1] = scores.get(f"{name}_coverage_95", np.nan)
     if "rmse" in scores:
-        found[-1, 0] = min(scores["rmse"] / least.displacement, LARGEST)
-    return found
+        result[-1, 0] = min(scores["rmse"] / bound.displacement, LARGEST)
+    return result
 
 
-def pooled(fits: Sequence[np.ndarray], failed: Sequence[bool], seconds: Sequence[float]) -> Statistics:
-    """The statistics of the fits at one point; each of ``fits`` is from :func:`one_fit`."""
-    errors, held = np.moveaxis(np.array(fits), 2, 0)
-    values = np.array([_of_quantity(errors[:, i], held[:, i]) for i in range(errors.shape[1])])
+def summarise_fits(fits: Sequence[np.ndarray], failed: Sequence[bool], seconds: Sequence[float]) -> Statistics:
+    """Return the statistics of the fits at one point, each scored by :func:`score_fit`."""
+    errors, covered = np.moveaxis(np.array(fits), 2, 0)
+    values = np.array([_statistics(errors[:, i], covered[:, i]) for i in range(errors.shape[1])])
     return Statistics(values, len(fits), float(np.mean(failed)), float(np.median(seconds)))
 
 
-def _of_quantity(errors: np.ndarray, held: np.ndarray) -> list[float]:
-    sizes, told = np.abs(errors), np.isfinite(held)
+def _statistics(errors: np.ndarray, covered: np.ndarray) -> list[float]:
+    sizes, stated = np.abs(errors), np.isfinite(covered)
     core = errors[sizes <= OUTLIER_FACTOR]
     none = float("nan")
     return [
@@ -95,6 +100,6 @@ def _of_quantity(errors: np.ndarray, held: np.ndarray) -> list[float]:
         float(np.median(sizes)),
         float(np.quantile(sizes, 0.9)),
         float(np.mean(sizes > OUTLIER_FACTOR)),
-        float(held[told].mean()) if told.any() else none,
-        float(told.mean()),
+        float(covered[stated].mean()) if stated.any() else none,
+        float(stated.mean()),
     ]

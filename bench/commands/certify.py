@@ -80,8 +80,8 @@ def _one_mode(request: Request, measured: Measured, twins: int, again: str) -> d
     from bench.records.certificate import certify as certificate_of
     from bench.reporting.certificate.contents import contents
 
-    with progress_bar() as on_look:
-        certificate = certificate_of(request, measured, twins, on_look, LOG.info)
+    with progress_bar() as on_progress:
+        certificate = certificate_of(request, measured, twins, on_progress, LOG.info)
     return contents(certificate, again)
 
 

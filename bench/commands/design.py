@@ -161,7 +161,7 @@ def longer(
     """State what a longer record of a free decay, or a repeated one, would determine."""
     from bench.config.atlas import efficient_methods
     from bench.config.overrides import read_overrides
-    from bench.planning.taken import taken
+    from bench.planning.measured_decay import taken
     from bench.reporting.plans import longer_page
 
     try:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from bench.errors import InputError, line_of
-from bench.isolation.signals import Ended, ended_by_signals, interrupts_again
+from bench.isolation.signals import Ended, raise_on_signals, restore_interrupts
 
 OPTIONAL = {"jax": "jax"}
 """Packages that are imported where they are needed, each with the extra that installs it."""
@@ -26,11 +26,11 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
     """
     closed = _prepare_streams()
     try:
-        interrupts_again()
+        restore_interrupts()
         if closed:
             raise InputError("output", "closed", f"open it; > {os.devnull} discards the output")
         _check_folder()
-        with ended_by_signals():
+        with raise_on_signals():
             status = body()
         sys.stdout.flush()  # here, where a closed pipe is caught
         return status

@@ -11,7 +11,7 @@ from bench.isolation.machine import usable_cores
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.provenance import circumstances
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 MOST_LISTED = 5
 """Number of scores whose differences are listed."""
@@ -42,7 +42,7 @@ def reproduce(
         f"computed {origin.get('started')} at commit {commit}"
     )
     print("\n  ".join([f"run again: {verdict}", *lines, *changes(stored, known)]))
-    print(opened.whereabouts(stored.identity))
+    print(opened.location(stored.identity))
     return 1 if verdict == "drifted" else 0
 
 

@@ -147,7 +147,7 @@ def _run(jobs: Sequence[Any], launcher: Sequence[str]) -> int:
 def _location(store: Any, cells: Sequence[Any]) -> str:
     """Return the location of the full results; a path is never broken, however long."""
     if len(cells) == 1:
-        return str(store.whereabouts(cells[0].identity))
-    published = sum(not store.own(cell.identity) and store.holds(cell.identity) for cell in cells)
+        return str(store.location(cells[0].identity))
+    published = sum(not store.in_folder(cell.identity) and cell.identity in store for cell in cells)
     also = f"; {published} of the cells: {store.archive.folder}" if published else ""
     return f"full results: {store.folder}{also} (format=json prints them)"

@@ -12,7 +12,7 @@ from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFol
 from bench.commands.watch import follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
-from bench.engine.plan import CellState, plan, read_retry, standing
+from bench.engine.plan import CellState, cell_state, plan, read_retry
 from bench.entrants.registry import method_names
 from bench.errors import InputError, shortened
 from bench.isolation.machine import usable_cores
@@ -21,7 +21,7 @@ from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import CellHead
+from bench.store.stored_cell import CellHead
 from bench.store.version import settings_version
 from bench.systems import registered_systems
 
@@ -46,7 +46,7 @@ def _state(head: CellHead) -> tuple[str, str]:
         today = settings_version(method, system, head.cell.get("settings", {}))
     except InputError as error:  # a setting that no installed package supplies
         return FOREIGN, str(error)
-    state, why = standing(head, method, today)
+    state, why = cell_state(head, method, today)
     return state.value, why
 
 
@@ -95,7 +95,7 @@ def status(
         opened = named_store(store, archive)
         stored = one_cell(opened, cell)
         print(cell_table(stored_as_cell(stored), stored))
-        print(opened.whereabouts(stored.identity), stored.tracebacks, sep="\n")
+        print(opened.location(stored.identity), stored.tracebacks, sep="\n")
         return 0
     if watch and not sweep:
         raise InputError("watch", watch, "name the sweep: experiment=<name>, or its fields")

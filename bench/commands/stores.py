@@ -11,7 +11,7 @@ from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.store.store import Store
-    from bench.store.stored import StoredCell
+    from bench.store.stored_cell import StoredCell
 
 DEFAULT = Path("outputs/rows")
 """The default folder of computed cells, which need not exist where there is a published archive."""

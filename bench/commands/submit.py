@@ -12,7 +12,7 @@ from bench.errors import InputError
 
 if TYPE_CHECKING:
     from bench.store.store import Store
-    from bench.store.stored import StoredCell
+    from bench.store.stored_cell import StoredCell
 
 
 def submit(
@@ -58,7 +58,7 @@ def submitted_cells(store: Store, method: str, experiment: str) -> list[StoredCe
     if not pairs:
         of = f" of {experiment}" if experiment else ""
         raise InputError("method", method, f"no cell of it{of} in {store.folder}; run python -m bench first")
-    if stale := [stored.identity[:8] for stored, cell in pairs if not cell.version.is_that_of(stored.version)]:
+    if stale := [stored.identity[:8] for stored, cell in pairs if not cell.version.matches(stored.version)]:
         remedy = "are of another version; run the same sweep again"
         raise InputError("store", store.folder, f"{len(stale)} of {len(pairs)} cells ({stale[0]}, ...) {remedy}")
     return [stored.without_mark() for stored, _ in pairs]

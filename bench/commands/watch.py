@@ -11,7 +11,7 @@ from bench.engine.plan import FAILURES, plan
 from bench.engine.progress import Progress, progress_bar
 from bench.reporting.terminal_tables import described
 from bench.store.cell import Cell
-from bench.store.locks import under_way
+from bench.store.locks import active_claims
 from bench.store.store import Store
 
 NO_RUN = "no run computes these cells at present, or it still computes the bounds"
@@ -32,8 +32,8 @@ def follow(cells: Sequence[Cell], store: Store, retry: Collection[Status], secon
     kinds = {identity: (cell.label, cell.scenario.label) for identity, cell in by_identity.items()}
     progress = Progress("fit", sizes, kinds, task="cell")
     stamps = {item.cell.identity: item.stamp if item.run else -1 for item in planned}
-    with progress_bar() as on_look:
-        on_look(progress.look())
+    with progress_bar() as on_progress:
+        on_progress(progress.state())
         while stamps:
             for identity in [identity for identity, before in stamps.items() if store.stamp(identity) != before]:
                 del stamps[identity]
@@ -41,8 +41,10 @@ def follow(cells: Sequence[Cell], store: Store, retry: Collection[Status], secon
                 failed = sum(n for name, n in head.statuses.items() if name in FAILURES) if head else 0
                 cell = by_identity[identity]
                 what = f"{cell.label} on {described(cell.scenario)}"
-                on_look(progress.add(identity, cell.replicates, head.wall_s if head else 0.0, failed=failed, what=what))
-            progress.workers = len(under_way(store.claims).keys() & stamps.keys())
+                on_progress(
+                    progress.add(identity, cell.replicates, head.wall_s if head else 0.0, failed=failed, what=what)
+                )
+            progress.workers = len(active_claims(store.claims).keys() & stamps.keys())
             if stamps and not progress.workers:
                 LOG.info(NO_RUN)
             progress.workers = max(1, progress.workers)

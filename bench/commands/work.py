@@ -9,7 +9,7 @@ from typing import Annotated
 
 from bench.commands.log import LOG
 from bench.config.fields import MOST_WORKERS
-from bench.engine.pool import Limits, StoredTask, run_tasks, say
+from bench.engine.pool import Limits, StoredTask, print_line, run_tasks
 from bench.engine.progress import progress_bar
 from bench.reporting.whole_file import check_folder
 from bench.scenario.declaration import Within
@@ -55,9 +55,9 @@ class Work:
 
             launch_job(LaunchJob(tuple(missing), Store(self.store), self.limits), Launch(self.launcher))  # type: ignore[arg-type]
         elif missing and self.fit:
-            with progress_bar() as on_look:
-                errors = run_tasks(missing, self.store, self.limits, (unit, ""), on_look)
+            with progress_bar() as on_progress:
+                errors = run_tasks(missing, self.store, self.limits, (unit, ""), on_progress)
             for task in missing:
                 if error := errors.get(task.key):
-                    say(f"{' '.join(task.kind)}: {error}")
+                    print_line(f"{' '.join(task.kind)}: {error}")
         return True

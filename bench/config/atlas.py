@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.atlas.design import Slice, blocks, made, sobol
+from bench.atlas.design import Slice, blocks, make_point, sobol
 from bench.atlas.forced import Forced
 from bench.atlas.point import FreeDecay, Point
 from bench.atlas.run import PointBlock
@@ -32,7 +32,7 @@ def atlas_slices(test: str = FREE_DECAY) -> list[Slice]:
     for name, stated in atlas_content(test)["slices"].items():
         across, up, (columns, rows) = stated["across"], stated["up"], stated["size"]
         values = {axis.name: stated.get(axis.name, 1.0 if axis.name in (across, up) else None) for axis in kind.AXES}
-        slices.append(Slice(name, made(kind, values, stated[kind.CHOICE.name]), across, up, (columns, rows)))
+        slices.append(Slice(name, make_point(kind, values, stated[kind.CHOICE.name]), across, up, (columns, rows)))
     return slices
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from bench.isolation.failure import one_line, traceback_text, without_places
+from bench.isolation.failure import one_line, traceback_text, without_folders
 
 RAISED = "end a fit that goes wrong with bench.NoEstimate('why, and what to do'), which becomes a status and a sentence"
 
@@ -62,7 +62,7 @@ class Check:
         except Refusal as refusal:
             return self.failed(str(refusal), refusal.remedy)
         except Exception as error:
-            return self.failed(f"raised {one_line(error)}", RAISED, without_places(traceback_text()))
+            return self.failed(f"raised {one_line(error)}", RAISED, without_folders(traceback_text()))
 
 
 class Checks(list[Check]):

@@ -1,1 +1,1 @@
-"""From a plan to stored results: the pool of tasks, cells with the two processes of a fit, launchers, progress."""
+"""Execution of a plan: the worker pool, the processes that fit and score a cell, launchers, progress."""

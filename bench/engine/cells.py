@@ -1,7 +1,7 @@
-"""The cells of a run: replicates are fitted and scored in a worker's processes, and complete cells stored.
+"""The cells of a run: replicates are fitted and scored in the processes of a worker, and complete cells are stored.
 
-A scoring process knows the truth, a method's process does not; the driver passes bytes between them unread. A process
-that dies loses the replicates that it was given, and they are tried again one by one.
+The scoring process knows the true values, the method's process does not; the driver passes bytes between them without
+unpickling them. If a process dies, the replicates that it was working on are repeated one by one.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from bench.store.provenance import provenance
 from bench.store.store import Store
 
 FIRST_STEP, LARGEST_STEP = 5, 50
-"""Largest numbers of replicates that are fitted in one step, first and later, where a method does not state its own."""
+"""Largest numbers of replicates per step, first and later, unless the method sets ``problems_at_once``."""
 STEP_S = 0.5
-"""Seconds of fitting in one step, where a replicate takes less."""
+"""Duration of a step (s), if a replicate takes less."""
 SCORING_S = 120.0
-"""Limit of the harness's own work on one replicate, and on storing a cell (s)."""
+"""Time limit for simulating and scoring one replicate, and for storing a cell (s)."""
 ATTEMPTS = 3
-"""How often a scoring process is asked that is killed from outside."""
+"""Number of attempts if the scoring process is killed from outside."""
 METHOD, SPARE = "method", "spare"
-"""A worker's process for the cell's method, and one that starts for the next cell while this one is scored."""
+"""Roles of a worker's processes: for the method of the cell, and started in advance for the next cell."""
 
 
 class ScoringError(Exception):
-    """The scoring process raised: a bug of the harness, or of a system."""
+    """The scoring process raised an exception: a bug of the benchmark or of a system."""
 
     def __init__(self, message: str, log: str) -> None:
         super().__init__(f"{message}\n{log}")
@@ -52,7 +52,12 @@ class ScoringError(Exception):
 
 
 def ask(worker: Worker, request: str, *arguments: Any, limit_s: float = SCORING_S) -> Any:
-    """Return an answer of a worker's scoring process; raises Died where it ended or hung, ScoringError."""
+    """Call a method of :class:`~bench.engine.scoring_process.Scorer` in a worker's scoring process.
+
+    Raises:
+        Died: The process ended or exceeded the limit.
+        ScoringError: The method raised an exception.
+    """
     message = pickle.dumps((request, *arguments))
     for attempt in range(ATTEMPTS):
         try:
@@ -70,14 +75,14 @@ def ask(worker: Worker, request: str, *arguments: Any, limit_s: float = SCORING_
 
 
 class CellJob(DividedTask):
-    """A cell to be computed: the replicates that are still to be fitted, and the rows so far.
+    """A cell to be computed: the replicates still to be fitted, and the rows so far.
 
     Args:
-        planned: The cell; where it is tried again, the rows that did not fail are taken over.
-        store: Where it is, or will be.
-        limits: Of a fit, and the number of workers that may share the replicates.
-        replicates: The numbers of those that are wanted, which are then not stored; None: all.
-        unbounded: Why it has no bound, if it has none; without one nothing is fitted.
+        planned: The cell. If failed replicates are repeated, the rows of the others are kept.
+        store: The store of the cell.
+        limits: Limits of a fit, and the number of workers.
+        replicates: Numbers of the replicates to compute without storing them; None for all, which are stored.
+        unbounded: Reason why the bound could not be computed; nothing is fitted then.
     """
 
     def __init__(
@@ -89,27 +94,27 @@ class CellJob(DividedTask):
         unbounded: str = "",
     ) -> None:
         cell = planned.cell
-        wanted = sorted(range(cell.replicates) if replicates is None else replicates)
+        requested = sorted(range(cell.replicates) if replicates is None else replicates)
         name = f"{cell.label} {cell.scenario.snr_db:g} dB"
-        super().__init__(cell.identity, (cell.label, cell.scenario.label), name, len(wanted))
+        super().__init__(cell.identity, (cell.label, cell.scenario.label), name, len(requested))
         self.cell, self.stamp, self.store, self.limits = cell, planned.stamp, store, limits
-        self.bounded, self.kept = not unbounded, replicates is None
+        self.bounded, self.saves = not unbounded, replicates is None
         self.alone: set[int] = set()
-        """Replicates that are fitted one by one."""
+        """Replicates to be fitted one by one."""
         self.scored = ScoredRows()
         self._prepare_fit()
-        lacking = missing_package(cell.method)
-        if unbounded or lacking:
+        missing = missing_package(cell.method)
+        if unbounded or missing:
             status = Status.INVALID if unbounded else Status.MISSING_DEPENDENCY
-            self.scored.rows = Rows.from_rows(Row(i, status, unbounded or lacking or "") for i in wanted)
+            self.scored.rows = Rows.from_rows(Row(i, status, unbounded or missing or "") for i in requested)
         elif planned.state is CellState.FAILED:
-            self._keep_good()
-        there = set(self.scored.rows.plain("replicate"))
-        self.done = len(there)
-        self.pending = deque(i for i in wanted if i not in there)
+            self._keep_successful()
+        finished = set(self.scored.rows.plain("replicate"))
+        self.done = len(finished)
+        self.pending = deque(i for i in requested if i not in finished)
 
     def _prepare_fit(self) -> None:
-        """Note what is run, the packages that it needs, and how many problems it solves together."""
+        """Set the pickled fit, the packages that it requires, and the number of problems that it solves at once."""
         self.requires: tuple[str, ...] = ()
         self.at_once = 1
         if self.cell.method in REFERENCES:
@@ -119,8 +124,8 @@ class CellJob(DividedTask):
         self.fit = pickle.dumps(method.identify_many)
         self.requires, self.at_once = method.requires, method.problems_at_once
 
-    def _keep_good(self) -> None:
-        """Take over the rows of the stored cell that did not fail; none where it or its arrays are damaged."""
+    def _keep_successful(self) -> None:
+        """Keep the rows of the stored cell that did not fail; none if the cell or its arrays are damaged."""
         with contextlib.suppress(InputError):
             stored = self.store.load(self.key)
             if stored is not None:
@@ -132,14 +137,14 @@ class CellJob(DividedTask):
         if self.store.stamp(self.key) == self.stamp:
             return False
         stored = self.store.head(self.key)
-        return stored is not None and self.cell.version.is_that_of(stored.version)
+        return stored is not None and self.cell.version.matches(stored.version)
 
     def take(self) -> tuple[int, ...]:
         n = 1 if self.pending[0] in self.alone else min(self._step(), len(self.pending))
         return tuple(self.pending.popleft() for _ in range(n))
 
     def _step(self) -> int:
-        """Return how many replicates to fit in one step: all workers are to have some to the end."""
+        """Return the number of replicates of the next step, so that no worker is idle at the end."""
         if self.at_once > 1:
             return self.at_once
         workers = self.limits.workers
@@ -155,7 +160,7 @@ class CellJob(DividedTask):
         self.pending.extendleft(reversed(parts))
 
     def perform(self, parts: tuple[int, ...], worker: Worker) -> ScoredRows | None:
-        """Fit and score replicates; None where they are to be tried again one by one."""
+        """Fit and score replicates; returns None if they are to be repeated one by one."""
         started = time.monotonic()
         try:
             answers = self._answers(parts, worker)
@@ -164,8 +169,8 @@ class CellJob(DividedTask):
             if isinstance(answers, bytes):
                 return ask(worker, "score", self.cell, answers, limit_s=SCORING_S * len(parts))  # type: ignore[no-any-return]
             failure = answers
-        except (Died, ScoringError) as error:  # of the scoring process, which is no fault of the method
-            failure = Failure(Status.INVALID, f"its data or its scores failed: {error.message}", error.log)
+        except (Died, ScoringError) as error:  # the scoring process failed, not the method
+            failure = Failure(Status.INVALID, f"simulation or scoring failed: {error.message}", error.log)
         if failure is None or len(parts) > 1:
             return None
         wall_s = time.monotonic() - started
@@ -176,7 +181,7 @@ class CellJob(DividedTask):
             return ScoredRows(Rows.from_rows([row]), {parts[0]: failure.log})
 
     def _answers(self, parts: tuple[int, ...], worker: Worker) -> bytes | Failure | None:
-        """Return the packed answers of the method; else why there are none, or None where that is not known."""
+        """Return the packed answers of the method, or its failure; None if several replicates failed together."""
         n, limits = len(parts), self.limits
         task = ask(worker, "open", self.cell, self.fit, parts, limits.timeout_s, limit_s=SCORING_S * n)
         reports: deque[bytes] = deque(maxlen=1)
@@ -201,30 +206,30 @@ class CellJob(DividedTask):
         return Counted(len(outcome.rows), sum(status in FAILURES for status in outcome.rows.statuses))
 
     def finish(self, worker: Worker) -> None:
-        """Store the cell; raises InputError where it cannot be stored."""
-        if not self.kept:
+        """Store the cell; raises InputError if it cannot be written."""
+        if not self.saves:
             return
         try:
             problem = self._store(worker)
         except ScoringError as error:
-            self.refuse(f"it cannot be summarised: {error.message}", error.log)
+            self.invalidate(f"cannot be summarised: {error.message}", error.log)
             problem = self._store(worker)
         if problem:
-            remedy = f"cannot be written ({problem}); what is stored stays, make room and run the same command again"
+            remedy = f"cannot be written ({problem}); free disk space and run the same command again"
             raise InputError("store", self.store.path(self.key), remedy)
 
     def _store(self, worker: Worker) -> str:
-        """Have the cell stored; returns why it could not be written, or an empty string. Raises ScoringError."""
+        """Store the cell; returns the reason why it could not be written, or an empty string. Raises ScoringError."""
         limits, version = self.limits, self.cell.version
-        come = provenance(version, limits.workers, limits.timeout_s, limits.memory_mb, self.started)
-        content = (self.cell, self.store, self.scored, self.bounded, version.as_json(), come)
+        origin = provenance(version, limits.workers, limits.timeout_s, limits.memory_mb, self.started)
+        content = (self.cell, self.store, self.scored, self.bounded, version.as_json(), origin)
         try:
             return ask(worker, "finish", *content)  # type: ignore[no-any-return]
         except Died as died:
             return died.message
 
-    def refuse(self, message: str, log: str = "") -> None:
-        """Replace all that is known of the cell by the reason why it cannot be scored."""
+    def invalidate(self, message: str, log: str = "") -> None:
+        """Mark all replicates as invalid, with the reason, and drop their scores."""
         rows = [replace(row, status=Status.INVALID, message=message, scores={}) for row in self.scored.rows]
         self.scored = ScoredRows(Rows.from_rows(rows), {rows[0].replicate: log})
-        self.bounded = False  # that may have been the reason
+        self.bounded = False  # the bound may have been the reason

@@ -1,7 +1,7 @@
-"""Work that a launcher runs elsewhere: some cells or blocks of the atlas, and the file that takes them there.
+"""Jobs of a launcher: a file in the store that describes cells, or blocks of the atlas, to be computed elsewhere.
 
-The file lies in the store, where whoever shares it can write. So it is data under a seal, checked as any other input: a
-cell or block that the reader would name otherwise is refused.
+Everybody who shares the store can write the file. It therefore contains data only, with a checksum, and is validated
+like any other input: a cell or block whose identity does not match its description is rejected.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 from bench.atlas.run import PointBlock
 from bench.engine.plan import CellState, Planned
-from bench.engine.pool import Limits, run_tasks, say
-from bench.engine.progress import OnLook
+from bench.engine.pool import Limits, print_line, run_tasks
+from bench.engine.progress import OnProgress
 from bench.engine.runner import run_cells
 from bench.errors import InputError
 from bench.files import read_regular, write_whole
@@ -30,8 +30,8 @@ LaunchTask = Planned | PointBlock
 
 
 @dataclass(frozen=True)
-class StatedTask:
-    """A cell or block as a file has it; of a cell also where it stood, and where its force was read from, if it was."""
+class TaskFile:
+    """Description of a cell or block in a job's file; for a cell also its state in the store and its force's file."""
 
     __pydantic_config__ = STRICT
     kind: Literal["cell", "block"]
@@ -42,36 +42,36 @@ class StatedTask:
     force_file: str | None = None
 
     @classmethod
-    def of(cls, task: LaunchTask) -> StatedTask:
-        """Return what is written of a task."""
+    def of(cls, task: LaunchTask) -> TaskFile:
+        """Return the description of a task."""
         if isinstance(task, PointBlock):
-            return cls("block", task.key, task.stated())
+            return cls("block", task.key, task.description())
         force = task.cell.scenario.force
         file = str(Path(force.file).resolve()) if force and force.file else None
-        return cls("cell", task.key, task.cell.stated(), task.state, task.stamp, file)
+        return cls("cell", task.key, task.cell.full_description(), task.state, task.stamp, file)
 
-    def restored(self) -> LaunchTask:
-        """Return the task; raises InputError."""
+    def task(self) -> LaunchTask:
+        """Return the task; raises InputError if its identity does not match."""
         if self.kind == "block":
-            return PointBlock.restored(self.content, self.key)
-        cell = Cell.restored(self.content, self.key, Path(self.force_file) if self.force_file else None)
+            return PointBlock.from_description(self.content, self.key)
+        cell = Cell.from_description(self.content, self.key, Path(self.force_file) if self.force_file else None)
         return Planned(cell, self.state, "", True, self.stamp)
 
 
 @dataclass(frozen=True)
 class Content:
-    """The content of a job's file: all but the store, in which it lies."""
+    """Content of a job's file."""
 
     __pydantic_config__ = STRICT
     timeout_s: Positive
     memory_mb: Positive
     archive: str | None
-    tasks: list[StatedTask]
+    tasks: list[TaskFile]
 
 
 @dataclass(frozen=True)
 class LaunchJob:
-    """Cells, or blocks of the atlas, to be computed and stored; all nodes see the store."""
+    """Cells, or blocks of the atlas, to be computed and stored in a store that all nodes share."""
 
     tasks: tuple[LaunchTask, ...]
     store: Store
@@ -79,40 +79,40 @@ class LaunchJob:
 
     @property
     def unit(self) -> str:
-        """Return what a task is called."""
+        """The name of a task in the progress display."""
         return "cell" if isinstance(self.tasks[0], Planned) else "block"
 
     def left(self) -> list[LaunchTask]:
-        """Return the tasks that are still to be computed."""
+        """Return the tasks that are not stored yet."""
         return [task for task in self.tasks if not task.stored(self.store.folder)]
 
     def part(self, tasks: Sequence[LaunchTask]) -> LaunchJob:
-        """Return a job of some of the tasks."""
+        """Return a job with some of the tasks."""
         return replace(self, tasks=tuple(tasks))
 
-    def run(self, limits: Limits, on_look: OnLook) -> None:
+    def run(self, limits: Limits, on_progress: OnProgress) -> None:
         """Compute and store the tasks on this machine."""
-        run_cells([task for task in self.tasks if isinstance(task, Planned)], self.store, limits, on_look)
+        run_cells([task for task in self.tasks if isinstance(task, Planned)], self.store, limits, on_progress)
         blocks = [task for task in self.tasks if isinstance(task, PointBlock)]
-        for key, error in run_tasks(blocks, self.store.folder, limits, ("fit", "block"), on_look).items():
-            say(f"block {key}: {error}")
+        for key, error in run_tasks(blocks, self.store.folder, limits, ("fit", "block"), on_progress).items():
+            print_line(f"block {key}: {error}")
 
     def write(self, path: Path) -> None:
         """Write the job's file; raises OSError."""
         archive = str(self.store.archive.folder.resolve()) if self.store.archive else None
-        tasks = [StatedTask.of(task) for task in self.tasks]
+        tasks = [TaskFile.of(task) for task in self.tasks]
         content = Content(self.limits.timeout_s, self.limits.memory_mb, archive, tasks)
         write_whole(path, sealed(FORMAT, json.dumps(asdict(content))))
 
 
 def read_job(path: Path, folder: Path) -> LaunchJob:
-    """Return the job of a file, for the store in a folder; raises InputError for anything that is none."""
+    """Read a job from a file, for the store in a folder; raises InputError for an invalid file."""
     try:
         content = validated(Content, unsealed(FORMAT, read_regular(path)))
     except OSError as error:
         raise InputError("job", path, f"cannot be read ({error.strerror}); start the sweep again") from None
     except Unsealed as reason:
-        raise InputError("job", path, f"not a whole job ({reason}); start the sweep again") from None
+        raise InputError("job", path, f"not a complete job ({reason}); start the sweep again") from None
     store = Store(folder, Archive(Path(content.archive)) if content.archive else None)
     limits = Limits(timeout_s=content.timeout_s, memory_mb=content.memory_mb)
-    return LaunchJob(tuple(task.restored() for task in content.tasks), store, limits)
+    return LaunchJob(tuple(task.task() for task in content.tasks), store, limits)

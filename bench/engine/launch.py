@@ -1,8 +1,8 @@
-"""From a plan to results: on this machine, or by way of a launcher of Hydra's, on Ray or Slurm.
+"""Launching of a plan: on this machine, or by a Hydra launcher on Ray or Slurm.
 
-A launcher gets jobs, each with some of the work, and calls :func:`run_job` for each. Results come through the store
-alone, which all nodes must see. So a job that is tried again computes only what is missing, and what jobs leave behind,
-lost with their node, is launched again as long as that brings anything.
+A launcher gets jobs, each with part of the work, and calls :func:`run_job` for each. Results are returned through the
+store only, which all nodes must share. A repeated job computes only what is missing, and tasks lost with a node are
+launched again as long as a round completes any.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 from bench.engine.job_file import LaunchJob, read_job
 from bench.engine.plan import Planned, plan
-from bench.engine.pool import Limits, say
+from bench.engine.pool import Limits, print_line
 from bench.engine.progress import RunState, progress_bar
 from bench.engine.runner import needed
 from bench.errors import InputError
@@ -31,85 +31,86 @@ from bench.isolation.processes import start_server
 from bench.store.cell import Cell
 from bench.store.store import Store
 
-CACHE, OWN_CACHE = "XDG_CACHE_HOME", "vibration-bench-launches"
+CACHE, CACHE_FOLDER = "XDG_CACHE_HOME", "vibration-bench-launches"
 WRITABLE_BY_OTHERS = 0o022
 WATCH_S = 1.0
-"""Shortest interval at which results are counted; where counting takes long, it gets a twentieth of the time."""
+"""Shortest interval between counts of the stored results (s); counting takes at most a twentieth of the time."""
 
 
 @dataclass(frozen=True)
 class Launch:
-    """How a run is launched: Hydra's own overrides, if any, and how many cells or blocks a job of a launcher has."""
+    """Options of a launch: overrides of Hydra's fields, cells or blocks per job, and whether progress is shown."""
 
     overrides: tuple[str, ...] = ()
     cells_per_job: int = 20
     progress: bool = True
-    """Whether a bar shows how far the run is."""
 
     @property
     def launcher(self) -> str:
-        """Return the launcher's name."""
+        """The name of the launcher."""
         chosen = [text.partition("=")[2] for text in self.overrides if text.lstrip("+").startswith("hydra/launcher=")]
         return chosen[-1] if chosen else "local"
 
     @property
     def local(self) -> bool:
-        """Return whether this process has the work done itself, on the machine's cores."""
+        """True if the work is done by worker processes on this machine."""
         return self.launcher == "local"
 
 
 def launch(planned: Sequence[Planned], store: Store, limits: Limits, how: Launch) -> None:
-    """Have the cells of a plan that are to be run computed and stored; see :func:`launch_job`."""
+    """Compute and store the cells of a plan that are to be run; see :func:`launch_job`."""
     launch_job(LaunchJob(tuple(cell for cell in planned if cell.run), store, limits), how)
 
 
 def launch_job(job: LaunchJob, how: Launch) -> None:
-    """Have the tasks of a job computed and stored.
+    """Compute and store the tasks of a job.
 
-    What jobs elsewhere leave behind is launched again until nothing is left or a round has brought nothing; the store
-    then lacks it, and the error stream says why. Raises InputError for a launcher that is unknown or not installed, and
-    where the store can no longer be written.
+    Tasks that a launcher's jobs leave unfinished are launched again until none is left or a round completes none; the
+    reason is then printed to the error stream.
+
+    Raises:
+        InputError: The launcher is unknown or not installed, or the store cannot be written.
     """
     if not job.tasks:
         return
     if how.local:
         for text in how.overrides:
             if not text.lstrip("+").startswith("hydra/launcher="):
-                raise InputError("argument", text, "an option of a launcher: name that too, by hydra/launcher=")
-        with progress_bar(how.progress) as on_look:
-            job.run(replace(job.limits, preload=preloaded()), on_look)
+                raise InputError("argument", text, "an option of a launcher requires hydra/launcher=<name>")
+        with progress_bar(how.progress) as on_progress:
+            job.run(replace(job.limits, preload=preloaded()), on_progress)
         return
     folder = job.store.folder.resolve() / "launches" / uuid.uuid4().hex[:12]
     private = make_private_folder()
     try:
-        with _launcher(folder, private, how) as launcher, _watched(job, how.progress):
-            _rounds(launcher, job, folder, how)
+        with _launcher(folder, private, how) as launcher, _progress_of_store(job, how.progress):
+            _launch_rounds(launcher, job, folder, how)
     finally:
-        for place in (folder, private):  # jobs that still run elsewhere end when they see it
-            shutil.rmtree(place, ignore_errors=True)
+        for path in (folder, private):  # jobs that still run elsewhere end when their file is removed
+            shutil.rmtree(path, ignore_errors=True)
         with suppress(OSError):
-            folder.parent.rmdir()  # unless another run is under way
+            folder.parent.rmdir()  # fails if another run uses it
 
 
 def complete(cells: Sequence[Cell], store: Store, limits: Limits) -> None:
-    """Compute on this machine, with a progress bar, what the store lacks of some cells."""
+    """Compute the cells that are missing in the store, on this machine, with a progress bar."""
     launch(plan(cells, store), store, limits, Launch())
 
 
 def warm_up(methods: Collection[str]) -> None:
-    """Have this machine's server of processes import what the methods need, while the caller goes on."""
+    """Start the server of worker processes, which imports the packages of the methods in the background."""
     start_server(needed(preloaded(), methods))
 
 
 def preloaded() -> tuple[str, ...]:
-    """Return the packages that ``conf/launch.yaml`` has imported once a run, where a method needs them."""
+    """Return the packages of ``conf/launch.yaml`` that are imported once per run if a method requires them."""
     from omegaconf import OmegaConf
 
     return tuple(OmegaConf.create(files("conf").joinpath("launch.yaml").read_text(encoding="utf-8")).preload)
 
 
 def run_job(config: Any) -> dict[str, int]:
-    """Run one job: its tasks that are still to be computed. What every launcher calls."""
+    """Run the unfinished tasks of one job; this is the function that a launcher calls."""
     from hydra.core.hydra_config import HydraConfig
 
     path = Path(config.sweep) / f"{config.job}.job"
@@ -117,12 +118,12 @@ def run_job(config: Any) -> dict[str, int]:
     limits = replace(job.limits, workers=_cores(HydraConfig.get().launcher), preload=tuple(config.preload))
     left = job.left()
 
-    def on_look(look: RunState) -> None:
-        if not path.exists():  # and with it whoever waits for the job
-            remedy = "was removed while the sweep ran; start it again, what was stored is kept"
+    def on_progress(look: RunState) -> None:
+        if not path.exists():  # the run that launched the job has ended
+            remedy = "was removed during the sweep; start it again, stored cells are kept"
             raise InputError("store", path.parent, remedy)
 
-    job.part(left).run(limits, on_look)
+    job.part(left).run(limits, on_progress)
     return {"cells": len(job.tasks), "computed": len(left)}
 
 
@@ -131,17 +132,17 @@ def _write(path: Path, job: LaunchJob) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         job.write(path)
     except OSError as error:
-        raise InputError("store", job.store.folder, f"cannot be written ({error.strerror}); make room") from None
+        raise InputError("store", job.store.folder, f"cannot be written ({error.strerror}); free disk space") from None
 
 
 def _cores(launcher: Any) -> int:
-    """Return how many workers a job elsewhere has: one for each core that its launcher asks for."""
+    """Return the number of cores that a launcher requests per job."""
     ray = launcher.get("ray") or {}
     return int(launcher.get("cpus_per_task") or (ray.get("remote") or {}).get("num_cpus") or 1)
 
 
-def _rounds(launcher: Any, job: LaunchJob, folder: Path, how: Launch) -> None:
-    """Launch what is left of a job, as long as a round brings anything."""
+def _launch_rounds(launcher: Any, job: LaunchJob, folder: Path, how: Launch) -> None:
+    """Launch the unfinished tasks repeatedly, as long as a round completes any."""
     n_jobs, left = 0, list(job.tasks)
     size = how.cells_per_job
     while left:
@@ -153,49 +154,50 @@ def _rounds(launcher: Any, job: LaunchJob, folder: Path, how: Launch) -> None:
         try:
             returns = launcher.launch(jobs, n_jobs)
             for done in returns:
-                _ = done.return_value  # raises what the job raised
-            lost = ""
+                _ = done.return_value  # raises the exception of the job
+            reason = ""
         except Exception as error:
             if isinstance(error, InputError):
                 raise
-            lost = one_line(error)
+            reason = one_line(error)
         n_jobs += len(jobs)
         before, left = len(left), job.part(left).left()
         if not left:
             return
-        goes_on = "launched again" if len(left) < before else "given up: a round has brought none"
-        line = f"hydra/launcher={how.launcher} has left {len(left)} {job.unit}s, {goes_on}"
-        say(f"{line} ({lost})" if lost else line)
+        action = "launching them again" if len(left) < before else "giving up, since the last round completed none"
+        line = f"hydra/launcher={how.launcher}: {len(left)} {job.unit}s unfinished, {action}"
+        print_line(f"{line} ({reason})" if reason else line)
         if len(left) == before:
             return
 
 
 def make_private_folder() -> Path:
-    """Make a folder that its user alone can write, under the cache: launchers rebuild objects from files in it.
+    """Make a folder in the cache that only this user can write, since launchers unpickle files in it.
 
-    Raises InputError where the cache (``XDG_CACHE_HOME``, else ``~/.cache``) cannot be written, or others can write.
+    Raises:
+        InputError: The cache (``XDG_CACHE_HOME``, else ``~/.cache``) cannot be written, or others can write in it.
     """
     cache = os.environ.get(CACHE, "")
     try:
-        place = Path(cache or Path.home() / ".cache").resolve() / OWN_CACHE
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.mkdir(mode=0o700, exist_ok=True)
-        status = place.stat()
+        base = Path(cache or Path.home() / ".cache").resolve() / CACHE_FOLDER
+        base.parent.mkdir(parents=True, exist_ok=True)
+        base.mkdir(mode=0o700, exist_ok=True)
+        status = base.stat()
         if status.st_uid != os.geteuid() or status.st_mode & WRITABLE_BY_OTHERS:
-            raise InputError(CACHE, place, "others can write there; name a folder of your own")
-        folder = place / uuid.uuid4().hex
+            raise InputError(CACHE, base, "other users can write there; use a folder that only you can write")
+        folder = base / uuid.uuid4().hex
         folder.mkdir(mode=0o700)
     except (OSError, RuntimeError) as error:  # there may be no home folder
-        reason = getattr(error, "strerror", None) or "there is no home folder"
-        raise InputError(CACHE, cache, f"cannot be written ({reason}); name another folder") from None
+        reason = getattr(error, "strerror", None) or "no home folder"
+        raise InputError(CACHE, cache, f"cannot be written ({reason}); use another folder") from None
     return folder
 
 
 @contextmanager
 def _launcher(folder: Path, private: Path, how: Launch) -> Any:
-    """The launcher, composed and set up by Hydra; ``private`` is for files of its own."""
+    """Yield the launcher that Hydra sets up; ``private`` is the folder of its own files."""
     from hydra import initialize_config_module
-    from hydra._internal.callbacks import Callbacks  # what Hydra's own multirun hands to its launchers
+    from hydra._internal.callbacks import Callbacks  # required by launchers; Hydra has no public equivalent
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.plugins import Plugins
     from hydra.core.singleton import Singleton
@@ -203,9 +205,9 @@ def _launcher(folder: Path, private: Path, how: Launch) -> Any:
     from hydra.types import HydraContext, RunMode
     from omegaconf.errors import OmegaConfBaseException
 
-    own = [f"sweep={_quoted(folder)}", f"hydra.sweep.dir={_quoted(private)}"]
-    if how.launcher == "ray":  # its default for a Ray of its own is refused by a cluster that it joins
-        own.append("++hydra.launcher.ray.init.object_store_memory=null")
+    fixed = [f"sweep={_quoted(folder)}", f"hydra.sweep.dir={_quoted(private)}"]
+    if how.launcher == "ray":  # an existing Ray cluster rejects the launcher's default
+        fixed.append("++hydra.launcher.ray.init.object_store_memory=null")
     state = Singleton.get_state()
     try:
         with initialize_config_module("conf", version_base="1.3", job_name="bench"):
@@ -214,7 +216,7 @@ def _launcher(folder: Path, private: Path, how: Launch) -> Any:
             try:
                 config = hydra.compose_config(
                     "launch",
-                    [*own, *how.overrides],
+                    [*fixed, *how.overrides],
                     run_mode=RunMode.MULTIRUN,
                     from_shell=False,
                     with_log_configuration=False,
@@ -241,25 +243,25 @@ def _quoted(path: Path) -> str:
 
 
 @contextmanager
-def _watched(job: LaunchJob, shown: bool) -> Iterator[None]:
-    """Show the progress of what is computed elsewhere, by what arrives in the store."""
+def _progress_of_store(job: LaunchJob, shown: bool) -> Iterator[None]:
+    """Show the progress of jobs elsewhere by the results that arrive in the store."""
     over = threading.Event()
-    with progress_bar(shown) as on_look:
+    with progress_bar(shown) as on_progress:
 
         def count() -> float:
             started = time.monotonic()
             left = len(job.left())
             done = len(job.tasks) - left
-            seconds_left = (started - begun) / done * left if done else math.nan
-            on_look(RunState(job.unit, done, len(job.tasks), "", seconds_left, False))
+            seconds_left = (started - beginning) / done * left if done else math.nan
+            on_progress(RunState(job.unit, done, len(job.tasks), "", seconds_left, False))
             return time.monotonic() - started
 
         def watch() -> None:
-            took = 0.0
-            while not over.wait(max(WATCH_S, 20.0 * took)):
-                took = count()
+            seconds = 0.0
+            while not over.wait(max(WATCH_S, 20.0 * seconds)):
+                seconds = count()
 
-        begun = time.monotonic()
+        beginning = time.monotonic()
         watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
         try:

@@ -1,7 +1,8 @@
-"""The process of a method: it gets problems and never a truth, and answers in plain numbers.
+"""The process of a method: it receives problems, never true values, and returns plain numbers.
 
-One process serves one cell, with one thread. Where a fit of several replicates goes wrong there is no answer, and each
-is to be tried alone. The process that asks takes the time of a fit by its own clocks, within which a report must lie.
+A process serves one cell, with one thread. If a fit of several replicates fails, they are repeated one by one. The
+parent process measures the time of a fit with its own clocks, and accepts a time reported by the child only within
+them.
 """
 
 from __future__ import annotations
@@ -34,31 +35,33 @@ from bench.scenario.truth import Truth
 
 CPU_MARGIN_S = 60.0
 LONGEST_ANSWER = 64 << 20
-"""Largest answer of one replicate, packed (bytes); of several together, that of their mean."""
+"""Largest mean size of a packed answer per replicate (bytes)."""
 LEAST_SHARE, SLACK_S = 0.9, 2e-3
-"""A fit may report this share of the time that the process that asks sees, less the slack (s): messages take 0.1 ms,
-on a busy machine some milliseconds."""
+"""The smallest time that a fit may report: this share of the time seen by the parent, less the slack (s). A message
+takes 0.1 ms, or some milliseconds on a busy machine."""
 REPORT_S = 1.0
-"""Shortest interval between reports of one replicate (s): a fit that is ended is scored by its last one."""
+"""Shortest interval between reports of one replicate (s); a fit that is stopped is scored by its last report."""
 REPORT, BEGIN, END, DONE, FAILED = b"r", b"b", b"e", b"d", b"f"
-"""First byte of a message: an answer so far, begin and end of a fit, all outcomes, none of replicates together."""
+"""First byte of a message: intermediate estimate, begin and end of the fit, outcomes, failure of several replicates."""
 
 Fit = Callable[[Sequence[Any], Sequence[np.random.Generator]], list[Estimate]]
-"""What a method's process runs, payloads and random streams to estimates: ``identify_many`` of a method."""
+"""The function that a method's process calls, such as ``identify_many``: payloads and random generators to
+estimates."""
 
 
 def reference_fit(
     name: str, pairs: Sequence[tuple[Problem, Truth]], rngs: Sequence[np.random.Generator]
 ) -> list[Estimate]:
-    """Return the estimates of a reference row, whose payloads are pairs of problem and truth."""
+    """Return the estimates of a reference, whose payloads are pairs of problem and truth."""
     return [REFERENCES[name](problem, truth) for problem, truth in pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """Replicates to be fitted together; ``times`` (s) are those at which their reconstructions are evaluated.
+    """Replicates to be fitted together.
 
-    ``fit`` is a pickled ``Fit``, which only the process that runs it rebuilds.
+    ``fit`` is a pickled :data:`Fit`, which only the method's process unpickles; ``times`` (s) are those at which the
+    reconstructions are evaluated.
     """
 
     fit: bytes
@@ -69,13 +72,13 @@ class FitTask:
     timeout_s: float
 
     def part(self, i: int) -> FitTask:
-        """Return the task of one of the replicates alone."""
+        """Return the task of a single replicate."""
         alone = {name: getattr(self, name)[i : i + 1] for name in ("replicates", "payloads", "rngs", "times")}
         return replace(self, **alone)
 
 
 def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float) -> Child:
-    """Return a process that has imported what its method needs, the spare one where there is one; raises Died."""
+    """Return a process that has imported the packages of its method; a spare process is used if given. Raises Died."""
     child = spare or children.start(serve)
     child.send(pickle.dumps((tuple(requires), memory_mb)))
     child.receive(READY_S)
@@ -85,38 +88,38 @@ def ready(children: Children, spare: Child | None, requires: Sequence[str], memo
 def answers(
     child: Child, task: bytes, n: int, timeout_s: float, memory_mb: float, on_report: Callable[[bytes], None]
 ) -> bytes | None:
-    """Have a task of ``n`` replicates fitted; :func:`outcomes` reads what is returned.
+    """Run a task in a method's process.
 
     Args:
-        child: A process that is :func:`ready`.
+        child: A process from :func:`ready`.
         task: A pickled :class:`FitTask`.
         n: Its number of replicates.
-        timeout_s: Limit of one replicate (s).
-        memory_mb: Limit of the process (MB).
-        on_report: Gets what the fit reports on its way, packed.
+        timeout_s: Time limit per replicate, s.
+        memory_mb: Memory limit of the process, MB.
+        on_report: Called with each packed intermediate estimate.
 
     Returns:
-        None where several replicates failed together.
+        The packed outcomes, for :func:`outcomes`; None if several replicates failed together.
 
     Raises:
-        Died: Where the process ended, or did not answer within the limits.
+        Died: The process ended, or exceeded a limit.
     """
 
     def now() -> tuple[float, float]:
         try:
             return perf_counter(), time.clock_gettime(~child.pid << 3 | 2)  # as clock_getcpuclockid of Linux
-        except OSError:  # another system: the processor time is what the process says
+        except OSError:  # not Linux: the processor time reported by the child is used
             return perf_counter(), 0.0
 
-    asked = began = ended = now()
+    sent = began = ended = now()
     child.send(task)
     try:
-        while (message := child.receive(max(0.0, asked[0] + timeout_s * n - perf_counter()), memory_mb))[:1] != DONE:
+        while (message := child.receive(max(0.0, sent[0] + timeout_s * n - perf_counter()), memory_mb))[:1] != DONE:
             if message[:1] == FAILED:
                 return None
             if message[:1] == REPORT:
                 on_report(message[1:])
-            elif message == BEGIN and began is asked:  # a method cannot begin again
+            elif message == BEGIN and began is sent:  # a method cannot restart the clock
                 began = ended = now()
             elif message == END:
                 ended = now()
@@ -124,26 +127,27 @@ def answers(
         if died.reason == "timeout":
             died.message = f"stopped after the limit of {timeout_s:g} s"
         raise
-    return pack((ended[0] - began[0], ended[1] - began[1], now()[0] - asked[0], message[1:]))
+    return pack((ended[0] - began[0], ended[1] - began[1], now()[0] - sent[0], message[1:]))
 
 
 def outcomes(content: bytes) -> list[dict[str, Any]]:
-    """Return the outcomes of :func:`answers` in plain numbers, with times that the process that asked has seen.
+    """Unpack the outcomes of :func:`answers`; times that contradict the parent's clocks are replaced.
 
-    Replicates that are fitted together share the time equally.
+    Replicates that were fitted together share the time equally.
     """
     wall_s, cpu_s, total_s, packed = unpack(content)
     answered: list[dict[str, Any]] = unpack(packed)
     n = len(answered)
     for outcome in answered:
-        for name, seen, longest in (("wall_s", wall_s, total_s), ("cpu_s", cpu_s, sys.float_info.max)):
-            if name in outcome and not max(LEAST_SHARE * seen - SLACK_S, 0.0) <= n * float(outcome[name]) <= longest:
-                outcome[name] = seen / n
+        for name, measured, longest in (("wall_s", wall_s, total_s), ("cpu_s", cpu_s, sys.float_info.max)):
+            least = max(LEAST_SHARE * measured - SLACK_S, 0.0)
+            if name in outcome and not least <= n * float(outcome[name]) <= longest:
+                outcome[name] = measured / n
     return answered
 
 
 def solve(child: Child, task: FitTask, memory_mb: float) -> list[dict[str, Any]]:
-    """Return the outcomes of a task, whose replicates are tried alone where they fail together; raises Died."""
+    """Return the outcomes of a task; replicates that fail together are repeated one by one. Raises Died."""
     n = len(task.replicates)
     packed = answers(child, pickle.dumps(task), n, task.timeout_s, memory_mb, lambda report: None)
     if packed is not None:
@@ -152,7 +156,7 @@ def solve(child: Child, task: FitTask, memory_mb: float) -> list[dict[str, Any]]
 
 
 def serve(connection: Connection) -> None:
-    """Import what the method needs, and fit one task after another until nobody asks any more."""
+    """Import the packages of the method, then fit tasks until the connection is closed."""
     requires, memory_mb = pickle.loads(connection.recv_bytes())
     for package in requires:  # imported before the clock runs
         with contextlib.suppress(ImportError):
@@ -169,19 +173,19 @@ def serve(connection: Connection) -> None:
 
 
 def perform(task: FitTask, send: Callable[[bytes], None] = lambda message: None) -> bytes | None:
-    """Return the packed outcome of each replicate; None where there are several, and one has made all fail."""
+    """Return the packed outcomes of a task; None if several replicates failed together."""
     n = len(task.replicates)
     try:
         packed = pack(_outcomes(task, send))
         if len(packed) > n * LONGEST_ANSWER:
-            raise Unscorable(f"{len(packed) // n >> 20} MB, of which at most {LONGEST_ANSWER >> 20} are taken")
+            raise Unscorable(f"its size of {len(packed) // n >> 20} MB exceeds the limit of {LONGEST_ANSWER >> 20} MB")
         return packed
     except Exception as error:
         return None if n > 1 else pack([{"replicate": task.replicates[0], **_failure(error)}])
 
 
 class Unscorable(Exception):
-    """An answer against the contract."""
+    """An estimate that violates the contract."""
 
 
 def _outcomes(task: FitTask, send: Callable[[bytes], None]) -> list[dict[str, Any]]:
@@ -193,20 +197,20 @@ def _outcomes(task: FitTask, send: Callable[[bytes], None]) -> list[dict[str, An
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         estimates = fit(task.payloads, task.rngs)
-    took = {"wall_s": (perf_counter() - wall) / n, "cpu_s": (process_time() - cpu) / n}
+    measured = {"wall_s": (perf_counter() - wall) / n, "cpu_s": (process_time() - cpu) / n}
     send(END)
-    took["peak_memory_mb"] = max(_peak_memory_mb() - before, 0.0)
+    measured["peak_memory_mb"] = max(_peak_memory_mb() - before, 0.0)
     if not isinstance(estimates, list | tuple) or len(estimates) != n:
         raise TypeError(f"a list of {n} Estimate objects was expected")
     for estimate in estimates:
         if not isinstance(estimate, Estimate):
             raise TypeError(f"an Estimate was expected, not {type(estimate).__name__}")
     answered = zip(task.replicates, evaluated_together(estimates, task.times), task.times, strict=True)
-    return [{"replicate": i, **_answer(estimate, times), **took} for i, estimate, times in answered]
+    return [{"replicate": i, **_answer(estimate, times), **measured} for i, estimate, times in answered]
 
 
 def _answer(estimate: Estimate, times: np.ndarray) -> dict[str, Any]:
-    """Return the plain answer, or ``invalid``: an estimate against the contract costs its own replicate only."""
+    """Return the estimate in plain numbers, or its failure: an invalid estimate affects its own replicate only."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -222,7 +226,7 @@ def _failure(error: Exception) -> dict[str, Any]:
     elif isinstance(error, MemoryError):
         status, message = Status.OOM, "out of memory"
     elif isinstance(error, OSError) and error.errno == errno.EFBIG:
-        message = f"it printed, or wrote to a file, more than {LONGEST_FILE >> 20} MB"
+        message = f"printed, or wrote to a file, more than {LONGEST_FILE >> 20} MB"
     return {"status": status.value, "message": message, "traceback": traceback_text()}
 
 
@@ -232,12 +236,12 @@ def _peak_memory_mb() -> float:
 
 
 def _report(task: FitTask, send: Callable[[bytes], None]) -> None:
-    """Have the best answer so far of each replicate sent, now and then."""
-    places = {id(payload): i for i, payload in enumerate(task.payloads) if isinstance(payload, Problem)}
-    last = dict.fromkeys(places.values(), time.monotonic())
+    """Register a listener that sends the intermediate estimate of each replicate at most once per :data:`REPORT_S`."""
+    indices = {id(payload): i for i, payload in enumerate(task.payloads) if isinstance(payload, Problem)}
+    last = dict.fromkeys(indices.values(), time.monotonic())
 
     def listener(problem: Problem, estimate: Callable[[], Estimate]) -> None:
-        i, now = places.get(id(problem)), time.monotonic()
+        i, now = indices.get(id(problem)), time.monotonic()
         if i is not None and now - last[i] >= REPORT_S:
             last[i] = now
             send(REPORT + pack({"replicate": task.replicates[i], **_answer(estimate(), task.times[i])}))

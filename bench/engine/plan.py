@@ -1,4 +1,4 @@
-"""The plan of a sweep: which cells are there already, which are to be computed, and why."""
+"""The plan of a sweep: the state of each cell in the store, and whether and why it is computed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from bench.entrants.registry import missing_package
 from bench.errors import InputError
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import CellHead
+from bench.store.stored_cell import CellHead
 from bench.store.version import Version
 
 FAILURES = frozenset(Status) - {Status.OK, Status.UNSUPPORTED, Status.MISSING_DEPENDENCY}
-"""What ``retry=failed`` tries again; a method that cannot take a problem will not be able to the next time either."""
+"""Statuses that ``retry=failed`` repeats; an unsupported problem remains unsupported."""
 
 
 class CellState(StrEnum):
@@ -31,10 +31,10 @@ class CellState(StrEnum):
 
 @dataclass(frozen=True)
 class Planned:
-    """A cell, where it stands and why; ``run`` says whether it is to be computed.
+    """A cell with its state in the store, the reason, and whether it is to be computed (``run``).
 
-    ``stamp``: when its file was written as it stood then (ns; 0 where there was none). A run that finds another has
-    nothing left to do: somebody else has stored the cell since.
+    ``stamp`` is the time at which its file was written (ns; 0 if there was none). A different stamp later shows that
+    another run has stored the cell since.
     """
 
     cell: Cell
@@ -45,48 +45,44 @@ class Planned:
 
     @property
     def key(self) -> str:
-        """Return the identity of the cell."""
+        """The identity of the cell."""
         return self.cell.identity
 
     def stored(self, folder: Path) -> bool:
-        """Return whether a store has another file of the cell than the plan has seen."""
+        """Return whether the cell has been stored since the plan was made."""
         return Store(folder).stamp(self.key) not in (0, self.stamp)
 
 
 def read_retry(text: str) -> frozenset[Status]:
-    """Return the statuses that a command line wants tried again: ``none``, ``failed`` for all, or some by name.
-
-    With all of them go the cells whose files are damaged.
-    """
+    """Parse the statuses to repeat: ``none``, ``failed`` for all, or some by name; raises InputError."""
     if text == "none":
         return frozenset()
     if text == "failed":
         return FAILURES
     names = [part.strip() for part in text.split(",")]
     if not set(names) <= FAILURES:
-        raise InputError("retry", text, f"none, failed, or of: {', '.join(sorted(FAILURES))}")
+        raise InputError("retry", text, f"use none, failed, or some of: {', '.join(sorted(FAILURES))}")
     return frozenset(Status(name) for name in names)
 
 
 def plan(cells: Sequence[Cell], store: Store, retry: Collection[Status] = ()) -> list[Planned]:
-    """Return every cell once, in order.
+    """Return the plan of the cells, each once, in order.
 
-    A cell whose file, or that of its arrays, is damaged or foreign is computed anew where all failures are tried again.
-    Else a damaged file of a cell raises InputError; arrays are not looked at, since only pictures need them.
+    If all failures are repeated, a cell whose file is damaged or invalid is computed again. Otherwise a damaged file
+    raises InputError; arrays are not checked then, since only figures use them.
     """
     unique = {cell.identity: cell for cell in cells}
     return [_planned(cell, store, retry) for cell in unique.values()]
 
 
 def _planned(cell: Cell, store: Store, retry: Collection[Status]) -> Planned:
-    anew = set(retry) >= FAILURES
-    damage = store.damage(cell.identity) if anew else ""
+    damage = store.damage(cell.identity) if set(retry) >= FAILURES else ""
     if damage:
         return Planned(cell, CellState.DAMAGED, damage, True, store.stamp(cell.identity))
     stored = store.head(cell.identity)
     if stored is None:
         return Planned(cell, CellState.MISSING, "not computed yet", True)
-    state, why = standing(stored, cell.method, cell.version)
+    state, why = cell_state(stored, cell.method, cell.version)
     if state is CellState.FAILED:
         counts = set(map(Status, stored.statuses))
         installable = Status.MISSING_DEPENDENCY in counts and missing_package(cell.method) is None
@@ -94,15 +90,15 @@ def _planned(cell: Cell, store: Store, retry: Collection[Status]) -> Planned:
     return Planned(cell, state, why, state is CellState.STALE, stored.stamp)
 
 
-def standing(stored: CellHead, method: str, today: Version) -> tuple[CellState, str]:
-    """Say whether a stored cell is current, and why not.
+def cell_state(stored: CellHead, method: str, today: Version) -> tuple[CellState, str]:
+    """Return the state of a stored cell and the reason.
 
     Args:
-        stored: The cell.
+        stored: The stored cell.
         method: Its method.
-        today: The version that would compute it today.
+        today: The version that would compute it now.
     """
-    if not today.is_that_of(stored.version):
+    if not today.matches(stored.version):
         return CellState.STALE, today.changed_since(stored.version)
     if Status.MISSING_DEPENDENCY in stored.statuses:
         return CellState.FAILED, missing_package(method) or "its package is installed now"

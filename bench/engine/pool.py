@@ -1,7 +1,7 @@
-"""The pool of processes: tasks are claimed, performed within limits of time and memory, and counted.
+"""The worker pool: tasks are claimed, executed within limits of time and memory, and counted.
 
-Each worker is a thread of the driver with processes of its own, which it ends when they hang, die or grow too large. A
-task whose result is stored is not performed again, and one that another driver has claimed is waited for.
+Each worker is a thread of the driver with its own child processes, which it ends when they exceed their limits. A task
+with a stored result is not repeated; a task claimed by another driver is waited for.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from bench.engine.progress import Kind, OnLook, Progress, firsts_first
+from bench.engine.progress import Kind, OnProgress, Progress, first_of_each_kind_first
 from bench.errors import InputError
 from bench.isolation.failure import one_line
 from bench.isolation.processes import READY_S, Child, Children, Died
 from bench.store.locks import Claims
 
 WAIT_S = 0.5
-"""Interval at which tasks are looked at that another driver has claimed (s)."""
+"""Interval of checks on tasks claimed by another driver (s)."""
 PATIENCE_S = 3.0
-"""Time that a driver waits for another before it prints a line (s)."""
+"""Waiting time for another driver after which a line is printed (s)."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a run: ``timeout_s`` and ``memory_mb`` of one fit; ``preload``: packages that are imported once."""
+    """Limits of a run: number of workers, time (s) and memory (MB) of one fit; ``preload``: packages imported once."""
 
     workers: int = 1
     timeout_s: float = 600.0
@@ -44,10 +44,10 @@ class Limits:
 
 
 class StoredTask(Protocol):
-    """A piece of work with a stored result, e.g. a block of the atlas. It is pickled into a process of the pool.
+    """A task with a stored result, such as a block of the atlas; it is pickled into a process of the pool.
 
-    ``key`` is a digest of all that the result depends on; tasks of one ``kind`` cost as much; ``size`` is the number of
-    fits; ``limit_s`` is the limit of time.
+    ``key`` is a digest of everything that the result depends on; tasks of one ``kind`` have similar cost; ``size`` is
+    the number of fits; ``limit_s`` is the time limit (s).
     """
 
     @property
@@ -60,18 +60,18 @@ class StoredTask(Protocol):
     def limit_s(self) -> float: ...
 
     def stored(self, folder: Path) -> bool:
-        """Return whether the result is stored whole."""
+        """Return whether a complete result is stored."""
 
     def compute(self, folder: Path) -> None:
-        """Compute and store the result; raises InputError where it cannot be stored."""
+        """Compute and store the result; raises InputError if it cannot be stored."""
 
 
 class Stopped(Exception):
-    """The run is over: a process that ended with it has not failed."""
+    """The run was stopped; processes that ended with it have not failed."""
 
 
 class Counted(NamedTuple):
-    """Parts that are done, how many of them failed, and why there is no result."""
+    """Number of finished parts, number of failed ones, and the reason if the task has no result."""
 
     n: int
     failed: int = 0
@@ -79,45 +79,45 @@ class Counted(NamedTuple):
 
 
 class DividedTask:
-    """A task as the driver sees it: it has parts, which workers take one after another; a :class:`StoredTask` has one.
+    """A task divided into parts, which workers take one after another.
 
-    A cell has a replicate in each part (:class:`bench.engine.cells.CellJob`).
+    The parts of a cell are its replicates (:class:`bench.engine.cells.CellJob`); a :class:`StoredTask` has one part.
     """
 
     def __init__(self, key: str, kind: Kind, name: str, size: int) -> None:
         self.key, self.kind, self.name, self.size = key, kind, name, size
         self.done = 0
-        """Fits that are done, of ``size``."""
+        """Number of finished fits, of ``size``."""
         self.pending: deque[Any] = deque()
         self.started = 0.0
-        """Time at which it was claimed (seconds since the epoch)."""
+        """Time of the claim (seconds since the epoch)."""
 
     def stored(self) -> bool:
-        """Return whether another driver has stored the result since the plan."""
+        """Return whether another driver has stored the result since the plan was made."""
         raise NotImplementedError
 
     def take(self) -> Any:
-        """Take the next of the pending parts."""
+        """Remove and return the next pending parts."""
         return self.pending.popleft()
 
     def put_back(self, parts: Any) -> None:
-        """Return parts that are to be tried again."""
+        """Return parts that are to be repeated."""
         self.pending.append(parts)
 
     def perform(self, parts: Any, worker: Worker) -> Any:
-        """Perform parts in the processes of a worker; None where they are to be tried again."""
+        """Execute parts in the processes of a worker; returns None if they are to be repeated."""
         raise NotImplementedError
 
     def add(self, outcome: Any) -> Counted:
-        """Keep the outcome of :meth:`perform`."""
+        """Add an outcome of :meth:`perform`."""
         raise NotImplementedError
 
     def finish(self, worker: Worker) -> None:
-        """Store the result, once all parts are done; raises InputError where that cannot be."""
+        """Store the result after the last part; raises InputError if it cannot be stored."""
 
 
 class TaskJob(DividedTask):
-    """A :class:`StoredTask`, which one call in one process performs and stores."""
+    """A :class:`StoredTask`, executed and stored by one call in a child process."""
 
     def __init__(self, task: StoredTask, folder: Path, memory_mb: float) -> None:
         super().__init__(task.key, task.kind, " ".join(task.kind), task.size)
@@ -135,8 +135,8 @@ class TaskJob(DividedTask):
         except Died as died:
             worker.lose(serve_tasks)
             return died.message
-        if "refused" in answer:
-            raise InputError(*map(str, answer["refused"]))
+        if "input_error" in answer:
+            raise InputError(*map(str, answer["input_error"]))
         return str(answer["error"])
 
     def add(self, outcome: str) -> Counted:
@@ -145,8 +145,8 @@ class TaskJob(DividedTask):
 
 
 def serve_tasks(connection: Connection) -> None:
-    """Perform tasks in a process of the pool, until the connection is closed."""
-    multiprocessing.current_process().daemon = False  # a measured fit starts processes of its own
+    """Execute tasks in a process of the pool until the connection is closed."""
+    multiprocessing.current_process().daemon = False  # the fit of a measured record starts child processes
     connection.send_bytes(b"ready")
     while True:
         answer: dict[str, Any] = {"error": ""}
@@ -154,19 +154,19 @@ def serve_tasks(connection: Connection) -> None:
         try:
             task.compute(folder)
         except InputError as error:
-            answer = {"refused": [error.field, str(error.value), error.remedy]}
+            answer = {"input_error": [error.field, str(error.value), error.remedy]}
         except Exception as error:
             answer = {"error": one_line(error)}
-        connection.send_bytes(json.dumps(answer).encode())  # a method has run here: its driver rebuilds no pickle of it
+        connection.send_bytes(json.dumps(answer).encode())  # never pickle: code of a method has run in this process
 
 
 class TaskQueue:
-    """The tasks of a run, shared by its threads: each call is one step under a lock."""
+    """The tasks of a run, shared by its threads; every method is atomic."""
 
     def __init__(self, jobs: Sequence[DividedTask], claims: Path) -> None:
         self.claims = Claims(claims)
         self.events: queue.Queue[Any] = queue.Queue()
-        """For the driver: what was done, lines to be printed, errors, and workers that have ended."""
+        """Events for the driver: finished parts, lines to print, errors, and workers that have ended."""
         self.stopped = threading.Event()
         self._waiting = deque(jobs)
         self._open: list[DividedTask] = []
@@ -175,14 +175,13 @@ class TaskQueue:
 
     @property
     def more(self) -> bool:
-        """Return whether there are tasks that no worker has begun."""
+        """True if there are tasks that no worker has begun."""
         return bool(self._waiting)
 
     def take(self, last: DividedTask | None) -> tuple[DividedTask, Any] | None:
-        """Return a task and the parts to be performed next, of the last task if it has any; None at the end.
+        """Return the next task and its parts (None if all are done); None at the end of the run.
 
-        There are no parts where all are done.
-        The parts of a task are shared among workers only when no task is left that no worker has begun.
+        A worker continues its last task. The parts of a task are shared among workers only when no other task is left.
         """
         with self._changed:
             while not self.stopped.is_set():
@@ -197,21 +196,21 @@ class TaskQueue:
                     return None
                 if not self._open:
                     self._report_waiting()
-                self._changed.wait(WAIT_S)  # for tasks that another driver has claimed
+                self._changed.wait(WAIT_S)  # another driver may release or store a task
         return None
 
     def _report_waiting(self) -> None:
-        """Print once, after a while, that all that is left is claimed by other drivers."""
+        """Print once, after a delay, that all remaining tasks are claimed by other drivers."""
         now = time.monotonic()
         if self._waited_since is None:
             self._waited_since = now
         elif now - self._waited_since > PATIENCE_S:
             self._waited_since = math.inf
             holder = self.claims.holder(self._waiting[0].key)
-            self.events.put(f"waiting for another run on this store (cells left: {len(self._waiting)}): {holder}")
+            self.events.put(f"waiting for another run on this store ({len(self._waiting)} cells left): {holder}")
 
     def _claimed(self) -> DividedTask | None:
-        """Claim the next task that no driver works on; one that another has stored meanwhile is done."""
+        """Claim the next free task; tasks that another driver has stored meanwhile are counted as done."""
         for _ in range(len(self._waiting)):
             job = self._waiting.popleft()
             if not self.claims.take(job.key):
@@ -226,36 +225,36 @@ class TaskQueue:
         return None
 
     def put_back(self, job: DividedTask, parts: Any) -> None:
-        """Return parts of a task that are to be tried again."""
+        """Return parts of a task that are to be repeated."""
         with self._changed:
             job.put_back(parts)
             self._changed.notify_all()
 
     def add(self, job: DividedTask, outcome: Any, seconds: float) -> bool:
-        """Keep an outcome, which took a worker ``seconds``; return whether the task is complete."""
+        """Add an outcome that took ``seconds``; returns whether the task is complete."""
         with self._changed:
             self.events.put((job, job.add(outcome), seconds))
             return job.done == job.size
 
     def close(self, job: DividedTask) -> None:
-        """Give up the claim of a task that is finished."""
+        """Release the claim of a finished task."""
         with self._changed:
             self._open.remove(job)
             self.claims.release(job.key)
 
 
 class Worker(threading.Thread):
-    """A thread of the driver that performs tasks in processes of its own; errors become events."""
+    """A thread of the driver that executes tasks in its own child processes; errors become events."""
 
     def __init__(self, tasks: TaskQueue, children: Children) -> None:
         super().__init__(daemon=True)
         self.tasks, self.children = tasks, children
         self.processes: dict[Hashable, Child] = {}
         self.serving: DividedTask | None = None
-        """The cell that the process of a method is for."""
+        """The cell for which the process of a method was started."""
 
     def run(self) -> None:
-        """Perform tasks until there are none, and report what is raised."""
+        """Execute tasks until none is left; an exception becomes an event."""
         job: DividedTask | None = None
         try:
             while (taken := self.tasks.take(job)) is not None:
@@ -284,20 +283,20 @@ class Worker(threading.Thread):
             self.tasks.close(job)
 
     def process(self, serve: Callable[[Connection], None]) -> Child:
-        """Return the process that serves a function; it is started where there is none. Raises Died."""
+        """Return the process that runs ``serve``, started if there is none; raises Died."""
         if serve not in self.processes:
             self.processes[serve] = self.children.start(serve)
             self.processes[serve].receive(READY_S)
         return self.processes[serve]
 
     def lose(self, role: Hashable) -> None:
-        """Forget a process that has died; raises Stopped where it ended with the run."""
+        """Remove a process that has died; raises Stopped if the run has been stopped."""
         self.processes.pop(role, None)
         if self.tasks.stopped.is_set():
             raise Stopped
 
     def retire(self, role: Hashable) -> None:
-        """Let a process end, if there is one."""
+        """End a process, if there is one, by closing its connection."""
         if child := self.processes.pop(role, None):
             child.retire()
 
@@ -308,35 +307,35 @@ def run_jobs(
     children: Children,
     workers: int,
     counted: tuple[str, str],
-    on_look: OnLook | None = None,
+    on_progress: OnProgress | None = None,
 ) -> dict[str, str]:
-    """Perform tasks.
+    """Execute tasks with a pool of workers.
 
     Args:
         jobs: The tasks.
         claims: Folder of the claims.
-        children: The processes of the run; they are ended where anything is raised.
-        workers: Number of workers, at most.
-        counted: What parts and tasks are called in the display; an empty name where tasks are not counted.
-        on_look: Called with the progress.
+        children: Child processes of the run; they are ended if an exception is raised.
+        workers: Largest number of workers.
+        counted: Names of a part and of a task in the progress display; an empty name means that tasks are not counted.
+        on_progress: Called with each new state.
 
     Returns:
-        Why a task has no result, by its key.
+        The reason, by the key of each task without a result.
 
     Raises:
-        InputError: where a result cannot be stored. What was stored stays.
+        InputError: A result cannot be stored; stored results are kept.
     """
     n_workers = min(workers, sum(max(1, len(job.pending)) for job in jobs))
-    jobs = firsts_first(jobs, lambda job: job.kind)
+    jobs = first_of_each_kind_first(jobs, lambda job: job.kind)
     tasks = TaskQueue(jobs, claims)
     tasks.claims.prepare()
     sizes, kinds = {job.key: job.size - job.done for job in jobs}, {job.key: job.kind for job in jobs}
     progress = Progress(counted[0], sizes, kinds, n_workers, counted[1])
-    show = on_look or (lambda look: None)
+    show = on_progress or (lambda look: None)
     running = {Worker(tasks, children) for _ in range(n_workers)}
     errors: dict[str, str] = {}
     try:
-        show(progress.look())
+        show(progress.state())
         for worker in tuple(running):
             worker.start()
         while running:
@@ -346,7 +345,7 @@ def run_jobs(
             if isinstance(event, Worker):
                 running.remove(event)
             elif isinstance(event, str):
-                say(event)
+                print_line(event)
             else:
                 job, done, seconds = event
                 if done.error:
@@ -362,20 +361,24 @@ def run_jobs(
     return errors
 
 
-def say(line: str) -> None:
+def print_line(line: str) -> None:
     """Log a warning, which the command line prints above a progress bar if there is one."""
     logging.getLogger("bench").warning(line)
 
 
 def run_tasks(
-    tasks: Sequence[StoredTask], folder: Path, limits: Limits, counted: tuple[str, str], on_look: OnLook | None = None
+    tasks: Sequence[StoredTask],
+    folder: Path,
+    limits: Limits,
+    counted: tuple[str, str],
+    on_progress: OnProgress | None = None,
 ) -> dict[str, str]:
-    """Compute and store the results of tasks that are not stored yet; see :func:`run_jobs`.
+    """Compute and store the tasks whose results are not in ``folder`` yet; see :func:`run_jobs`.
 
-    The results and the claims are in ``folder``; the limit of time is each task's own.
+    Each task has its own time limit.
     """
     jobs = [TaskJob(task, folder, limits.memory_mb) for task in tasks if not task.stored(folder)]
     if not jobs:
         return {}
     with Children(limits.preload) as children:
-        return run_jobs(jobs, folder / "claims", children, limits.workers, counted, on_look)
+        return run_jobs(jobs, folder / "claims", children, limits.workers, counted, on_progress)

@@ -66,7 +66,7 @@ class RunState:
         )
 
 
-OnLook = Callable[[RunState], None]
+OnProgress = Callable[[RunState], None]
 """A function that is called once before the work and after each part of it."""
 
 
@@ -104,9 +104,9 @@ class Progress:
                 self._first.setdefault(label, (seconds, n))
                 self._seconds[label] += seconds
                 self._pieces[label] += n
-        return self.look(what)
+        return self.state(what)
 
-    def look(self, what: str = "") -> RunState:
+    def state(self, what: str = "") -> RunState:
         """Return the state."""
         costs = {kind: self._cost(kind) for kind, n in self._left.items() if n}
         known = sum(self._left[kind] * cost for kind, cost in costs.items() if not math.isnan(cost))
@@ -133,7 +133,7 @@ class Progress:
         return (self._seconds[label] - seconds) / later if later else seconds / n
 
 
-def firsts_first(items: Sequence[T], kind: Callable[[T], Hashable]) -> list[T]:
+def first_of_each_kind_first(items: Sequence[T], kind: Callable[[T], Hashable]) -> list[T]:
     """Move the first item of every kind, which measures the cost of its kind, before all others."""
     first = {kind(item): i for i, item in reversed(list(enumerate(items)))}
     return [items[i] for i in sorted(range(len(items)), key=lambda i: (first[kind(items[i])] != i, i))]
@@ -150,27 +150,27 @@ def duration(seconds: float) -> str:
 class _Stage:
     """The last reported state of a unit, and when it and the first were reported."""
 
-    def __init__(self, look: RunState) -> None:
-        self.look = look
+    def __init__(self, state: RunState) -> None:
+        self.state = state
         self.started = self.reported = self.printed = time.monotonic()
         self.bar: Any = None
 
     def words(self) -> str:
         now = time.monotonic()
-        return self.look.words(now - self.reported, now - self.started)
+        return self.state.words(now - self.reported, now - self.started)
 
 
 @contextmanager
-def progress_bar(shown: bool = True) -> Iterator[OnLook]:
+def progress_bar(shown: bool = True) -> Iterator[OnProgress]:
     """Show the progress of a run on the error stream: one bar per unit in a terminal, else a line now and then.
 
     Nothing is shown where the level of the logger ``bench`` leaves warnings out (``-q``).
     """
     if not shown or not logging.getLogger("bench").isEnabledFor(logging.WARNING):
-        yield lambda look: None
+        yield lambda state: None
     elif sys.stderr.isatty():
-        with _bars() as on_look:
-            yield on_look
+        with _bars() as on_progress:
+            yield on_progress
     else:
         yield _lines()
 
@@ -179,35 +179,35 @@ def progress_bar(shown: bool = True) -> Iterator[OnLook]:
 def counter(unit: str, total: int) -> Iterator[Callable[..., None]]:
     """Show the progress of work of one kind; yields a function that counts ``n`` (default 1) finished units."""
     progress, started = Progress(unit, {"": total}, {"": ("", "")}), time.monotonic()
-    with progress_bar() as on_look:
+    with progress_bar() as on_progress:
 
         def advance(n: int = 1, what: str = "") -> None:
             nonlocal started
             now = time.monotonic()
-            on_look(progress.add("", n, now - started, what=what))
+            on_progress(progress.add("", n, now - started, what=what))
             started = now
 
-        on_look(progress.look())
+        on_progress(progress.state())
         yield advance
 
 
-def _lines() -> OnLook:
+def _lines() -> OnProgress:
     stages: dict[str, _Stage] = {}
 
-    def on_look(look: RunState) -> None:
-        if look.unit in stages and look.done == look.total == stages[look.unit].look.done:
+    def on_progress(state: RunState) -> None:
+        if state.unit in stages and state.done == state.total == stages[state.unit].state.done:
             return  # its last line has been printed
-        stage = stages.setdefault(look.unit, _Stage(look))
-        stage.look, stage.reported = look, time.monotonic()
-        if look.total and (look.done == look.total or stage.reported - stage.printed >= LINE_S):
+        stage = stages.setdefault(state.unit, _Stage(state))
+        stage.state, stage.reported = state, time.monotonic()
+        if state.total and (state.done == state.total or stage.reported - stage.printed >= LINE_S):
             stage.printed = stage.reported
-            print(f"bench: {look.unit}s {100 * look.done // look.total} %, {stage.words()}", file=sys.stderr)
+            print(f"bench: {state.unit}s {100 * state.done // state.total} %, {stage.words()}", file=sys.stderr)
 
-    return on_look
+    return on_progress
 
 
 @contextmanager
-def _bars() -> Iterator[OnLook]:
+def _bars() -> Iterator[OnProgress]:
     from rich.console import Console
     from rich.progress import BarColumn, ProgressColumn, TextColumn
     from rich.progress import Progress as Bars
@@ -224,11 +224,11 @@ def _bars() -> Iterator[OnLook]:
     stages: dict[str, _Stage] = {}
     with Bars(*columns, console=console, refresh_per_second=DRAWS_PER_S, redirect_stdout=False, expand=True) as bars:
 
-        def on_look(look: RunState) -> None:
-            stage = stages.setdefault(look.unit, _Stage(look))
+        def on_progress(state: RunState) -> None:
+            stage = stages.setdefault(state.unit, _Stage(state))
             if stage.bar is None:
-                stage.bar = bars.add_task(f"{look.unit}s", total=look.total, stage=stage)
-            stage.look, stage.reported = look, time.monotonic()
-            bars.update(stage.bar, completed=look.done, total=look.total, refresh=look.done == look.total)
+                stage.bar = bars.add_task(f"{state.unit}s", total=state.total, stage=stage)
+            stage.state, stage.reported = state, time.monotonic()
+            bars.update(stage.bar, completed=state.done, total=state.total, refresh=state.done == state.total)
 
-        yield on_look
+        yield on_progress

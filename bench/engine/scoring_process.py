@@ -1,7 +1,7 @@
-"""The process that knows the truth: makes the data of a cell, scores what a method answered, stores the cell.
+"""The scoring process: it simulates the data of a cell, scores the estimates of a method, and stores the cell.
 
-It never runs a line of a method, and a method's process never holds what this one does: between them go problems one
-way and plain numbers the other, as bytes that the run's own process passes on unread.
+It knows the true values and never runs code of a method. The method's process receives problems and returns plain
+numbers, as bytes that the driver passes on without unpickling them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bench.engine.method_process import FitTask, outcomes
 from bench.engine.wire import unpack
 from bench.entrants.reference import REFERENCES
 from bench.information.fisher import Bound
-from bench.isolation.failure import one_line, traceback_text, without_places
+from bench.isolation.failure import one_line, traceback_text, without_folders
 from bench.isolation.secrecy import close_memory
 from bench.scenario.scenario import METHOD
 from bench.scenario.truth import Truth
@@ -35,14 +35,14 @@ from bench.scoring.traces import trace_scores
 from bench.store.bounds import load_bounds
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 KEPT_DRAWS = 500
-"""How many draws of a distribution are kept, evenly thinned, for the replicate whose arrays are."""
+"""Largest number of posterior samples stored with a cell; more are thinned evenly."""
 NO_BOUND = Bound((), {}, {}, {}, math.inf, math.inf, ())
-"""Says nothing: of a cell whose bound cannot be computed."""
+"""Placeholder for a bound that cannot be computed."""
 KEPT = 0
-"""The replicate whose record, reconstruction and traces are kept for pictures."""
+"""The replicate whose record, reconstruction and traces are stored for figures."""
 
 
 Pair = tuple[Problem, Truth]
@@ -50,13 +50,13 @@ Pair = tuple[Problem, Truth]
 
 @dataclass
 class ScoredRows:
-    """Rows of a cell, and what belongs to them.
+    """Scored replicates of a cell.
 
     Attributes:
         rows: The replicates, by column.
-        tracebacks: Of failed replicates.
-        arrays: Those kept of one replicate.
-        facts: What tables say of the data that all replicates share.
+        tracebacks: Tracebacks by failed replicate.
+        arrays: Arrays of the replicate :data:`KEPT`.
+        facts: Noise of the data, see :func:`facts`.
     """
 
     rows: Rows = field(default_factory=lambda: Rows.from_rows(()))
@@ -74,7 +74,7 @@ class ScoredRows:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a fit gave no answer: its process died, hung or grew too large; ``best`` is its last report, packed."""
+    """A fit without an answer, since its process died or exceeded a limit; ``best`` is its last report, packed."""
 
     status: Status
     message: str
@@ -83,7 +83,7 @@ class Failure:
 
 
 def serve(connection: Connection) -> None:
-    """Do what the run asks, one request after another; the answers, or what went wrong, are pickled."""
+    """Call methods of a :class:`Scorer` on request, and send their results or exceptions, until disconnected."""
     close_memory()
     scorer = Scorer()
     connection.send_bytes(b"ready")
@@ -97,7 +97,7 @@ def serve(connection: Connection) -> None:
 
 
 class Scorer:
-    """Holds the replicates of one cell at a time."""
+    """Simulates and scores the replicates of one cell at a time."""
 
     def __init__(self) -> None:
         self.cell: Cell | None = None
@@ -113,7 +113,7 @@ class Scorer:
         return self.pairs[replicate]
 
     def open(self, cell: Cell, fit: bytes, replicates: Sequence[int], timeout_s: float) -> bytes:
-        """Return the task of some replicates, pickled, as a method's process takes it."""
+        """Return the pickled :class:`FitTask` of some replicates."""
         pairs = [self._pair(cell, i) for i in replicates]
         name = int.from_bytes(cell.method.encode(), "big") % 2**32
         task = FitTask(
@@ -127,11 +127,11 @@ class Scorer:
         return pickle.dumps(task)
 
     def score(self, cell: Cell, answers: bytes) -> ScoredRows:
-        """Return the rows of what a method's process answered."""
+        """Return the scored rows of the answers of a method's process."""
         return self._scored(cell, outcomes(answers))
 
     def fail(self, cell: Cell, replicate: int, failure: Failure, wall_s: float) -> ScoredRows:
-        """Return the row of a replicate without an answer; with a last report, the scores of that."""
+        """Return the row of a failed replicate, with the scores of its last report if there is one."""
         problem, truth = self._pair(cell, replicate)
         scores: Mapping[str, float] = {}
         if failure.best is not None:
@@ -140,13 +140,13 @@ class Scorer:
         return ScoredRows(Rows.from_rows([row]), {replicate: failure.log}, facts=facts(truth))
 
     def _scored(self, cell: Cell, answered: Sequence[Mapping[str, Any]]) -> ScoredRows:
-        """Return what became of replicates in their order; what cannot be scored together is scored one by one."""
+        """Score replicates together, or one by one if that raises an exception."""
         pairs = [self._pair(cell, outcome["replicate"]) for outcome in answered]
         estimates = [_estimate(outcome, problem) for outcome, (problem, _) in zip(answered, pairs, strict=True)]
         try:
             with np.errstate(all="ignore"):
                 estimates, columns = _judged(estimates, pairs)
-        except Exception as error:  # names or shapes that the contract does not allow
+        except Exception as error:  # names or shapes that violate the contract
             scored = ScoredRows()
             if len(answered) > 1:
                 for outcome in answered:
@@ -178,9 +178,9 @@ class Scorer:
         version: dict[str, Any],
         provenance: Mapping[str, Any],
     ) -> str:
-        """Summarise and store a cell; returns why it could not be written, or nothing.
+        """Summarise and store a cell; returns the reason if it cannot be written, otherwise an empty string.
 
-        One that is not ``bounded`` has no scores, and its data may be as impossible as its bound.
+        Without a bound (``bounded`` is False) there are no scores, and the data may be impossible to simulate.
         """
         rows, bound, known = scored.rows.sorted(), NO_BOUND, scored.facts
         if bounded:
@@ -191,7 +191,7 @@ class Scorer:
         scenario = {"snr_db": cell.scenario.snr_db, "initial_state": cell.scenario.initial_state}
         stored = StoredCell(
             identity=cell.identity,
-            cell={**cell.stated(), **scenario, **known},
+            cell={**cell.full_description(), **scenario, **known},
             rows=rows,
             summary=summarise(rows, bound),
             prior_share=bound.prior_share,
@@ -200,7 +200,7 @@ class Scorer:
             version=version,
             provenance={**provenance, "data": hashlib.sha256(" ".join(rows.plain("data")).encode()).hexdigest()[:16]},
             arrays=scored.arrays,
-            tracebacks=without_places("\n".join(f"replicate {i}\n{text}\n" for i, text in tracebacks)),
+            tracebacks=without_folders("\n".join(f"replicate {i}\n{text}\n" for i, text in tracebacks)),
         )
         try:
             store.save(stored)
@@ -210,7 +210,7 @@ class Scorer:
 
 
 def _estimate(outcome: Mapping[str, Any], problem: Problem) -> Estimate:
-    """Return the estimate of an outcome; where it has no answer, a failed one that says why."""
+    """Return the estimate of an outcome, or a failed estimate with the reason."""
     if "answer" in outcome:
         answer: Estimate = outcome["answer"]
         alternatives = tuple(replace(other, system=problem.system) for other in answer.alternatives)
@@ -219,9 +219,11 @@ def _estimate(outcome: Mapping[str, Any], problem: Problem) -> Estimate:
 
 
 def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> tuple[list[Estimate], dict[str, np.ndarray]]:
-    """Combine estimates with the prior and score them; raises whatever one of them makes a computation raise."""
+    """Combine estimates with the prior and score them; exceptions due to an invalid estimate are passed on."""
     problems, truths = [problem for problem, _ in pairs], [truth for _, truth in pairs]
-    unsure = [i for i, own in enumerate(estimates) if own.groups is not None and own.groups.covariance is None]
+    without_covariance = [
+        i for i, estimate in enumerate(estimates) if estimate.groups is not None and estimate.groups.covariance is None
+    ]
     combined = [
         combine_with_prior(estimate.checked(), problem.prior).checked()
         for estimate, problem in zip(estimates, problems, strict=True)
@@ -230,23 +232,23 @@ def _judged(estimates: Sequence[Estimate], pairs: Sequence[Pair]) -> tuple[list[
     columns |= score_columns([trace_scores(*judged) for judged in zip(combined, truths, strict=True)])
     good = [estimate.status is Status.OK for estimate in combined]
     columns["realised_snr_db"] = np.where(good, [truth.realised_snr_db for truth in truths], np.nan)
-    for name in filter(is_of_distribution, columns):
-        columns[name][unsure] = np.nan
+    for name in filter(scores_uncertainty, columns):  # the uncertainty of these estimates is that of the prior alone
+        columns[name][without_covariance] = np.nan
     return combined, columns
 
 
-def is_of_distribution(name: str) -> bool:
-    """Whether a score judges a stated uncertainty; a method that states none has it from the prior's step alone."""
+def scores_uncertainty(name: str) -> bool:
+    """Return whether a score rates the estimated uncertainty rather than the estimate itself."""
     return any(mark in name for mark in ("_coverage_", "_pit", "_interval_score_pct", "_crps_pct"))
 
 
 def facts(truth: Truth) -> dict[str, Any]:
-    """What tables say of the data: the noise of each channel, and the noise over the largest displacement."""
+    """Return the noise level of each channel, and the noise level over the largest displacement."""
     return {"sigma": list(truth.sigma), "sigma_over_peak": truth.sigma_over_peak}
 
 
 def data_digest(problem: Problem) -> str:
-    """Digest of all that a method is given but the system: samples, forces, start, prior."""
+    """Return a digest of the data given to a method: samples, forces, initial state, prior."""
     digest = hashlib.sha256()
     for record in problem.records:
         for channel in record.channels:
@@ -255,16 +257,16 @@ def data_digest(problem: Problem) -> str:
         for force in record.forces:
             digest.update(np.ascontiguousarray(force.times).tobytes())
             digest.update(np.ascontiguousarray(force.values).tobytes())
-        start = record.initial_state
-        if start is not None:
-            digest.update(np.concatenate([start.displacement, start.velocity]).tobytes())
+        initial_state = record.initial_state
+        if initial_state is not None:
+            digest.update(np.concatenate([initial_state.displacement, initial_state.velocity]).tobytes())
     if problem.prior is not None:
         digest.update(repr([sorted(problem.prior.nominal.items()), sorted(problem.prior.log_sd.items())]).encode())
     return digest.hexdigest()[:12]
 
 
 def kept_arrays(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, np.ndarray]:
-    """Record, truth, reconstruction, band, distribution and traces of one replicate, for pictures."""
+    """Return the record, truth, reconstruction, band, distribution and traces of one replicate, for figures."""
     record = problem.records[0]
     arrays = {
         "sample_times": np.concatenate([c.times for c in record.channels]),

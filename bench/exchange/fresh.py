@@ -31,7 +31,7 @@ from bench.rounds.problem_file import problem_files, short_name
 from bench.rounds.secret import SEED_BYTES, SecretStream
 from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 VARIED = 0.25
 """Each parameter of a varied scenario is off by a factor of up to exp(0.25): as difficult, and another truth."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bench.errors import InputError
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.systems import make_system
 
 

@@ -20,7 +20,7 @@ from bench.information.fisher import Bound
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 LEAST_ROWS = 5
 OF_MACHINE = (Status.TIMEOUT, Status.KILLED, Status.OOM)
@@ -49,7 +49,7 @@ def understood(stored: StoredCell, manifest: Mapping[str, Any], path: Path) -> C
     if manifest.get("class", here) != here:
         named = manifest["class"]
         raise refused(f"was computed by {named}, and {cell.method} is {here} here; install what computed it")
-    if not cell.version.is_that_of(stored.version):
+    if not cell.version.matches(stored.version):
         changes = cell.version.changed_since(stored.version)
         raise refused(f"has {changes}; install the method and the benchmark that computed it")
     if [row.replicate for row in stored.rows] != list(range(cell.replicates)):
@@ -137,7 +137,7 @@ def add_cells(cells: Iterable[StoredCell], into: Store) -> str:
     added = replaced = kept = 0
     try:
         for stored in cells:
-            before = into.load(stored.identity) if into.own(stored.identity) else None
+            before = into.load(stored.identity) if into.in_folder(stored.identity) else None
             if before is not None and _rank(before) >= _rank(stored):
                 kept += 1
                 continue
@@ -162,7 +162,7 @@ def add_store(source: Path, into: Store) -> str:
 def _rank(stored: StoredCell) -> tuple[bool, bool, int]:
     """Rate an answer: whether it is one's own, whether it is of the present code, and its successful fits."""
     try:
-        current = stored_as_cell(stored).version.is_that_of(stored.version)
+        current = stored_as_cell(stored).version.matches(stored.version)
     except InputError:  # its method is not installed, or its configuration means something else now
         current = False
     return not stored.submitted, current, stored.n_ok

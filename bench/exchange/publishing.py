@@ -23,7 +23,7 @@ from bench.store.cell import stored_as_cell
 from bench.store.publication import write_archive
 from bench.store.seal import Unsealed, unsealed_text
 from bench.store.store import BOUND_FORMAT, Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 OTHER = "other"
 
@@ -62,7 +62,7 @@ def superseded(stored: StoredCell, own: Described, both: Store) -> bool:
     except InputError:
         return False  # its configuration means something else now: nothing that an experiment asks
     identity = own.questions.get(cell.question, stored.identity)
-    return identity != stored.identity and both.holds(identity)
+    return identity != stored.identity and identity in both
 
 
 def write_published(store: Store, archive: Archive, own: Described) -> list[Path]:

@@ -15,15 +15,15 @@ from bench.engine.runner import run_replicates
 from bench.scoring.row import Rows
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 
 def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, Rows]:
     """Compute some replicates of each cell; returns their rows in order, by the cell's identity."""
-    with tempfile.TemporaryDirectory() as folder, progress_bar() as on_look:
+    with tempfile.TemporaryDirectory() as folder, progress_bar() as on_progress:
         store = Store(Path(folder))
         planned = [(Planned(cell, CellState.MISSING, "", True), replicates) for cell, replicates in chosen]
-        return run_replicates(planned, store, limits, on_look)
+        return run_replicates(planned, store, limits, on_progress)
 
 
 def widest_limits(cells: Sequence[StoredCell], workers: int) -> Limits:

@@ -17,7 +17,7 @@ from typing import Any
 from bench.errors import LONGEST_VALUE, InputError
 from bench.files import write_whole
 from bench.store.cell_file import cell_file, cell_from_file
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 FORMAT = 2
 ENDING = ".submission"

@@ -20,7 +20,7 @@ from bench.errors import InputError
 from bench.isolation.machine import usable_cores
 from bench.store.cell import Cell
 from bench.store.store import Store, open_store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -240,7 +240,7 @@ def compute(
     retry = read_retry(config.retry)
     store = open_store(config.store, config.archive)
     store.prepare()
-    if how.local and not all(store.holds(cell.identity) for cell in cells):
+    if how.local and not all(cell.identity in store for cell in cells):
         warm_up({cell.method for cell in cells})
     limits = Limits(config.workers or usable_cores(), config.timeout_s, config.memory_mb)
     planned = plan(cells, store, retry)

@@ -1,1 +1,1 @@
-"""Child processes: started without the program of their parent, watched, limited, and ended."""
+"""Child processes with limits of time and memory, isolated from the program that starts them."""

@@ -1,7 +1,7 @@
-"""All that a process has started, and its end, also where a descendant has left its group, session or parent.
+"""Termination of all descendants of a process, including those that have left its process group or session.
 
-A process group alone is no bound: a daemon leaves it. So every child, and the server that starts it, adopts what its
-descendants leave behind (PR_SET_CHILD_SUBREAPER of Linux; elsewhere a daemon is not found).
+A daemon leaves its process group. Therefore every child, and the server that starts the children, adopts orphaned
+descendants (``PR_SET_CHILD_SUBREAPER`` of Linux). On other systems daemons are not found.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ PR_SET_CHILD_SUBREAPER = 36
 
 
 def adopt() -> None:
-    """Have orphans among the descendants of this process become its children, instead of those of the first process."""
+    """Make orphaned descendants of this process its children, instead of those of the init process."""
     if PRCTL is not None:
         PRCTL(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def children_of(pid: int) -> list[int]:
-    """Return the processes that a process has started or adopted, and that have not been waited for."""
+    """Return the children of a process, adopted ones and zombies included."""
     children = []
     try:
         for task in os.listdir(f"/proc/{pid}/task"):
             with open(f"/proc/{pid}/task/{task}/children", "rb") as file:
                 children += [int(number) for number in file.read().split()]
-    except OSError:  # the kernel keeps no such lists, or the process has ended
+    except OSError:  # the kernel has no such lists, or the process has ended
         with contextlib.suppress(psutil.Error):
             return [child.pid for child in psutil.Process(pid).children()]
     return children
 
 
 def descendants_of(pid: int) -> list[int]:
-    """Return all that a process has started, however deep, the nearest first."""
+    """Return all descendants of a process, the nearest first."""
     descendants = children_of(pid)
-    for child in descendants:  # which grows meanwhile
+    for child in descendants:  # the list grows during the iteration
         descendants += children_of(child)
     return descendants
 
 
 def end_descendants(pid: int) -> None:
-    """Kill all that a process has started, but not itself."""
-    for _ in range(3):  # one may fork while it is looked for
+    """Kill all descendants of a process, but not the process itself."""
+    for _ in range(3):  # a descendant may fork during the search
         descendants = descendants_of(pid)
         for descendant in descendants:
             kill(descendant)
@@ -56,14 +56,14 @@ def end_descendants(pid: int) -> None:
 
 
 def end_own_descendants() -> None:
-    """Kill all that this process has started; where that is nothing, the system says so at once."""
-    with contextlib.suppress(ChildProcessError):
+    """Kill all descendants of this process."""
+    with contextlib.suppress(ChildProcessError):  # raised at once if there are no children
         os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
         end_descendants(os.getpid())
 
 
 def end_orphans(server: int, known: Collection[int]) -> None:
-    """Kill what ended children have left to their server: it is no child that is known, nor of the server's group."""
+    """Kill orphans that the server has adopted: children that are neither known nor in the server's process group."""
     for pid in children_of(server):
         with contextlib.suppress(OSError):
             if pid not in known and os.getpgid(pid) != os.getpgid(server):
@@ -72,6 +72,6 @@ def end_orphans(server: int, known: Collection[int]) -> None:
 
 
 def kill(pid: int) -> None:
-    """Kill a process, if it is there."""
+    """Kill a process, if it exists."""
     with contextlib.suppress(OSError):
         os.kill(pid, signal.SIGKILL)

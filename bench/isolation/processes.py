@@ -1,8 +1,8 @@
-"""Child processes that may die, hang or grow: started from a server that has the heavy imports, ended by a kill.
+"""Child processes with limits, forked from a server that has imported the large packages.
 
-Every child is the head of a process group of its own, writes whatever it prints to a file, and ends with the process
-that started it, even when that one is killed. What it started ends with it. A thread watches the children: it ends
-those beyond their limits, even in the middle of a message, and continues those that another child has stopped.
+Every child leads its own process group, prints to a log file, and ends together with its descendants when the process
+that started it ends, even if that one is killed. A thread watches the children: it ends those that exceed their limits,
+even in the middle of a message, and continues those that another child has stopped.
 """
 
 from __future__ import annotations
@@ -32,26 +32,27 @@ from bench.isolation.secrecy import without_main
 
 NEEDED = (
     "bench.engine.runner",
-    "scipy.integrate",  # makes the truth of a nonlinear system
-    "scipy.interpolate",  # which most methods use: each of their processes would import it anew
+    "scipy.integrate",  # simulates nonlinear systems
+    "scipy.interpolate",  # used by most methods
 )
-"""Modules that children import from their server."""
+"""Modules that the server imports, so that its children need not."""
 LONGEST_TMPDIR = 75
-"""Letters of the folder of temporary files: a socket's path is at most 107 on Linux, and Python puts 32 behind it."""
+"""Longest path of the folder for temporary files: Linux limits the path of a socket to 107 bytes, and Python appends
+32."""
 LOG_TAIL = 8000
-"""Kept end of what a child printed (bytes)."""
+"""Length of the end of a child's output that is kept (bytes)."""
 LONGEST_MESSAGE = 512 << 20
-"""A message that is longer is not read (bytes): the run's own memory is at stake."""
+"""Longest message that is read (bytes), to protect the memory of the driver."""
 READY_S = 300.0
-"""Limit of the start of a child (s)."""
+"""Time limit for the start of a child (s)."""
 STARTS, PAUSE_S = 6, 0.2
-"""Attempts of a start, and the pause between (s): a server that is killed takes a moment to be gone."""
+"""Number of attempts to start a child, and the pause between them (s), in which a killed server ends."""
 WATCH_S = 0.2
-"""Interval at which children are watched (s)."""
+"""Interval between checks of the children (s)."""
 
 
 class Died(Exception):
-    """A child ended, hung or grew too large; ``reason`` is ``killed``, ``crashed``, ``timeout`` or ``oom``."""
+    """A child ended or exceeded a limit; ``reason`` is ``killed``, ``crashed``, ``timeout`` or ``oom``."""
 
     def __init__(self, reason: str, message: str, log: str) -> None:
         super().__init__(message)
@@ -59,9 +60,9 @@ class Died(Exception):
 
 
 def start_server(preload: Sequence[str] = ()) -> None:
-    """Start the server that all children are started from; it imports while its starter goes on.
+    """Start the server from which all children are forked; it imports its packages in the background.
 
-    One that runs without some of the packages is started again, unless it has children.
+    A running server that lacks some of the packages is restarted, unless it has children.
     """
     _context(preload)
     with without_main():
@@ -70,26 +71,24 @@ def start_server(preload: Sequence[str] = ()) -> None:
 
 def _context(preload: Sequence[str]) -> Any:
     if len(os.fsencode(folder := tempfile.gettempdir())) > LONGEST_TMPDIR:
-        raise InputError(
-            "TMPDIR", folder, f"a path of at most {LONGEST_TMPDIR} letters, which leaves room for a socket's"
-        )
+        raise InputError("TMPDIR", folder, f"use a path of at most {LONGEST_TMPDIR} bytes, the limit for sockets in it")
     single_threaded()
     raise_file_limit()
     context = multiprocessing.get_context("forkserver")
-    server, lacking = _server(), set(preload) - Children.preloaded
-    if server is not None and lacking and not Children.known:
+    server, missing = _server(), set(preload) - Children.preloaded
+    if server is not None and missing and not Children.known:
         os.kill(server, signal.SIGKILL)
-        os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)  # multiprocessing finds it ended, and starts another
-    if server is None or lacking:
+        os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)  # multiprocessing notices the end and starts another
+    if server is None or missing:
         Children.preloaded = frozenset(preload)
-        context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.frozen"])
+        context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.server_setup"])
     return context
 
 
 def _server() -> int | None:
-    """Return the process that children are started from; its number may be another's once it has ended."""
+    """Return the process ID of the server; None if it is not running."""
     pid = getattr(forkserver._forkserver, "_forkserver_pid", None)  # there is no public name
-    with contextlib.suppress(psutil.Error):
+    with contextlib.suppress(psutil.Error):  # the parent is checked, since the number may have been reused
         return pid if pid is not None and psutil.Process(pid).ppid() == os.getpid() else None
     return None
 
@@ -101,15 +100,15 @@ def _signal(pid: int | None, number: signal.Signals) -> None:
 
 
 class Children:
-    """Starts children; one a run, since it owns the folder of their logs, and their lifeline.
+    """The child processes of a run, with the folder of their logs and the pipe whose closing ends them.
 
-    The server is shared by all that this process has, and so is the list of its children.
+    The server and the list of its children are shared by all instances in this process.
     """
 
     starting = threading.Lock()
-    """Held while a child is started, an exit status is read, or a child that is not known is looked for."""
+    """Lock for the start of a child, the reading of an exit status, and the search for unknown children."""
     known: ClassVar[set[int]] = set()
-    """The children of the server that this process has started and not ended."""
+    """Process IDs of the running children of the server."""
     preloaded: ClassVar[frozenset[str]] = frozenset()
     """The packages that the server imports."""
 
@@ -130,8 +129,8 @@ class Children:
         self.close()
 
     def start(self, serve: Callable[..., None], *arguments: Any) -> Child:
-        """Start a child that runs ``serve(connection, *arguments)``; raises InputError where none can be started."""
-        lacking: Exception | None = None
+        """Start a child that runs ``serve(connection, *arguments)``; raises InputError if that is impossible."""
+        reason: Exception | None = None
         for attempt in range(STARTS):
             self._closed.wait(PAUSE_S * min(attempt, 1))
             with self.starting:
@@ -140,27 +139,27 @@ class Children:
                 try:
                     with without_main():
                         child = Child(self, serve, arguments)
-                except (OSError, EOFError) as error:  # the server is gone, or there is no descriptor left
-                    lacking = error
+                except (OSError, EOFError) as error:  # the server has ended, or no file descriptor is left
+                    reason = error
                     continue
                 self.known.add(child.pid)
             with self._lock:
                 self._all.add(child)
-            if self._closed.is_set():  # meanwhile: whoever closes may not have seen it
+            if self._closed.is_set():  # close() may have missed this child
                 child.kill()
             return child
-        why = getattr(lacking, "strerror", None) or type(lacking).__name__
-        raise InputError("workers", len(self._all), f"no further process can be started ({why}); ask for fewer")
+        why = getattr(reason, "strerror", None) or type(reason).__name__
+        raise InputError("workers", len(self._all), f"no further process can be started ({why}); use fewer workers")
 
     def forget(self, child: Child) -> None:
-        """Note that a child ends, or has ended."""
+        """Remove a child that has ended or is about to end."""
         with self._lock:
             self._all.discard(child)
         self.known.discard(child.pid)
 
     def end_orphans(self) -> None:
-        """End what children have left to the server."""
-        _signal(_server(), signal.SIGCONT)  # else a start that is under way is never over
+        """End the orphans that the server has adopted."""
+        _signal(_server(), signal.SIGCONT)  # a stopped server would block a start that holds the lock
         with self.starting:
             if server := _server():
                 end_orphans(server, self.known)
@@ -168,7 +167,7 @@ class Children:
     def close(self) -> None:
         """End every child."""
         self._closed.set()
-        _signal(_server(), signal.SIGCONT)  # else nobody says that a child has ended
+        _signal(_server(), signal.SIGCONT)  # a stopped server does not report the end of its children
         for child in self._now():
             child.kill()
         self.end_orphans()
@@ -188,38 +187,38 @@ class Children:
 
 
 class Child:
-    """One child process and the connection to it. Messages are bytes; see :func:`serve_child` for the other side."""
+    """A child process and the connection to it; messages are bytes. The child runs :func:`serve_child`."""
 
     def __init__(self, children: Children, serve: Callable[..., None], arguments: Sequence[Any]) -> None:
         self._children = children
         self.log_path = Path(children.folder.name) / f"{next(children.numbers)}.log"
-        self.connection, theirs = children.context.Pipe()
-        life = (serve, theirs, children.lifeline, str(self.log_path), tuple(arguments))
+        self.connection, child_end = children.context.Pipe()
+        child_arguments = (serve, child_end, children.lifeline, str(self.log_path), tuple(arguments))
         try:
-            self.process = children.context.Process(target=serve_child, args=life, daemon=True)
+            self.process = children.context.Process(target=serve_child, args=child_arguments, daemon=True)
             self.process.start()
         except BaseException:
             self.connection.close()
             raise
         finally:
-            theirs.close()
+            child_end.close()
         self.pid: int = self.process.pid
         self._watched: list[Any] = [self.connection, self.process.sentinel]
         self._lock = threading.Lock()
         self._limits: tuple[float, float, float | None] | None = None
-        """While an answer is awaited: the deadline, the limit of time (s) and that of memory (MB)."""
+        """While a message is awaited: deadline, time limit (s) and memory limit (MB)."""
         self._verdict: tuple[str, str] | None = None
-        """Reason and message, once the child is ended for a limit."""
+        """Reason and message of its end, once a limit is exceeded."""
 
     def send(self, message: bytes) -> None:
-        """Send, and forget what was printed so far; a child that has died is seen at the next :meth:`receive`."""
+        """Send a message and clear the log; if the child has died, the next :meth:`receive` raises Died."""
         with contextlib.suppress(OSError):
             os.truncate(self.log_path, 0)
         with contextlib.suppress(OSError):
             self.connection.send_bytes(message)
 
     def receive(self, limit_s: float, memory_mb: float | None = None) -> bytes:
-        """Return the next message; raises Died, with the child ended, where none comes within the limits."""
+        """Return the next message; if none arrives within the limits, end the child and raise Died."""
         deadline = time.monotonic() + limit_s
         with self._lock:
             self._limits = (deadline, limit_s, memory_mb)
@@ -228,7 +227,7 @@ class Child:
         except OSError:
             message = None
             if self.connection.closed and self._verdict is None:
-                self._verdict = "crashed", f"its answer is longer than {LONGEST_MESSAGE >> 20} MB"
+                self._verdict = "crashed", f"the answer is longer than {LONGEST_MESSAGE >> 20} MB"
         with self._lock:
             self._limits = None
             if message is not None and time.monotonic() > deadline:
@@ -245,12 +244,12 @@ class Child:
                     return self.connection.recv_bytes(LONGEST_MESSAGE)  # type: ignore[no-any-return]
             except EOFError:
                 return None
-            if not self._alive():  # what it left behind keeps the connection open
+            if not self._alive():  # a descendant keeps the connection open
                 return None
-            self._watched = [self.connection]  # the server has ended, not the child
+            self._watched = [self.connection]  # the sentinel reports the end of the server, not of the child
 
     def watch(self) -> None:
-        """Continue the child where another has stopped it, and end it where it is beyond a limit."""
+        """Continue the child if another has stopped it, and end it if it exceeds a limit."""
         _signal(self.pid, signal.SIGCONT)
         with self._lock:
             if self._limits is None or self._verdict:
@@ -263,12 +262,12 @@ class Child:
             else:
                 return
         if self._verdict[0] == "timeout":
-            _signal(self.pid, signal.SIGUSR1)  # its stack, for the log
+            _signal(self.pid, signal.SIGUSR1)  # the child writes its stack to the log
             time.sleep(0.1)
         self._end_all()
 
     def resident_mb(self) -> float:
-        """Return the resident memory of the child and of all that it started."""
+        """Return the resident memory of the child and its descendants (MB)."""
         total = 0.0
         for pid in (self.pid, *descendants_of(self.pid)):
             with contextlib.suppress(psutil.Error):
@@ -282,15 +281,15 @@ class Child:
 
     def _died(self) -> Died:
         if self._verdict is None:
-            with self._children.starting:  # a start reads the exit status of every child, and it can be read once
+            with self._children.starting:  # a start also reads exit statuses, each of which can be read only once
                 self.process.join(5)
             code = self.process.exitcode
             if code is None or code >= 0:
-                self._verdict = "crashed", f"its process exited with status {code}"
+                self._verdict = "crashed", f"the process exited with status {code}"
             elif -code == signal.SIGXCPU:
-                self._verdict = "timeout", "stopped after the limit of processor time"
+                self._verdict = "timeout", "stopped at the limit of processor time"
             else:
-                self._verdict = "killed", f"its process was ended by {signal.Signals(-code).name}"
+                self._verdict = "killed", f"the process was ended by {signal.Signals(-code).name}"
         self.kill()
         log = ""
         with contextlib.suppress(OSError), self.log_path.open("rb") as file:
@@ -300,13 +299,13 @@ class Child:
         return Died(*self._verdict, log)
 
     def retire(self) -> None:
-        """Let it end by itself: it sees that nobody waits for it any more."""
+        """Close the connection, after which the child ends by itself."""
         self._hang_up()
         self.log_path.unlink(missing_ok=True)
         self._children.forget(self)
 
     def kill(self) -> None:
-        """End it and all that it started, at once."""
+        """End the child and its descendants immediately."""
         self._end_all()
         self.process.join(10)
         self._hang_up()
@@ -314,13 +313,13 @@ class Child:
         self._children.end_orphans()
 
     def _end_all(self) -> None:
-        end_descendants(self.pid)  # while it lives they are its own
+        end_descendants(self.pid)  # first, since descendants are found only while the child lives
         with contextlib.suppress(OSError):
             os.killpg(self.pid, signal.SIGKILL)
         self.process.kill()
 
     def _hang_up(self) -> None:
-        """Close the connection, once, whoever wants to: by then its number may be another file's."""
+        """Close the connection under the lock, since its descriptor could be reused between two calls."""
         with self._lock, contextlib.suppress(OSError):
             self.connection.close()
 

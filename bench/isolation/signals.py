@@ -1,6 +1,6 @@
-"""Signals of a command: Ctrl-C, SIGTERM and SIGHUP end it in one line, and what it has begun is cleared away.
+"""Signals of a command: Ctrl-C, SIGTERM and SIGHUP end it after cleaning up, with a message of one line.
 
-Importing this module has Ctrl-C end the process in one line while the modules of a command are imported.
+After the import of this module, Ctrl-C during the import of the other modules also ends the process in one line.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 PROGRAMS = ("-m", "vibration-bench")
-"""What Python says that it runs while it imports the package of a command."""
+"""Values of ``sys.argv[0]`` while the package of a command is imported."""
 
 
 class Ended(BaseException):
-    """The process was asked to end by a signal; ``status`` is the exit status that a shell expects of it."""
+    """The process was asked to end by a signal; ``status`` is the conventional exit status."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -27,15 +27,15 @@ class Ended(BaseException):
 
 
 @contextlib.contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """Raise Ended in the main thread at the first SIGTERM or SIGHUP; later ones do not interrupt the clearing away.
+def raise_on_signals() -> Iterator[None]:
+    """Raise Ended in the main thread at the first SIGTERM or SIGHUP; later signals do not interrupt the cleaning up.
 
-    A signal that is ignored, as under ``nohup``, or handled by another, stays so.
+    Signals that are ignored, as under ``nohup``, or have another handler, are left unchanged.
     """
 
     def end(number: int, frame: Any) -> None:
-        for taken in handled:
-            signal.signal(taken, signal.SIG_IGN)
+        for other in handled:
+            signal.signal(other, signal.SIG_IGN)
         raise Ended(number)
 
     in_main = threading.current_thread() is threading.main_thread()
@@ -50,8 +50,8 @@ def ended_by_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def interrupts_again() -> None:
-    """Have Ctrl-C raise KeyboardInterrupt again, once the command takes care of it."""
+def restore_interrupts() -> None:
+    """Make Ctrl-C raise KeyboardInterrupt again, once the command handles it."""
     if signal.getsignal(signal.SIGINT) is _end_quietly:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

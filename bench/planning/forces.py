@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.planning.forced import FORCED_QUANTITIES, ForcedTest, derivatives, forced_errors, free_motions
+from bench.planning.forced_test import FORCED_QUANTITIES, ForcedTest, derivatives, forced_errors, free_motions
 from bench.planning.multisine import best_powers, wanted_columns
 from bench.planning.search import Likely
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.errors import InputError
 from bench.planning.free_decay import QUANTITIES, Oscillator
-from bench.planning.longer import Taken, start_of
+from bench.planning.extension import Taken, start_of
 from bench.records.finding import Finding
 from bench.records.identification import identify
 from bench.records.intervals import HALF

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.contract.method import Identifier
 from bench.contract.problem import Channel, Force, Problem, Record
-from bench.planning.forced import ForcedTest, displacement
+from bench.planning.forced_test import ForcedTest, displacement
 from bench.planning.free_decay import QUANTITIES, Decay, Oscillator, motion
 from bench.planning.search import WITHIN, Likely
 from bench.systems import make_system

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
-from bench.engine.progress import OnLook, RunState
+from bench.engine.progress import OnProgress, RunState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
@@ -68,7 +68,7 @@ def certify(
     request: Request,
     measured: Measured,
     replicas: int,
-    on_look: OnLook = lambda look: None,
+    on_progress: OnProgress = lambda look: None,
     say: Say = lambda sentence: None,
 ) -> Certificate:
     """Gather the certificate of records; raises InputError.
@@ -77,22 +77,22 @@ def certify(
         request: Its first method is the primary one.
         measured: The records.
         replicas: Number of simulated replicas; 0 for none.
-        on_look: Gets the progress.
+        on_progress: Gets the progress.
         say: Gets a sentence before work whose length the user chose.
     """
     missing: dict[str, str] = {}
     with Workers() as workers:
-        on_look(RunState("step", 0, len(request.jobs) + 1, "model classes"))
+        on_progress(RunState("step", 0, len(request.jobs) + 1, "model classes"))
         comparison = _comparison(measured, workers, missing)
         auto = request.system == AUTO
         measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
-        answer, findings = _answers(request, measured, workers, on_look)
+        answer, findings = _answers(request, measured, workers, on_progress)
         if answer[0].estimate.status is not Status.OK and comparison is not None and auto:
             with suppress(Died):  # then the answer stays the failed one
                 by_class = workers.submit(CLASSES_SECONDS, _of_class, answer[0], comparison.chosen, measured).result()
                 answer, findings = (by_class, [answer[0], *findings]) if by_class else (answer, findings)
         primary = with_reasons(answer[0], findings, missing)
-        drawn = _replicas(primary, request.job, replicas, workers, on_look, say, missing)
+        drawn = _replicas(primary, request.job, replicas, workers, on_progress, say, missing)
     _, prediction, changes = answer
     if not changes:
         missing["what_if"] = "the answer is not to be trusted, or the data leave a direction open"
@@ -115,7 +115,9 @@ def _comparison(measured: Measured, workers: Workers, missing: dict[str, str]) -
     return comparison
 
 
-def _answers(request: Request, measured: Measured, workers: Workers, on_look: OnLook) -> tuple[Answer, list[Finding]]:
+def _answers(
+    request: Request, measured: Measured, workers: Workers, on_progress: OnProgress
+) -> tuple[Answer, list[Finding]]:
     """Perform the request's jobs side by side: the primary's answer, and the findings of the others in their order.
 
     A method that does not take measured records is left out, beside the first.
@@ -128,7 +130,7 @@ def _answers(request: Request, measured: Measured, workers: Workers, on_look: On
         workers.submit(limit, work, job, measured, memory_mb=job.config.memory_mb): number
         for number, (job, limit, work) in enumerate(zip(jobs, limits, works, strict=True))
     }
-    on_look(RunState("step", 1, len(jobs) + 1, first.label))
+    on_progress(RunState("step", 1, len(jobs) + 1, first.label))
     answers: dict[int, Answer] = {}
     for done, future in enumerate(as_completed(futures), 2):
         number = futures[future]
@@ -140,7 +142,7 @@ def _answers(request: Request, measured: Measured, workers: Workers, on_look: On
         except InputError:
             if number == 0:
                 raise
-        on_look(RunState("step", done, len(jobs) + 1, jobs[number].label))
+        on_progress(RunState("step", done, len(jobs) + 1, jobs[number].label))
     return answers.pop(0), [finding for _, (finding, _, _) in sorted(answers.items())]
 
 
@@ -228,7 +230,7 @@ def _reasons_of_classes(primary: Finding, missing: Mapping[str, str]) -> list[st
 
 
 def _replicas(
-    primary: Finding, job: Job, n: int, workers: Workers, on_look: OnLook, say: Say, missing: dict[str, str]
+    primary: Finding, job: Job, n: int, workers: Workers, on_progress: OnProgress, say: Say, missing: dict[str, str]
 ) -> tuple[ReplicaCoverage, ...]:
     """Judge the intervals on ``n`` replicas, whose time is said before, or say why there are none."""
     primary = next((run.finding for run in primary.runs if run.finding.fit is primary.fit), primary)
@@ -247,7 +249,7 @@ def _replicas(
         if not said and math.isfinite(seconds_left):
             said = True
             say(f"{n} simulated replicas: about {seconds_left:.0f} s more (twins=0 leaves them out)")
-        on_look(RunState("replica", done, n, "", seconds_left, at_least=False))
+        on_progress(RunState("replica", done, n, "", seconds_left, at_least=False))
 
     coverages = coverage_on_replicas(primary, job, n, workers, on_replicas)
     if not coverages:

@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from bench.atlas.forced import Forced
-from bench.atlas.model import FOLDS, TOLD, HeldOut, held_out, told
+from bench.atlas.model import FOLDS, MAX_SD, CrossValidation, cross_validate, determined
 from bench.atlas.point import GROUPS, FreeDecay, Point
 from bench.atlas.run import PointBlock, bound_at, read_block
 from bench.atlas.statistics import DISPLACEMENT, columns
@@ -123,7 +123,7 @@ def summary(frame: pd.DataFrame, page: AtlasPage, command: str) -> str:
 
 TITLES = {"k_over_m": "k/m, the squared natural frequency", "c_over_m": "c/m, the decay rate", "m": "m, the mass"}
 HEAD = f"""A quantity is identifiable at a point if the Cramér-Rao bound on the standard deviation of its logarithm is
-at most {TOLD:g}. A test is ambiguous if its samples do not distinguish the natural frequency from its aliases. The
+at most {MAX_SD:g}. A test is ambiguous if its samples do not distinguish the natural frequency from its aliases. The
 tables are over unambiguous points with an identifiable quantity.
 
 **near**: share of points where a method's errors without outlier fits are within {NEAR:g} times the bound, and at most
@@ -188,11 +188,11 @@ def _table(frame: pd.DataFrame, quantity: str) -> str:
         "coverage %": lambda lines: percent(lines[f"{quantity}_held"].mean()),
         "ms per fit": lambda lines: f"{1e3 * lines.seconds.median():.1f}",
     }
-    methods = [own for _, own in told(frame, quantity).groupby("method", sort=False)]
+    methods = [own for _, own in determined(frame, quantity).groupby("method", sort=False)]
     return markdown_table(*listing(sorted(methods, key=lambda lines: -near(lines, quantity).mean()), columns))
 
 
-HELD_OUT: Columns[HeldOut] = {
+HELD_OUT: Columns[CrossValidation] = {
     "points": lambda model: f"{model.points:,}",
     "error": lambda model: MISSING if math.isnan(model.error) else f"{model.error:.3f}",
     "in range %": lambda model: percent(model.within),
@@ -207,7 +207,7 @@ def _model_table(frame: pd.DataFrame) -> str:
         cells = [_method(lines)]
         for name in GROUPS:
             try:
-                model = held_out(lines, name)
+                model = cross_validate(lines, name)
                 cells += [text(model) for text in HELD_OUT.values()]
             except ValueError:
                 cells += [MISSING] * len(HELD_OUT)

@@ -28,7 +28,7 @@ from bench.scenario.scenario import Scenario
 from bench.scoring.statistics import wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import MARK, SUBMITTED, CellHead, StoredCell
+from bench.store.stored_cell import MARK, SUBMITTED, CellHead, StoredCell
 from bench.store.version import settings_version
 from bench.systems import System, make_system
 
@@ -216,7 +216,7 @@ class Result:
         """``current``, ``stale`` if another version computed it, ``missing``, or empty for an unknown experiment."""
         if self.cell is None or self.stored is None:
             return "missing" if self.stored is None else ""
-        return "current" if self.cell.version.is_that_of(self.stored.version) else "stale"
+        return "current" if self.cell.version.matches(self.stored.version) else "stale"
 
     @property
     def status(self) -> Status:
@@ -449,7 +449,7 @@ def with_submitted(frame: Frame, submitted: Sequence[Result]) -> Frame:
 
 def stored_results(store: Store) -> list[Result]:
     """Return all cells of a store; raises InputError for an empty store, or a file that is no cell."""
-    if not store.there():
+    if not store.exists():
         raise InputError("store", store.folder, "there is no such folder; run some cells first")
     results = [Result.of_stored(stored) for stored in store]
     if not results:

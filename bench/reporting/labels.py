@@ -14,7 +14,7 @@ from bench.contract.method import Card
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import load_method, registered
 from bench.errors import InputError
-from bench.store.stored import unmarked
+from bench.store.stored_cell import unmarked
 
 
 def _reference(title: str, order: int) -> Card:

@@ -18,13 +18,13 @@ from bench.config.atlas import efficient_methods
 from bench.contract.method import Identifier
 from bench.entrants.registry import load_method
 from bench.errors import InputError
-from bench.planning.forced import FORCED_QUANTITIES, ForcedTest
+from bench.planning.forced_test import FORCED_QUANTITIES, ForcedTest
 from bench.planning.forces import LEAST_LINES, Forces, line_frequencies
 from bench.planning.forces import told_by as told_by_force
 from bench.planning.free_decay import QUANTITIES, Decay
-from bench.planning.longer import Taken
+from bench.planning.extension import Taken
 from bench.planning.multisine import ALL
-from bench.planning.optimal import VOLUME, best_times, told_by
+from bench.planning.sampling_times import VOLUME, best_times, told_by
 from bench.planning.search import LEAST_RATE, SHARE, WITHIN, Likely, ProposedTest, cheapest, proposal
 from bench.planning.verify import counted, reached, simulated, simulated_forced
 from bench.reporting.atlas import RARE, point_frame

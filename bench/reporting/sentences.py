@@ -341,21 +341,21 @@ def atlas(r: Published, f: Facts) -> None:
     """Free decays at large: below the Nyquist frequency, where the data alone decide, and beyond it."""
     from scipy.stats import binom
 
-    from bench.atlas.model import TOLD, told
+    from bench.atlas.model import MAX_SD, determined
     from bench.atlas.point import FreeDecay
     from bench.reporting.atlas import near
 
     table = r.table("atlas.csv.gz")
     points = table.drop_duplicates([axis.name for axis in FreeDecay.AXES])
-    share = {name: 100 * (points[f"bound_{name}"] <= TOLD).mean() for name in ("k_over_m", "c_over_m")}
+    share = {name: 100 * (points[f"bound_{name}"] <= MAX_SD).mean() for name in ("k_over_m", "c_over_m")}
     searched = table[table.method == "output_error"]
-    best, beyond = told(searched, "k_over_m"), searched[(searched.bound_k_over_m <= TOLD) & searched.aliased]
+    best, beyond = determined(searched, "k_over_m"), searched[(searched.bound_k_over_m <= MAX_SD) & searched.aliased]
     hard = [best[best.samples < 30], best[best.snr_db < 10]]
     resolved = searched[~searched.aliased].head(200)
     low, high = binom.interval(0.95, resolved.fits, resolved.wrong_basin.clip(0, 1))
     inside = (resolved.k_over_m_gross * resolved.fits).round().between(low, high).mean()
     honest = ("output_error", "shooting", "frequency", "iqml", "matrix_pencil")
-    held = np.array([told(table[table.method == name], "k_over_m").k_over_m_held.mean() for name in honest])
+    held = np.array([determined(table[table.method == name], "k_over_m").k_over_m_held.mean() for name in honest])
     f.say(atlas_fits=table.fits.sum(), atlas_points=len(points), atlas_k=share["k_over_m"], atlas_c=share["c_over_m"])
     f.say(best_near=100 * near(best).mean(), best_n=len(best), beyond_n=len(beyond), atlas_held=100 * held)
     f.say(beyond_gross=100 * beyond.k_over_m_gross.mean(), beyond_held=100 * beyond.k_over_m_held.mean())

@@ -24,7 +24,7 @@ from bench.reporting.rounding import answered, percent, readable, rounded, short
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import ERROR, disturbance_of, failures
 from bench.store.cell import Cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 LOG = logging.getLogger("bench")
 MOST_ROWS = 12

@@ -14,7 +14,7 @@ from bench.reporting.terminal import coloured, table, wrapped
 from bench.reporting.verdict import GOOD, verdict
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 ERROR = "_error_pct"
 RMSES = {"rmse": "displacement RMSE m", "rmse_simulated": "simulated RMSE m", "rmse_forecast": "forecast RMSE m"}

@@ -10,7 +10,7 @@ from bench.contract.estimate import Status
 from bench.dynamics.mechanics import acceleration
 from bench.dynamics.ops import sympy_ops
 from bench.scenario.scenario import Scenario
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.systems import System
 
 

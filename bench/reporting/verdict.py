@@ -13,7 +13,7 @@ from scipy.special import bdtr, chdtri  # importing scipy.stats takes a quarter 
 
 from bench.reporting.rounding import excess_text, readable
 from bench.scoring.summary import below_chance
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 NEAR = 1.2
 """Largest ratio of a root mean square error to its bound that counts as at the bound."""

@@ -1,1 +1,1 @@
-"""Stored cells: what a cell is, what computed it, where it lies, who is at work on it."""
+"""Stored cells: their identity, version, files, provenance, and the claims of runs that compute them."""

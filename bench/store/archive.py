@@ -1,9 +1,9 @@
-"""The published archive: plain Parquet files and the list of their checksums, read here, never written.
+"""Reading of the published archive: Parquet files and a list of their checksums.
 
-``cells.parquet`` has a line per cell, ``rows/<experiment>.parquet`` a line per replicate and a column per score,
-``summaries.parquet`` a line per cell and metric, ``arrays.parquet`` a line per array of a cell's first replicate,
-``bounds.parquet`` a line per bound; ``docs/reference/file_formats.md`` lists the columns. Within every file the cells
-stand in the order of ``cells.parquet``. A file is compared with its checksum when a process first reads it.
+``cells.parquet`` has one row per cell, ``rows/<experiment>.parquet`` one row per replicate and one column per score,
+``summaries.parquet`` one row per cell and metric, ``arrays.parquet`` one row per array of a cell's first replicate, and
+``bounds.parquet`` one row per bound; ``docs/reference/file_formats.md`` lists the columns. The order of cells is that
+of ``cells.parquet`` in every file. The checksum of a file is verified when a process first reads it.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from bench.files import read_regular
 from bench.scoring.row import NUMBERS, PLAIN, STATISTICS, Rows
 from bench.store import version
 from bench.store.digits import decimal
-from bench.store.stored import Arrays, CellHead, StoredCell
+from bench.store.stored_cell import Arrays, CellHead, StoredCell
 
 if TYPE_CHECKING:  # pyarrow is loaded when a file is read
     import pyarrow as pa
 
 SUMS = "SHA256SUMS"
-"""The list of the checksums of all files, which ``sha256sum -c`` reads, too."""
+"""List of the checksums of all files, in the format of ``sha256sum``."""
 SUM = re.compile(r"([0-9a-f]{64})  ([a-z0-9_./]+)")
 CELLS, SUMMARIES, ARRAYS, BOUNDS = "cells.parquet", "summaries.parquet", "arrays.parquet", "bounds.parquet"
 NO_SCORES = frozenset(("identity", "status", *PLAIN))
-"""The columns of a file of rows that are no scores."""
+"""Columns of a file of rows that are not scores."""
 STATUSES = {status.value: status for status in Status}
-REMEDY = "not a whole file of the archive; fetch it again"
+REMEDY = "damaged or incomplete file of the archive; download it again"
 
 
 def rows_file(experiment: str) -> str:
-    """Return the name of the file with the rows of an experiment's cells."""
+    """Return the name of the file with the replicates of an experiment's cells."""
     return f"rows/{experiment}.parquet"
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """Return the checksums by file; none where the folder has no list. Raises InputError for a damaged list."""
+    """Return the checksums by file; empty if the folder has no list. Raises InputError for a damaged list."""
     path = folder / SUMS
     if not path.exists():
         return {}
@@ -66,7 +66,7 @@ def _read(path: Path) -> bytes:
 
 
 class ParquetFile:
-    """A whole file of the archive, of which columns are read when they are first needed."""
+    """A file of the archive, whose checksum is verified at once and whose columns are read when first needed."""
 
     def __init__(self, folder: Path, name: str, sums: Mapping[str, str]) -> None:
         import pyarrow as pa
@@ -75,7 +75,7 @@ class ParquetFile:
         self.path = folder / name
         content = _read(self.path)
         if hashlib.sha256(content).hexdigest() != sums.get(name):
-            raise InputError("archive", self.path, f"{REMEDY} (its checksum is not that of {SUMS})")
+            raise InputError("archive", self.path, f"{REMEDY} (its checksum differs from {SUMS})")
         try:
             self._file = pq.ParquetFile(pa.BufferReader(content))
             self.names = list(self._file.schema_arrow.names)
@@ -85,7 +85,7 @@ class ParquetFile:
         self._lists: dict[str, list[Any]] = {}
 
     def column(self, name: str) -> pa.Array:
-        """Return a column; raises InputError where the file has none of that name."""
+        """Return a column; raises InputError if the file does not have it."""
         import pyarrow as pa
 
         try:
@@ -94,10 +94,10 @@ class ParquetFile:
             raise InputError("archive", self.path, f"{REMEDY} (it has no column {name})") from None
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return a column of numbers in double precision, NaN where it is empty."""
+        """Return a column of numbers in double precision; missing values are NaN."""
         if name not in self._numbers:
             column = self.column(name).cast("double")
-            valid, data = column.buffers()  # pyarrow's own conversion imports pandas, which takes a quarter of a second
+            valid, data = column.buffers()  # pyarrow's own conversion imports pandas, which takes 0.25 s
             values = np.frombuffer(data, float, len(column)).copy()
             if valid is not None:
                 bits = np.unpackbits(np.frombuffer(valid, np.uint8), count=len(column), bitorder="little")
@@ -106,7 +106,7 @@ class ParquetFile:
         return self._numbers[name]
 
     def items(self, name: str) -> list[Any]:
-        """Return a column as a list, of which equal texts are one object."""
+        """Return a column as a list, in which equal texts are the same object."""
         if name not in self._lists:
             column = self.column(name)
             if str(column.type) in ("string", "large_string"):
@@ -119,16 +119,16 @@ class ParquetFile:
 
     @cached_property
     def scores(self) -> dict[str, None]:
-        """The scores of a file of rows, in order."""
+        """The names of the scores of a file of rows, in order."""
         return dict.fromkeys(name for name in self.names if name not in NO_SCORES)
 
-    def lines(self, name: str, lines: slice) -> Any:
-        """Return some lines of a column of a file of rows."""
-        return self.numbers(name)[lines] if name in self.scores or name in NUMBERS else self.items(name)[lines]
+    def part(self, name: str, rows: slice) -> Any:
+        """Return a range of rows of a column of a file of rows."""
+        return self.numbers(name)[rows] if name in self.scores or name in NUMBERS else self.items(name)[rows]
 
 
 class Archive:
-    """A folder of the archive's files. What is not there is an empty archive."""
+    """A published archive in a folder; a missing folder is an empty archive."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -142,7 +142,7 @@ class Archive:
         return read_sums(self.folder)
 
     def file(self, name: str) -> ParquetFile:
-        """Return one of the archive's files; raises InputError where it is damaged."""
+        """Return a file of the archive; raises InputError if it is damaged."""
         if name not in self._opened:
             self._opened[name] = ParquetFile(self.folder, name, self._sums)
         return self._opened[name]
@@ -155,37 +155,37 @@ class Archive:
 
     @cached_property
     def _cells(self) -> dict[str, dict[str, Any]]:
-        """The line of each cell, with the places of its lines in the file of rows and in that of summaries."""
+        """The row of each cell in ``cells.parquet``, with its ranges in the files of rows and summaries."""
         file, cells = self.file(CELLS), {}
         ends: dict[str, int] = defaultdict(int)
         for line in zip(*map(file.items, file.names), strict=True):
             cell = dict(zip(file.names, line, strict=True))
-            for place, name, n in (("rows", cell["experiment"], "replicates"), ("summary", SUMMARIES, "metrics")):
-                cell[place] = slice(ends[name], ends[name] + cell[n])
+            for part, name, n in (("rows", cell["experiment"], "replicates"), ("summary", SUMMARIES, "metrics")):
+                cell[part] = slice(ends[name], ends[name] + cell[n])
                 ends[name] += cell[n]
             cells[cell["identity"]] = cell
         return cells
 
     def identities(self) -> list[str]:
-        """Return the identities of all cells, in order."""
+        """Return the identities of all cells, sorted."""
         return sorted(self._identities)
 
     def __contains__(self, identity: object) -> bool:
         return identity in self._identities
 
     def path(self, identity: str) -> Path:
-        """Return the file that holds the rows of a cell."""
+        """Return the file with the rows of a cell."""
         return self.folder / rows_file(self._cells[identity]["experiment"])
 
     def head(self, identity: str) -> CellHead | None:
-        """Return what is known of a cell without its rows, or None."""
+        """Return the head of a cell, or None if the archive does not have it."""
         if identity not in self:
             return None
         line = self._cells[identity]
         return CellHead(identity, _json(line, "description"), _json(line, "statuses"), _version(line), line["wall_s"])
 
     def load(self, identity: str) -> StoredCell | None:
-        """Return a cell, or None where the archive has none of that name; its rows are read when they are used."""
+        """Return a cell, or None if the archive does not have it; its rows are read when they are used."""
         if identity not in self:
             return None
         line = self._cells[identity]
@@ -194,7 +194,7 @@ class Archive:
         return StoredCell(
             identity=identity,
             cell=_json(line, "description"),
-            rows=Rows(statuses, partial(file.lines, lines=rows), file.scores),
+            rows=Rows(statuses, partial(file.part, rows=rows), file.scores),
             summary=self._summary(line["summary"]),
             prior_share={name: float(value) for name, value in _json(line, "prior_share").items()},
             identifiable=_json(line, "identifiable"),
@@ -210,14 +210,14 @@ class Archive:
         return np.stack([self.file(SUMMARIES).numbers(name) for name in STATISTICS], axis=1)
 
     def _summary(self, lines: slice) -> dict[str, dict[str, float]]:
-        """Return the summary of a cell by metric."""
+        """Return the statistics of a cell by metric."""
         metrics = self.file(SUMMARIES).items("metric")[lines]
         values = self._statistics[lines].tolist()
         return {metric: dict(zip(STATISTICS, row, strict=True)) for metric, row in zip(metrics, values, strict=True)}
 
     @cached_property
     def _array_lines(self) -> dict[str, dict[str, int]]:
-        """The line of each array, by cell and name."""
+        """The row of each array in ``arrays.parquet``, by cell and name."""
         lines: dict[str, dict[str, int]] = {}
         file = self.file(ARRAYS)
         for i, (identity, name) in enumerate(zip(file.items("identity"), file.items("name"), strict=True)):
@@ -229,18 +229,18 @@ class Archive:
         return self.file(ARRAYS).column("values")
 
     def _arrays(self, identity: str) -> dict[str, np.ndarray]:
-        """Return the arrays of a cell; one that an earlier cell has, too, refers to it."""
+        """Return the arrays of a cell; an array that equals one of an earlier cell refers to that cell."""
         file, arrays = self.file(ARRAYS), {}
         for name, line in self._array_lines.get(identity, {}).items():
             same_as = file.items("same_as")[line]
-            holder = self._array_lines[same_as][name] if same_as else line
-            values = self._array_values[holder].values.to_numpy(zero_copy_only=False)
+            source = self._array_lines[same_as][name] if same_as else line
+            values = self._array_values[source].values.to_numpy(zero_copy_only=False)
             kind = np.int64 if file.items("whole")[line] else np.float32
             arrays[name] = values.astype(kind).reshape(file.items("shape")[line])
         return arrays
 
     def bounds(self) -> dict[str, str]:
-        """Return the texts of all bounds by identity; raises InputError where their file is damaged."""
+        """Return the texts of all bounds by identity; raises InputError if their file is damaged."""
         if not self._sums:
             return {}
         file = self.file(BOUNDS)

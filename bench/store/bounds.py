@@ -1,6 +1,6 @@
-"""Bounds are computed once and kept, each in a file named by all that it depends on, versions included.
+"""Storage of bounds: each is computed once and stored in a file named by a hash of everything that it depends on.
 
-The name decides the number: a file that is not whole is computed anew, without a word.
+A damaged or incomplete file is replaced by a new computation without a message.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bench.store.version import bound_version
 
 
 class Bounded(Protocol):
-    """A scenario and a seed; the replicates count where each has times of its own."""
+    """Anything with a scenario, a seed and a number of replicates, such as a cell."""
 
     @property
     def scenario(self) -> Scenario: ...
@@ -35,16 +35,20 @@ class Bounded(Protocol):
 
 
 class Replicates(NamedTuple):
-    """Replicates of a scenario, which have a bound without a method."""
+    """Replicates of a scenario, for a bound without a method."""
 
     scenario: Scenario
     seed: int = 0
     replicates: int = 1
 
 
-def bound_identity(wanted: Bounded) -> str:
-    """Hash everything that the bound depends on: the seed only where it draws a force or times."""
-    scenario, seed = wanted.scenario, wanted.seed
+def bound_identity(subject: Bounded) -> str:
+    """Hash everything that the bound depends on.
+
+    The seed is included only if it determines a random force or random times, and the number of replicates only if each
+    has different times.
+    """
+    scenario, seed = subject.scenario, subject.seed
     drawn = own_times(scenario, seed)
     identity = {
         "version": bound_version(scenario.system),
@@ -55,33 +59,34 @@ def bound_identity(wanted: Bounded) -> str:
         "seed": seed if scenario.force or drawn else None,
     }
     if drawn and scenario.disturbance is not None:
-        identity |= {"disturbance": scenario.disturbance.to_dict(), "replicates": wanted.replicates}
+        identity |= {"disturbance": scenario.disturbance.to_dict(), "replicates": subject.replicates}
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def bound_path(wanted: Bounded, folder: Path) -> Path:
-    """Return the file of a folder that keeps a bound."""
-    return folder / f"{bound_identity(wanted)}.bound"
+def bound_path(subject: Bounded, folder: Path) -> Path:
+    """Return the path of a bound in a folder."""
+    return folder / f"{bound_identity(subject)}.bound"
 
 
-def keep_bound(wanted: Bounded, folder: Path) -> Bound:
-    """Compute a bound and write its file; raises InputError where ``folder`` cannot be written."""
-    bound = compute_bound(wanted.scenario, wanted.seed, wanted.replicates)
+def store_bound(subject: Bounded, folder: Path) -> Bound:
+    """Compute a bound and store it; raises InputError if ``folder`` cannot be written."""
+    bound = compute_bound(subject.scenario, subject.seed, subject.replicates)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(bound_path(wanted, folder), sealed(BOUND_FORMAT, json.dumps(asdict(bound))))
+        write_whole(bound_path(subject, folder), sealed(BOUND_FORMAT, json.dumps(asdict(bound))))
     except OSError:
-        raise InputError("store", folder, "the bounds cannot be written; make room, or name another folder") from None
+        remedy = "the bounds cannot be written; free disk space, or use another folder"
+        raise InputError("store", folder, remedy) from None
     return bound
 
 
-def load_bounds(wanted: Sequence[Bounded], folder: Path) -> list[Bound]:
-    """Return the bounds kept in a folder; what is missing or damaged is computed and kept, see :func:`keep_bound`."""
-    return [kept_bound(bound_path(item, folder)) or keep_bound(item, folder) for item in wanted]
+def load_bounds(subjects: Sequence[Bounded], folder: Path) -> list[Bound]:
+    """Return bounds from a folder; missing or damaged ones are computed and stored (:func:`store_bound`)."""
+    return [read_bound(bound_path(item, folder)) or store_bound(item, folder) for item in subjects]
 
 
-def kept_bound(path: Path) -> Bound | None:
-    """Return the bound of a file; None where there is none, or none that is whole."""
+def read_bound(path: Path) -> Bound | None:
+    """Return the bound in a file; None if the file is missing or damaged."""
     try:
         values = json.loads(unsealed_text(BOUND_FORMAT, read_regular(path)))
         names, null_space = tuple(values.pop("names")), tuple(map(tuple, values.pop("null_space")))

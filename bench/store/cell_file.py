@@ -1,7 +1,7 @@
-"""A stored cell as one file: three lines of JSON, for its description, its rows, and its arrays.
+"""The file of a stored cell: three lines, for its description, its rows, and its arrays.
 
-The first line is sealed (:mod:`bench.store.seal`) and states the SHA-256 of all that follows it, so that it can be read
-alone. The arrays are an npz in base64; the line is empty where there are none.
+The first line is JSON with a checksum (:mod:`bench.store.seal`) and states the SHA-256 of the other lines, so that it
+can be read alone. The second line is JSON. The third line is an npz file in base64, or empty without arrays.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from bench.scoring.row import NUMBERS, PLAIN, Rows
 from bench.store.digits import DIGITS, decimal
 from bench.store.seal import Unsealed, parsed, sealed, unsealed
 from bench.store.shape import HEAD, fits
-from bench.store.stored import Arrays, CellHead, StoredCell
+from bench.store.stored_cell import Arrays, CellHead, StoredCell
 
 FORMAT = 5
 EXACT_DIGITS = 17
-"""A description is kept to the last digit."""
+"""Significant digits of the numbers in a description, which are stored exactly."""
 MOST_ARRAYS = 2**29
-"""Largest size of all arrays of a cell, in bytes."""
-FOREIGN = "no cell of this benchmark"
+"""Largest size of the unpacked arrays of a cell (bytes)."""
+FOREIGN = "not a cell of this benchmark"
 
 
 def to_json(value: Any, digits: int = DIGITS) -> Any:
-    """Round the numbers of a nested value; those that are not finite, which JSON lacks, become strings."""
+    """Round the numbers in a nested value; non-finite numbers, which JSON lacks, become strings."""
     if isinstance(value, float):
         return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
     if isinstance(value, Mapping):
@@ -47,7 +47,7 @@ def to_json(value: Any, digits: int = DIGITS) -> Any:
 
 
 def cell_file(cell: StoredCell) -> bytes:
-    """Return the bytes of a cell's file."""
+    """Return the content of a cell's file."""
     columns = cell.columns
     statuses = [status.value for status in columns.statuses]
     rows = {"status": statuses, **{name: _plain(columns, name) for name in PLAIN}, "scores": _scores(columns)}
@@ -70,22 +70,22 @@ def _plain(columns: Rows, name: str) -> list[Any]:
 
 
 def _scores(columns: Rows) -> dict[str, list[Any]]:
-    """Return every score by replicate, null where a replicate has none."""
+    """Return the scores of all replicates by name; a missing score is None."""
     names = columns.score_names
     values = decimal(np.array([columns.scores(name) for name in names]))
     return {
-        name: [None if math.isnan(v) else v if math.isfinite(v) else str(v) for v in own]
-        for name, own in zip(names, values.tolist(), strict=True)
+        name: [None if math.isnan(v) else v if math.isfinite(v) else str(v) for v in column]
+        for name, column in zip(names, values.tolist(), strict=True)
     }
 
 
 def _dumped(content: Any) -> bytes:
     text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
-    return text.encode("utf-8", "replace")  # a label may have been read from bytes that are no text
+    return text.encode("utf-8", "replace")  # a label may contain bytes that are not UTF-8
 
 
 def head_from_line(line: bytes, stamp: int = 0) -> CellHead:
-    """Return the head of a file's first line; raises Unsealed where that is not whole."""
+    """Return the head in a file's first line; raises Unsealed if the line is damaged."""
     head = _head(line)
     return CellHead(head["identity"], head["cell"], head["statuses"], head["version"], float(head["wall_s"]), stamp)
 
@@ -98,11 +98,11 @@ def _head(line: bytes) -> dict[str, Any]:
 
 
 def cell_from_file(content: bytes) -> StoredCell:
-    """Return the cell of a file's bytes; raises Unsealed where they are none that is sealed and whole."""
+    """Return the cell of a file's content; raises Unsealed if it is damaged or not a cell."""
     line, _, rest = content.partition(b"\n")
     head = _head(line)
     if hashlib.sha256(rest).hexdigest() != head["body"]:
-        raise Unsealed("its checksum is not that of its content")
+        raise Unsealed("its checksum does not match its content")
     text, _, arrays = rest.partition(b"\n")
     body = parsed(text)
     try:
@@ -118,7 +118,7 @@ def cell_from_file(content: bytes) -> StoredCell:
             tracebacks=str(body["tracebacks"]),
             **{key: head[key] for key in ("identity", "cell", "identifiable", "provenance", "version")},
         )
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):  # sealed by another hand
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):  # written by another program
         raise Unsealed(FOREIGN) from None
 
 
@@ -127,19 +127,18 @@ def _number(value: float | str | None) -> float:
 
 
 def _rows(columns: Mapping[str, Any]) -> Rows:
-    """Return the rows of a file's columns; raises KeyError, TypeError or ValueError."""
-    made: dict[str, Any] = {"replicate": np.array(columns["replicate"], np.int64).tolist()}
-    made["evaluations"] = np.array(columns["evaluations"], np.int64).tolist()
-    made |= {name: list(map(_number, columns[name])) for name in NUMBERS}
-    made |= {name: list(map(str, columns[name])) for name in ("message", "data")}
+    """Return the rows from a file's columns; raises KeyError, TypeError or ValueError if they are invalid."""
+    plain: dict[str, Any] = {name: np.array(columns[name], np.int64).tolist() for name in ("replicate", "evaluations")}
+    plain |= {name: list(map(_number, columns[name])) for name in NUMBERS}
+    plain |= {name: list(map(str, columns[name])) for name in ("message", "data")}
     scores = {name: np.array(list(map(_number, values))) for name, values in columns["scores"].items()}
-    if {len(column) for column in (*made.values(), *scores.values())} != {len(columns["status"])}:
+    if {len(column) for column in (*plain.values(), *scores.values())} != {len(columns["status"])}:
         raise ValueError
-    return Rows.from_columns(map(Status, columns["status"]), made, scores)
+    return Rows.from_columns(map(Status, columns["status"]), plain, scores)
 
 
 def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Return a compressed npz, with floats in single precision; those beyond its range are infinite."""
+    """Return a compressed npz file with floats in single precision; larger numbers become infinite."""
     buffer = io.BytesIO()
     with np.errstate(over="ignore"):
         single = {name: values.astype("f4") if values.dtype == float else values for name, values in arrays.items()}
@@ -148,15 +147,14 @@ def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def _unpacked(identity: str, line: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of a file's third line; raises InputError where another hand has written it."""
+    """Return the arrays in a file's third line; raises InputError if it is invalid."""
     try:
         content = base64.b64decode(line, validate=True)
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(item.file_size for item in archive.infolist()) > MOST_ARRAYS:
                 raise ValueError
-        with np.load(io.BytesIO(content), allow_pickle=False) as found:
-            return {key: found[key] for key in found.files}
-    except Exception:  # zipfile, zlib and numpy raise a dozen kinds
-        raise InputError(
-            "cell", identity, f"its arrays are none, or unpack to more than {MOST_ARRAYS >> 20} MB"
-        ) from None
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {key: arrays[key] for key in arrays.files}
+    except Exception:  # zipfile, zlib and numpy raise many types of exceptions
+        remedy = f"its arrays are invalid, or larger than {MOST_ARRAYS >> 20} MB"
+        raise InputError("cell", identity, remedy) from None

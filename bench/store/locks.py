@@ -1,7 +1,7 @@
-"""Claims: several runs on one store do not compute the same cell at the same time.
+"""Claims, which prevent several runs on one store from computing the same cell at the same time.
 
-A claim is a file locked by filelock that names its holder. The system unlocks it when the holder ends, however that
-happens; where the file system has no locks, cells may be computed twice, and are still stored once.
+A claim is a locked file that names its holder. The operating system releases the lock when the holder ends for any
+reason. On a file system without locks, a cell may be computed twice, but is stored once.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ if TYPE_CHECKING:
     from filelock import FileLock
 
 LONGEST = 500
-"""Bytes of a claim, more than the names of a user and a machine take: it covers what an abandoned one holds."""
+"""Length of the text of a claim (bytes), padded to overwrite that of an abandoned claim."""
 NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
 class Claims:
-    """Claims of one run, as files of a folder that all runs on the store see."""
+    """Claims of one run, in a folder shared by all runs on the store."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._held: dict[str, FileLock | None] = {}
+        self._locks: dict[str, FileLock | None] = {}
 
     def prepare(self) -> None:
-        """Make the folder, for all who may write in the store; raises InputError where this user cannot claim in it."""
+        """Make the folder with the permissions of the store; raises InputError if this user cannot write in it."""
         try:
             if not self.folder.is_dir():
                 self.folder.mkdir(parents=True, exist_ok=True)
-                with contextlib.suppress(OSError):  # another run has made it, and is another user's
+                with contextlib.suppress(OSError):  # another user's run may have made it meanwhile
                     self.folder.chmod(self.folder.parent.stat().st_mode & 0o7777)
             tempfile.TemporaryFile(dir=self.folder).close()
         except OSError as error:
             raise self._unusable(error) from None
 
     def take(self, identity: str) -> bool:
-        """Claim a cell; returns False where another run has it. Raises InputError where no claim can be made."""
+        """Claim a cell; returns False if another run has claimed it. Raises InputError if no claim can be made."""
         from filelock import FileLock, Timeout
 
-        if identity in self._held:
+        if identity in self._locks:
             return True
         path = self.folder / f"{identity}.claim"
         for _ in range(2):
@@ -58,7 +58,7 @@ class Claims:
                     path, blocking=False, mode=mode, thread_local=False, fallback_to_soft=False, on_acquired=self._sign
                 )
                 lock.acquire()
-                self._held[identity] = lock
+                self._locks[identity] = lock
                 return True
             except Timeout:
                 return False
@@ -66,63 +66,62 @@ class Claims:
                 self.prepare()
             except OSError as error:
                 if error.errno in NO_LOCKS:
-                    self._held[identity] = None
+                    self._locks[identity] = None
                     return True
-                if isinstance(error, PermissionError) and path.exists():  # another user's
+                if isinstance(error, PermissionError) and path.exists():  # a claim of another user
                     return False
                 raise self._unusable(error) from None
         return False
 
     def holder(self, identity: str) -> str:
-        """Describe who has claimed a cell."""
+        """Describe the run that has claimed a cell."""
         with contextlib.suppress(OSError):
             text = read_regular(self.folder / f"{identity}.claim")[:LONGEST].decode(errors="replace")
             if text.startswith("process "):
                 return shortened(text)
-        return "which one, its claim does not say"
+        return "unknown process"
 
     def release(self, identity: str) -> None:
-        """Give a cell back; the file goes while it is still locked, so that nobody locks one that is going."""
-        if identity in self._held:
-            lock = self._held.pop(identity)
+        """Release a claim; the file is deleted before it is unlocked, so that no other run can lock a deleted file."""
+        if identity in self._locks:
+            lock = self._locks.pop(identity)
             with contextlib.suppress(OSError):
                 (self.folder / f"{identity}.claim").unlink()
             if lock is not None:
                 lock.release()
 
     def release_all(self) -> None:
-        """Give all cells back."""
-        for identity in list(self._held):
+        """Release all claims."""
+        for identity in list(self._locks):
             self.release(identity)
 
     def _sign(self, handle: int) -> None:
         try:
             user = getpass.getuser()
-        except (OSError, KeyError):  # a number without a name, as in a container
+        except (OSError, KeyError):  # a user without a name, as in a container
             user = str(os.getuid())
-        with contextlib.suppress(OSError):  # a full disk
+        with contextlib.suppress(OSError):  # the disk may be full
             os.pwrite(handle, f"process {os.getpid()} of {user} on {platform.node()}".ljust(LONGEST).encode(), 0)
 
     def _unusable(self, error: OSError) -> InputError:
         try:
-            owner = f", it belongs to {self.folder.owner()}"
+            owner = f", owned by {self.folder.owner()}"
         except (OSError, KeyError, NotImplementedError):
             owner = ""
-        remedy = f"cells cannot be claimed in it ({error.strerror}{owner}); let all who share the store write there"
+        remedy = f"cannot be written ({error.strerror}{owner}); all users of the store need write permission"
         return InputError("store", self.folder, remedy)
 
 
-def under_way(folder: Path) -> dict[str, float]:
-    """Return the cells that runs have claimed, and since when (seconds of the clock that files are stamped with).
+def active_claims(folder: Path) -> dict[str, float]:
+    """Return the times of the claims of running runs (seconds since the epoch), by the cell's identity.
 
-    A claim whose holder has ended without giving it back is not locked, and not counted; where the file system has no
-    locks, or the claim is another user's, it is.
+    An abandoned claim is not locked and not counted, except on a file system without locks, or if it is another user's.
     """
     from filelock import FileLock, Timeout
 
     claimed = {}
     for path in folder.glob("*.claim"):
-        with contextlib.suppress(FileNotFoundError):  # given back in between
+        with contextlib.suppress(FileNotFoundError):  # released meanwhile
             since = path.stat().st_mtime
             try:
                 FileLock(path, blocking=False, fallback_to_soft=False).acquire().lock.release()

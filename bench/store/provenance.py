@@ -1,4 +1,4 @@
-"""Where a result comes from: the commit, the packages, the machine, and when."""
+"""Provenance of a result: commit, packages, machine, and time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.store.version import Version, installed
 
 @cache
 def commit() -> dict[str, Any]:
-    """Return the commit of this checkout and whether its tracked files differ from it; nothing where it is none."""
+    """Return the commit of this checkout and whether tracked files are modified; None outside a checkout."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {"commit": None, "dirty": None}
@@ -51,7 +51,7 @@ def _processor() -> str:
 
 
 def circumstances(computed_by: Version) -> dict[str, Any]:
-    """Return what a result may depend on beside the versions: packages and machine, by name."""
+    """Return the packages and properties of the machine that may influence a result, by name."""
     machine = {name: _machine()[name] for name in ("python", "system", "processor")}
     return {"vibration-bench": installed("vibration-bench") or None, **computed_by.packages, **machine}
 
@@ -59,7 +59,15 @@ def circumstances(computed_by: Version) -> dict[str, Any]:
 def provenance(
     computed_by: Version, workers: int, timeout_s: float, memory_mb: float, started: float
 ) -> dict[str, Any]:
-    """Describe where a cell comes from; ``started`` in seconds since the epoch."""
+    """Return the provenance of a cell.
+
+    Args:
+        computed_by: The version of the code.
+        workers: Number of worker processes.
+        timeout_s: Time limit per replicate, s.
+        memory_mb: Memory limit per fit, MB.
+        started: Time of the start, seconds since the epoch.
+    """
     return {
         **commit(),
         **_machine(),

@@ -1,4 +1,4 @@
-"""Writing the published archive (:mod:`bench.store.archive`): all of its files, then the list of their checksums."""
+"""Writing of the published archive (:mod:`bench.store.archive`)."""
 
 from __future__ import annotations
 
@@ -18,25 +18,34 @@ from bench.scoring.row import STATISTICS
 from bench.store.archive import ARRAYS, BOUNDS, CELLS, SUMMARIES, SUMS, read_sums, rows_file
 from bench.store.cell_file import EXACT_DIGITS, to_json
 from bench.store.digits import BITS, binary
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.store.version import NUMBERS
 
 ARRAY_BITS = 17
-"""Binary digits behind the first of the numbers of arrays: five decimal ones."""
+"""Binary digits after the leading one of the numbers in arrays, equivalent to five decimal digits."""
 TRACE, SINGLE_BITS = "trace_", 23
-"""Traces of a search keep all digits of single precision: pictures show differences of objectives."""
+"""Traces of a search are stored in full single precision, since figures show differences of objectives."""
 FEW = 256
-"""A column with fewer different floats takes less room in a dictionary."""
+"""Columns with fewer distinct floats are dictionary-encoded, which is smaller."""
 LARGEST_SINGLE = 3e38
-"""A column with a larger finite number is kept in double precision."""
+"""A column with a larger finite number is stored in double precision."""
 
 
 def write_archive(
     folder: Path, experiments: Mapping[str, Sequence[StoredCell]], bounds: Mapping[str, str]
 ) -> list[Path]:
-    """Write an archive with these cells by experiment, and these bounds; returns the files that have changed.
+    """Write an archive; existing files are replaced only after all new files have been written.
 
-    Nothing is touched before all files are written beside the old ones. Raises OSError without room.
+    Args:
+        folder: The archive.
+        experiments: Cells by experiment.
+        bounds: Texts of the bounds by identity.
+
+    Returns:
+        The files that have changed.
+
+    Raises:
+        OSError: The files cannot be written.
     """
     ordered = {name: sorted(cells, key=_place) for name, cells in sorted(experiments.items())}
     cells = [cell for group in ordered.values() for cell in group]
@@ -59,19 +68,19 @@ def _replace(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
     written[SUMS] = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
     (folder / "rows").mkdir(parents=True, exist_ok=True)
     write_together({folder / name: content for name, content in written.items()})
-    gone = [folder / name for name in before.keys() - sums.keys()]
-    for path in gone:
+    removed = [folder / name for name in before.keys() - sums.keys()]
+    for path in removed:
         path.unlink(missing_ok=True)
-    return [folder / name for name in sorted(written)] + gone
+    return [folder / name for name in sorted(written)] + removed
 
 
 def _place(cell: StoredCell) -> tuple[Any, ...]:
-    """Order like beside like, so that what they share takes little room."""
+    """Return the sort key of a cell, which puts similar cells next to each other for better compression."""
     return (*(str(cell.cell.get(key)) for key in ("label", "system", "initial_state", "snr_db")), cell.identity)
 
 
 def _line(experiment: str, cell: StoredCell) -> dict[str, Any]:
-    """Return the line of a cell in ``cells.parquet``."""
+    """Return the row of a cell in ``cells.parquet``."""
     what, data = cell.cell, cell.cell.get("data", {})
     texts = {
         "description": to_json(what, EXACT_DIGITS),
@@ -127,7 +136,7 @@ def _summaries_bytes(cells: Sequence[StoredCell]) -> bytes:
 
 
 def _arrays_bytes(cells: Iterable[StoredCell]) -> bytes:
-    """An array that an earlier cell has under the same name is not written again, but refers to it."""
+    """Return the file of arrays; an array equal to one of an earlier cell is stored as a reference to that cell."""
     import pyarrow as pa
 
     first: dict[tuple[str, str], str] = {}
@@ -136,11 +145,11 @@ def _arrays_bytes(cells: Iterable[StoredCell]) -> bytes:
         for name, values in sorted(cell.arrays.items()):
             key = name, hashlib.sha256(values.tobytes()).hexdigest()
             same_as = first.setdefault(key, cell.identity)
-            own = same_as == cell.identity
+            new = same_as == cell.identity
             bits = SINGLE_BITS if name.startswith(TRACE) else ARRAY_BITS
-            kept = _single(values.ravel().astype(float), bits) if own else np.empty(0, np.float32)
+            numbers = _single(values.ravel().astype(float), bits) if new else np.empty(0, np.float32)
             whole = values.dtype.kind == "i"
-            lines.append((cell.identity, name, list(values.shape), whole, None if own else same_as, kept))
+            lines.append((cell.identity, name, list(values.shape), whole, None if new else same_as, numbers))
     names = ("identity", "name", "shape", "whole", "same_as", "values")
     types = {"shape": pa.list_(pa.int32()), "same_as": pa.string(), "values": pa.list_(pa.float32())}
     return _parquet({
@@ -149,14 +158,15 @@ def _arrays_bytes(cells: Iterable[StoredCell]) -> bytes:
 
 
 def _single(values: np.ndarray, bits: int = BITS) -> np.ndarray:
-    """Round numbers, and return them in single precision where all fit."""
+    """Round numbers, and convert them to single precision if all are in its range."""
     values = binary(values, bits)
     finite = np.abs(values[np.isfinite(values)])
     return values if finite.size and finite.max() > LARGEST_SINGLE else values.astype(np.float32)
 
 
 def _parquet(columns: Mapping[str, Any]) -> bytes:
-    """Return the bytes of a file; columns of many different floats are stored by byte, which compresses best."""
+    """Return the content of a Parquet file; columns of many distinct floats are split by byte, which compresses
+    best."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,7 +1,7 @@
-"""Results of tasks as files of a folder: one file a task, there whole or not at all, with a checksum.
+"""Files of task results: one file per task, written atomically, with a checksum.
 
-A file is named by the key of its task. It ends with the SHA-256 of what precedes it, so damage is noticed, and the
-task is computed again.
+A file is named by the key of its task and ends with the SHA-256 of its content. The task of a damaged file is computed
+again.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ DIGEST_BYTES = 32
 
 
 def result_path(folder: Path, key: str) -> Path:
-    """Return the file of a result."""
+    """Return the path of a result."""
     return folder / f"{key}.result"
 
 
 def read_result(folder: Path, key: str) -> bytes | None:
-    """Return the content of a result; None where there is none, or it is damaged."""
+    """Return the content of a result; None if it is missing or damaged."""
     try:
         whole = read_regular(result_path(folder, key))
     except OSError:
@@ -31,7 +31,7 @@ def read_result(folder: Path, key: str) -> bytes | None:
 
 
 def write_result(folder: Path, key: str, content: bytes) -> None:
-    """Write the content of a result in one step; raises InputError where the folder cannot be written."""
+    """Write the content of a result atomically; raises InputError if the folder cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(result_path(folder, key), content + hashlib.sha256(content).digest())

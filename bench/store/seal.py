@@ -1,7 +1,7 @@
-"""A checksum at the head of a text file, so that no change of a bit passes for content.
+"""Checksums of JSON files, which detect any damage.
 
-A sealed file is a JSON object whose first keys are its format and the SHA-256 of both together with all that follows:
-``{"format":5,"sha256":"...",``. It shows that a file is as it was written, not by whom.
+The first keys of a sealed JSON object are the number of its format and the SHA-256 of this number and the rest of the
+object: ``{"format":5,"sha256":"...",``. The checksum detects damage; it does not identify the author.
 """
 
 from __future__ import annotations
@@ -16,42 +16,42 @@ FORMAT = re.compile(rb'\s*\{\s*"format"\s*:\s*(\d{1,6})\b')
 
 
 class Unsealed(ValueError):
-    """The reason why a file is not sealed content of the format that is read: the end of a sentence."""
+    """A file is damaged, or not of the expected format; the message gives the reason."""
 
 
 def sealed(number: int, text: str) -> bytes:
-    """Seal the text of a JSON object, of at least one key and without blanks before it, in a format."""
-    body = text[1:].encode("utf-8", "replace")  # a label may have been read from bytes that are no text
+    """Add format and checksum to the text of a JSON object with at least one key and no leading blanks."""
+    body = text[1:].encode("utf-8", "replace")  # a label may contain bytes that are not UTF-8
     return b'{"format":%d,"sha256":"%s",%s' % (number, _digest(number, body), body)
 
 
 def unsealed_text(number: int, content: bytes) -> str:
-    """Return the text that was sealed in a format; raises Unsealed."""
+    """Return the text of a sealed object; raises Unsealed if it is damaged or of another format."""
     head = HEAD.match(content)
     stated = head or FORMAT.match(content)
     if stated and int(stated[1]) != number:
-        raise Unsealed(f"of format {int(stated[1])}, this version reads {number}")
+        raise Unsealed(f"it has format {int(stated[1])}, this version reads {number}")
     if head is None:
-        raise Unsealed("not sealed")
+        raise Unsealed("it has no checksum")
     body = content[head.end() :]
     if _digest(number, body) != head[2]:
-        raise Unsealed("its checksum is not that of its content")
+        raise Unsealed("its checksum does not match its content")
     return "{" + body.decode("utf-8", "replace")
 
 
 def unsealed(number: int, content: bytes) -> dict[str, Any]:
-    """Return the object that was sealed in a format; raises Unsealed, also where it is nested too deep."""
+    """Return a sealed object; raises Unsealed if it is damaged, of another format, or nested too deeply."""
     return parsed(unsealed_text(number, content))
 
 
 def parsed(text: str | bytes) -> dict[str, Any]:
-    """Parse a JSON object; raises Unsealed."""
+    """Parse a JSON object; raises Unsealed if it is invalid."""
     try:
         value = json.loads(text, parse_constant=_refuse)
     except (ValueError, RecursionError):
-        raise Unsealed("not JSON") from None
+        raise Unsealed("it is not JSON") from None
     if not isinstance(value, dict):
-        raise Unsealed("no JSON object")
+        raise Unsealed("it is not a JSON object")
     return value
 
 

@@ -1,7 +1,6 @@
-"""The types of what a cell's file states, as far as readers rely on them.
+"""Schema of the head of a cell's file.
 
-A checksum shows that a file is as it was written, not that this benchmark wrote it. What fits :data:`HEAD` can be read
-by every command.
+A checksum does not show that this benchmark wrote a file. Every command can process a head that fits :data:`HEAD`.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ REST = "*"
 
 
 def fits(value: Any, shape: Any) -> bool:
-    """Return whether a JSON value has a shape.
+    """Return whether a JSON value conforms to a schema.
 
-    A shape is a function of the value; a list with the shape of all items; or a dictionary with those of some keys,
-    each of which may be absent. Other keys have that of :data:`REST`, or may hold anything.
+    A schema is a predicate; a list with the schema of all items; or a dictionary of the schemas of some keys, each of
+    which may be absent. The schema of other keys is that of :data:`REST`, or any value is allowed.
     """
     if isinstance(shape, dict):
         rest = shape.get(REST, _anything)
@@ -48,7 +47,7 @@ def _finite(value: Any) -> bool:
 
 
 def _number(value: Any) -> bool:
-    return _finite(value) or value in ("inf", "-inf", "nan")  # which JSON lacks
+    return _finite(value) or value in ("inf", "-inf", "nan")  # JSON lacks non-finite numbers
 
 
 def _or_null(shape: Any) -> Callable[[Any], bool]:
@@ -56,7 +55,7 @@ def _or_null(shape: Any) -> Callable[[Any], bool]:
 
 
 def _state(value: Any) -> bool:
-    """Positions and velocities."""
+    """Return whether a value is a list of displacements and a list of velocities of equal length."""
     return fits(value, [[_finite]]) and len(value) == 2 and all(map(len, value)) and len(set(map(len, value))) == 1
 
 

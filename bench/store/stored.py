@@ -1,4 +1,4 @@
-"""What is stored of a cell, whether it lies in a user's folder or in the published archive."""
+"""The content of a stored cell, read from a user's folder or from the published archive."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from bench.contract.estimate import Status
 from bench.scoring.row import Row, Rows
 
 MARK = " (submitted)"
-"""What the label of a cell ends with that somebody else computed, so that every table and page shows it."""
+"""Suffix of the label of a submitted cell, which tables and pages show."""
 SUBMITTED = "submitted"
-"""The field of a submitted cell's provenance that states what was verified of it."""
+"""Field of a submitted cell's provenance with the facts that were verified."""
 
 
 class Arrays(Mapping[str, np.ndarray]):
-    """Arrays that are read when one of them is first needed; that raises InputError where they are damaged."""
+    """Arrays that are read when first needed, which raises InputError if they are damaged."""
 
     def __init__(self, read: Callable[[], Mapping[str, np.ndarray]]) -> None:
         self._read = read
@@ -43,10 +43,10 @@ class Arrays(Mapping[str, np.ndarray]):
 
 @dataclass(frozen=True)
 class StoredCell:
-    """A cell's description, its rows, the summary of every metric, and where they come from.
+    """A cell's description, rows, summaries by metric, and provenance.
 
-    ``wall_s`` is the time of all fits together, ``version`` the version that computed it (:mod:`bench.store.version`).
-    ``arrays`` are those kept of one replicate, ``tracebacks`` those of the replicates that failed.
+    ``wall_s`` is the total time of the fits (s), ``version`` the version that computed it (:mod:`bench.store.version`).
+    ``arrays`` belong to one replicate, ``tracebacks`` to the failed replicates.
     """
 
     identity: str
@@ -73,25 +73,25 @@ class StoredCell:
 
     @property
     def status(self) -> Status:
-        """``ok`` where any replicate succeeded, else the most frequent failure."""
+        """``ok`` if any replicate succeeded, otherwise the most frequent failure."""
         statuses = self.columns.statuses
         return Status.OK if Status.OK in statuses else max(set(statuses), key=statuses.count)
 
     @property
     def submitted(self) -> bool:
-        """True of a cell that came with a submission."""
+        """True if the cell came with a submission."""
         return SUBMITTED in self.provenance
 
     def marked(self, facts: Mapping[str, Any]) -> StoredCell:
-        """Return the cell as one that was submitted; ``facts`` state where it came from and what was verified of it.
+        """Return the cell marked as submitted; ``facts`` describe its origin and what was verified.
 
-        A label has no part in a cell's identity.
+        The label is not part of a cell's identity.
         """
         cell = {**self.cell, "label": f"{unmarked(str(self.cell['label']))}{MARK}"}
         return replace(self, cell=cell, provenance={**self.provenance, SUBMITTED: dict(facts)})
 
     def without_mark(self) -> StoredCell:
-        """Return the cell as its method calls it, without a mark that it came with."""
+        """Return the cell without the mark of a submission."""
         provenance = {key: value for key, value in self.provenance.items() if key != SUBMITTED}
         return replace(self, cell={**self.cell, "label": unmarked(str(self.cell["label"]))}, provenance=provenance)
 
@@ -103,10 +103,10 @@ def unmarked(label: str) -> str:
 
 @dataclass(frozen=True)
 class CellHead:
-    """What is known of a stored cell without reading its rows.
+    """The part of a stored cell that can be read without its rows.
 
     ``statuses`` counts the replicates by status; ``stamp`` is the time at which the file was written (ns; 0 in the
-    archive); ``problem`` says why the file is no whole cell, or is empty.
+    archive); ``problem`` is the reason why the file is damaged, or empty.
     """
 
     identity: str

@@ -1,8 +1,8 @@
-"""What computes a cell: the whole numbers that its method, its system and the scoring carry as versions.
+"""Versions of the code that computes a cell: whole numbers of its method, its system and the scoring.
 
-A number is raised by hand where a change alters results. A stored cell is current where all three are today's, and so
-are those of classes that other packages supply to the method; the versions of the packages are recorded beside them
-and make nothing stale.
+They are raised by hand when a change alters results. A stored cell is current if all three agree with today's code, and
+so do the versions of classes that other packages supply to the method. Versions of packages are recorded, but do not
+make a cell stale.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from bench.systems import load_system
 
 NUMBERS = ("method", "system", "scoring")
 PACKAGES = ("numpy", "scipy")
-"""Packages that every fit and its scores use."""
+"""Packages that all fits and the scoring use."""
 
 
 @dataclass(frozen=True)
 class Version:
-    """The versions of the method, the system and the scoring, and the names of the packages in use.
+    """The versions of method, system and scoring, and the names of the packages in use.
 
-    ``supplied``: by setting and class (``optimizer my_package:Lion``), the version of what another package supplies.
+    ``supplied``: versions of classes that other packages supply, by setting and class (``optimizer my_package:Lion``).
     """
 
     method: int
@@ -41,16 +41,16 @@ class Version:
 
     @property
     def packages(self) -> Mapping[str, str]:
-        """The public versions of the packages in use that are installed, by the name that is imported."""
+        """The versions of the packages in use that are installed, by import name."""
         versions = {name: installed(name) for name in self.requires}
         return {name: version for name, version in versions.items() if version}
 
     def as_json(self) -> dict[str, int]:
-        """Return what a stored cell states."""
+        """Return the numbers as they are stored in a cell."""
         return {**{name: getattr(self, name) for name in NUMBERS}, **dict(self.supplied)}
 
     def changed_since(self, stored: Mapping[str, Any]) -> str:
-        """Describe each number that differs from a stored version's, in one line; nothing where none does."""
+        """Describe the numbers that differ from a stored version in one line; empty if none differs."""
         today = self.as_json()
         return ", ".join(
             f"{name} version {stored.get(name, 'not stated')}, today {today.get(name, 'not used')}"
@@ -58,27 +58,25 @@ class Version:
             if stored.get(name) != today.get(name)
         )
 
-    def is_that_of(self, stored: Mapping[str, Any]) -> bool:
+    def matches(self, stored: Mapping[str, Any]) -> bool:
         """Return whether a stored version has the same numbers."""
         return not self.changed_since(stored)
 
 
 @cache
 def cell_version(method: str, system: str) -> Version:
-    """Return the version of what computes the cells of a method, or of a reference row, on a system.
-
-    Raises InputError for an unknown name.
-    """
+    """Return the version for cells of a method or reference on a system; raises InputError for an unknown name."""
     if method in REFERENCES:
         return Version(scoring.VERSION, load_system(system).version, scoring.VERSION)
-    found = load_method(method)
-    return Version(found.version, load_system(system).version, scoring.VERSION, (*PACKAGES, *found.requires))
+    loaded = load_method(method)
+    return Version(loaded.version, load_system(system).version, scoring.VERSION, (*PACKAGES, *loaded.requires))
 
 
 def settings_version(method: str, system: str, settings: Mapping[str, Any]) -> Version:
-    """Return the version of what computes the cells of a method with settings, whose values others may supply.
+    """Return the version for cells of a method with settings, some values of which other packages may supply.
 
-    Raises InputError for an unknown name, also of a value that no installed package supplies.
+    Raises:
+        InputError: A name is unknown, or no installed package supplies the value of a setting.
     """
     version = cell_version(method, system)
     card = None if method in REFERENCES else getattr(load_method(method), "card", None)
@@ -95,17 +93,17 @@ def settings_version(method: str, system: str, settings: Mapping[str, Any]) -> V
 
 
 def bound_version(system: str) -> list[int]:
-    """Return the version of what computes the bounds of a system."""
+    """Return the version for the bounds of a system."""
     return [load_system(system).version, scoring.VERSION]
 
 
 @cache
 def installed(name: str) -> str:
-    """Return the public version of a package, or nothing."""
+    """Return the public version of a package; empty if it is not installed."""
     with contextlib.suppress(PackageNotFoundError):
         return version(name).partition("+")[0]
     if find_spec(name) is None:
         return ""
-    for distribution in packages_distributions().get(name, []):  # a package that its distribution calls otherwise
+    for distribution in packages_distributions().get(name, []):  # the distribution may have another name
         return version(distribution).partition("+")[0]
     return ""

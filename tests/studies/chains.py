@@ -30,7 +30,7 @@ from bench.scenario.declaration import Positive
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 from bench.store.store import DEFAULT_STORE, Store, open_store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.systems import Chain
 from tests.studies.chains_picture import ASTRAY, caption, picture
 from tests.studies.common import RESULTS, Count, Out, publish, study

@@ -14,7 +14,7 @@ from bench.config.atlas import efficient_methods
 from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
-from bench.planning.forced import ForcedTest
+from bench.planning.forced_test import ForcedTest
 from bench.planning.forces import ForceInformation, Forces, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import counted, simulated_forced

@@ -13,7 +13,7 @@ from bench.contract.estimate import Status
 from bench.reporting.pictures.png import caption_of
 from bench.scoring.row import Row
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.systems import Chain
 from tests.studies import chains
 from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario

@@ -17,7 +17,7 @@ from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.words import USUAL_DB, decibels, heading, number, seconds, system_words
 from bench.reporting.ranking import first_tier, median_time
 from bench.scoring.summary import outlier_fits
-from bench.store.stored import unmarked
+from bench.store.stored_cell import unmarked
 
 STANDINGS = ("tied", "worse", "reference", "failed")
 """Values of the column "Standing", in the order in which it is sorted."""

@@ -14,7 +14,7 @@ from bench.reporting.page.reading import ScenarioPanel
 from bench.reporting.page.words import USUAL_DB, decibels, number, percent, quantity
 from bench.reporting.ranking import Ranked
 from bench.reporting.tables.pooling import pooled_quantities
-from bench.store.stored import unmarked
+from bench.store.stored_cell import unmarked
 
 FEW = 3
 """Largest number of quantities that are listed by name."""

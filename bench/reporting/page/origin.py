@@ -16,7 +16,7 @@ from bench.contract.estimate import Status
 from bench.errors import InputError
 from bench.reporting.frame import Result, table_experiments
 from bench.reporting.page.words import decibels
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.store.version import settings_version
 
 LONGEST = 200

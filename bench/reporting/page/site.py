@@ -37,7 +37,7 @@ from bench.reporting.page.words import slugs
 from bench.reporting.pictures.png import caption_of
 from bench.reporting.tables.leaderboard import parts
 from bench.store.store import Store
-from bench.store.stored import unmarked
+from bench.store.stored_cell import unmarked
 
 NAV = {
     "Home": "index.md", "Which method?": "which_method.md", "Can I trust this?": "trust.md",

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from bench.atlas.design import Slice, sobol
-from bench.atlas.model import FEWEST, AtlasModel, features, held_out, told, unknown
+from bench.atlas.model import FEWEST, AtlasModel, cross_validate, determined, features, unknown
 from bench.atlas.point import FreeDecay
 from bench.commands.main import main
 from bench.reporting.atlas import point_frame
@@ -44,11 +44,11 @@ def rule(frame: pd.DataFrame) -> np.ndarray:
 
 
 def test_points_that_were_left_out_are_predicted_to_what_is_random_in_them() -> None:
-    found = held_out(atlas(), "k_over_m")
+    found = cross_validate(atlas(), "k_over_m")
     assert found.error < 0.095  # 0.6745 times the spread is the least there can be
     assert 0.65 < found.within < 0.9
     assert found.calibration < 0.05
-    assert found.points == len(told(atlas(), "k_over_m"))
+    assert found.points == len(determined(atlas(), "k_over_m"))
 
 
 def test_the_model_knows_the_rule(model: AtlasModel) -> None:
@@ -71,7 +71,7 @@ def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
 @pytest.mark.parametrize(
     ("point", "why"),
     [
-        (FreeDecay(5, 2.0, 0.02, 20.0, 0.0, False), "outside the atlas"),
+        (FreeDecay(5, 2.0, 0.02, 20.0, 0.0, False), "outside the range of the atlas"),
         (FreeDecay(50, 40.0, 0.02, 20.0, 0.0, False), "half the sampling rate"),
         (FreeDecay(20, 0.5, 0.5, -5.0, 0.0, False), "does not tell"),
         (FreeDecay(100, 5.0, 0.02, 40.0, 0.0, False), ""),
@@ -83,7 +83,7 @@ def test_it_says_where_it_does_not_know(point: FreeDecay, why: str) -> None:
 
 
 def test_features_are_numbers() -> None:
-    frame = told(atlas(), "k_over_m")
+    frame = determined(atlas(), "k_over_m")
     assert np.all(np.isfinite(features(frame, "k_over_m")))
 
 

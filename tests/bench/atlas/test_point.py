@@ -54,7 +54,7 @@ def test_the_sequence_fills_the_box_evenly() -> None:
     for axis in FreeDecay.AXES:
         values = np.array([getattr(point, axis.name) for point in points])
         assert np.all((values >= axis.low) & (values <= axis.high))
-        half = axis.at(np.array([0.5]))[0]
+        half = axis.value(np.array([0.5]))[0]
         assert np.mean(values < half) == pytest.approx(0.5, abs=0.03)
     assert np.mean([point.start_known for point in points]) == pytest.approx(0.5, abs=0.01)
     assert sobol(FreeDecay, 16, 3) == points[:16]

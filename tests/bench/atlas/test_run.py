@@ -8,7 +8,7 @@ import pytest
 
 from bench import Card, Estimate, Identifier
 from bench.atlas.point import FreeDecay
-from bench.atlas.run import PointBlock, at_point, read_block, write_block
+from bench.atlas.run import PointBlock, fit_point, read_block, write_block
 from bench.commands.main import main
 from bench.config.atlas import SAMPLED, atlas_blocks, atlas_content, atlas_methods, part_names
 from bench.engine.pool import Limits, run_tasks
@@ -40,7 +40,7 @@ def test_a_block_is_computed_once_and_found_again(tmp_path) -> None:
 
 
 def test_a_block_comes_back_as_it_was(tmp_path) -> None:
-    statistics = [at_point(BLOCK, Raising(), point) for point in BLOCK.points]
+    statistics = [fit_point(BLOCK, Raising(), point) for point in BLOCK.points]
     write_block(tmp_path, BLOCK, statistics)
     again = read_block(tmp_path, BLOCK)
     assert again is not None
@@ -48,13 +48,13 @@ def test_a_block_comes_back_as_it_was(tmp_path) -> None:
 
 
 def test_a_method_that_raises_has_failed_fits() -> None:
-    found = at_point(BLOCK, Raising(), EASY)
+    found = fit_point(BLOCK, Raising(), EASY)
     assert found.failed == 1.0
     assert np.all(found.values[:, 4] == 1.0)
 
 
 def test_near_the_bound_a_good_method_has_an_error_of_about_one() -> None:
-    found = at_point(replace(BLOCK, replicates=40), make_method("output_error", {}), EASY)
+    found = fit_point(replace(BLOCK, replicates=40), make_method("output_error", {}), EASY)
     assert found.values[0, 1] == pytest.approx(1.0, abs=0.35)
     assert found.values[0, 5] > 0.8
     assert found.values[2, 2] == pytest.approx(1.0, abs=0.35)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.atlas.statistics import LARGEST, OF_SCORED, Statistics, columns, pooled
+from bench.atlas.statistics import COLUMNS, LARGEST, Statistics, columns, summarise_fits
 
 NAN = float("nan")
 
@@ -14,8 +14,8 @@ def fit(error: float, held: float) -> np.ndarray:
 
 def test_gross_errors_are_counted_and_left_out_of_the_core() -> None:
     fits = [fit(1.0, 1.0), fit(-3.0, 0.0), fit(5.1, 0.0), fit(LARGEST, NAN)]
-    found = pooled(fits, [False, False, False, True], [1.0, 2.0, 3.0, 4.0])
-    k = dict(zip(OF_SCORED, found.values[0], strict=True))
+    found = summarise_fits(fits, [False, False, False, True], [1.0, 2.0, 3.0, 4.0])
+    k = dict(zip(COLUMNS, found.values[0], strict=True))
     assert k["bias"] == pytest.approx(-1.0)
     assert k["core"] == pytest.approx(np.sqrt(5.0))
     assert k["gross"] == 0.5
@@ -26,14 +26,14 @@ def test_gross_errors_are_counted_and_left_out_of_the_core() -> None:
 
 
 def test_without_an_interval_there_is_no_coverage() -> None:
-    found = pooled([fit(1.0, 1.0)], [False], [1.0])
-    c = dict(zip(OF_SCORED, found.values[1], strict=True))
+    found = summarise_fits([fit(1.0, 1.0)], [False], [1.0])
+    c = dict(zip(COLUMNS, found.values[1], strict=True))
     assert np.isnan(c["held"])
     assert c["told"] == 0.0
 
 
 def test_a_row_holds_everything() -> None:
-    found = pooled([fit(1.0, 1.0), fit(9.0, 0.0)], [False, False], [1.0, 2.0])
+    found = summarise_fits([fit(1.0, 1.0), fit(9.0, 0.0)], [False, False], [1.0, 2.0])
     again = Statistics.of_row(found.row())
     assert found.row().size == len(columns(("k_over_m", "c_over_m")))
     np.testing.assert_allclose(again.values, found.values, rtol=1e-6)

@@ -26,7 +26,7 @@ from bench.reporting.terminal import columns, help_page, table, wrapped
 from bench.reporting.terminal_tables import cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 
 def places(line: str) -> int:

@@ -15,7 +15,7 @@ from bench.commands.watch import NO_RUN
 from bench.engine.pool import Limits
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
-from bench.store.locks import Claims, under_way
+from bench.store.locks import Claims, active_claims
 from bench.store.store import Store
 
 SWEEP = ["method=prior,oracle,ls", "replicates=2,3,4,5"]
@@ -32,7 +32,7 @@ def store(reference: Scenario, store: Store) -> Store:
 def test_only_locked_claims_count(tmp_path: Path) -> None:
     """A killed run leaves its claim as a file without a lock."""
     claims = Claims(tmp_path)
-    assert under_way(tmp_path / "nowhere") == {}
+    assert active_claims(tmp_path / "nowhere") == {}
     assert claims.take("locked")
     assert claims.take("released")
     claims.release("released")
@@ -42,7 +42,7 @@ def test_only_locked_claims_count(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", script + kill], timeout=120)
     assert done.returncode == -signal.SIGKILL
     assert (tmp_path / "killed.claim").exists()
-    assert set(under_way(tmp_path)) == {"locked"}
+    assert set(active_claims(tmp_path)) == {"locked"}
     assert Claims(tmp_path).take("killed")
 
 

@@ -13,7 +13,7 @@ from bench.config.choices import choices
 from bench.config.experiment import Experiment, expand
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell, stored_as_cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 WRONG_MODELS = {"added_friction", "cubic_spring", "second_mode"}
 """Disturbances of another experiment: the data are of another system."""

@@ -144,7 +144,7 @@ def test_a_bound_that_cannot_be_computed_costs_the_cells_of_its_scenario(
     lost, good = computed(store, *cells)
     assert good.n_ok == 2
     assert {(row.status, row.message.partition(": ")[0]) for row in lost.rows} == {
-        (Status.INVALID, "its bound cannot be computed")
+        (Status.INVALID, "the bound cannot be computed")
     }
     assert lost.summary["rmse"]["median"] == math.inf
     assert [planned.state for planned in plan(cells, store)] == [CellState.FAILED, CellState.DONE]

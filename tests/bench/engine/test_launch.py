@@ -136,8 +136,8 @@ class Flaky:
 
 @pytest.mark.parametrize(
     ("stored", "rounds", "said"),
-    [(3, 2, "has left 1 cells, launched again (ConnectionError: a node is gone)"),
-     (0, 1, "has left 4 cells, given up")],
+    [(3, 2, "1 cells unfinished, launching them again (ConnectionError: a node is gone)"),
+     (0, 1, "4 cells unfinished, giving up")],
 )  # fmt: skip
 def test_cells_of_a_lost_node_are_launched_again_as_long_as_a_round_brings_some(
     stored: int, rounds: int, said: str,
@@ -165,9 +165,9 @@ def test_a_job_ends_with_its_sweep(
     """
     store, after = make_store(), []
 
-    def interrupted(planned: Any, store: Store, limits: Limits, on_look: Any) -> None:
+    def interrupted(planned: Any, store: Store, limits: Limits, on_progress: Any) -> None:
         shutil.rmtree(store.folder / "launches")
-        on_look(RunState("fit", 1, 2, "", 1.0, False))
+        on_progress(RunState("fit", 1, 2, "", 1.0, False))
         after.append(planned)
 
     monkeypatch.setattr(job_file, "run_cells", interrupted)
@@ -282,7 +282,7 @@ def test_the_private_folder_is_its_user_s_alone(tmp_path: Path, monkeypatch: pyt
     assert first != second
     assert [folder.stat().st_mode & 0o077 for folder in (first, second, first.parent)] == [0, 0, 0]
     first.parent.chmod(0o770)
-    with pytest.raises(InputError, match="others can write there"):
+    with pytest.raises(InputError, match="other users can write there"):
         make_private_folder()
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(CACHE, str(tmp_path / "file"))

@@ -14,7 +14,7 @@ from bench import Status
 from bench.engine.plan import plan
 from bench.engine.pool import Limits
 from bench.engine.runner import run_cells
-from bench.isolation.failure import without_places
+from bench.isolation.failure import without_folders
 from bench.isolation.limits import LONGEST_FILE
 from bench.isolation.processes import Children
 from bench.scenario.scenario import Scenario
@@ -36,16 +36,16 @@ KINDS = {
     "nan": (Status.NONFINITE, "not finite"),
     "empty": (Status.NONFINITE, "not finite"),
     "type": (Status.CRASHED, "an Estimate was expected"),
-    "misshapen": (Status.INVALID, "an array of shape (2) was expected, not (3,)"),
-    "wrong_shape": (Status.INVALID, "a reconstruction of shape (1, 1000) was expected, not (3,)"),
+    "misshapen": (Status.INVALID, "an array must have shape (2), not (3,)"),
+    "wrong_shape": (Status.INVALID, "a reconstruction must have shape (1, 1000), not (3,)"),
     "raising_reconstruction": (Status.INVALID, "ValueError: no reconstruction here"),
     "recursion": (Status.CRASHED, "RecursionError"),
     "close": (Status.CRASHED, "exited with status 1"),
     "raise_surrogate": (Status.CRASHED, "FileNotFoundError: no file r\\udcffcord.csv"),
     "raise_long:8": (Status.CRASHED, "ValueError: xxx"),
     "unspeakable": (Status.CRASHED, "Unspeakable: (its message cannot be read)"),
-    "trace:7": (Status.INVALID, "76 MB, of which at most 64 are taken"),
-    "chatter:8": (Status.CRASHED, f"it printed, or wrote to a file, more than {LONGEST_FILE >> 20} MB"),
+    "trace:7": (Status.INVALID, "its size of 76 MB exceeds the limit of 64 MB"),
+    "chatter:8": (Status.CRASHED, f"printed, or wrote to a file, more than {LONGEST_FILE >> 20} MB"),
     "message": (Status.OK, "r\\udcffcord xxx"),
     "trace_name": (Status.OK, ""),
     "unpicklable": (Status.OK, ""),
@@ -99,7 +99,7 @@ def outcomes(reference: Scenario, store: Store, *kinds: str) -> list[tuple[Statu
 
 @pytest.mark.parametrize(
     ("kind", "outcome"),
-    [("daemon", (Status.OK, "")), ("daemon_alone", (Status.CRASHED, "its process exited with status 0"))],
+    [("daemon", (Status.OK, "")), ("daemon_alone", (Status.CRASHED, "the process exited with status 0"))],
 )
 def test_a_daemon_ends_with_its_fit_and_holds_nobody_up(
     reference: Scenario, store: Store, tmp_path: Path, any_bound: None, kind: str, outcome: tuple[Status, str]
@@ -150,4 +150,4 @@ def test_a_traceback_does_not_name_folders_of_the_machine() -> None:
     text = (
         'File "/home/someone/env/lib/scipy/linalg/_decomp.py", line 594, in eigh\nFile "C:\\a\\methods\\ls.py", line 1'
     )
-    assert without_places(text) == 'File "linalg/_decomp.py", line 594, in eigh\nFile "methods\\ls.py", line 1'
+    assert without_folders(text) == 'File "linalg/_decomp.py", line 594, in eigh\nFile "methods\\ls.py", line 1'

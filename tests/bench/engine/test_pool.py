@@ -61,7 +61,7 @@ def test_what_is_stored_is_not_computed_again_and_what_fails_harms_no_other(tmp_
     deeds = [Deed("a"), Deed("b", "raise"), Deed("c", "die"), Deed("d")]
     looks: list[RunState] = []
     errors = run_tasks(deeds, tmp_path, Limits(), ("deed", ""), looks.append)
-    assert errors == {"b": "ValueError: two lines of reasons", "c": "its process was ended by SIGKILL"}
+    assert errors == {"b": "ValueError: two lines of reasons", "c": "the process was ended by SIGKILL"}
     assert [deed.key for deed in deeds if deed.stored(tmp_path)] == ["a", "d"]
     assert (looks[-1].done, looks[-1].total, looks[-1].note) == (4, 4, "2 failed")
     run_tasks(deeds, tmp_path, Limits(), ("deed", ""))

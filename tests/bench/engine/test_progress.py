@@ -15,7 +15,7 @@ from conftest import Plugins, StoreFactory
 from bench.engine import progress as bars
 from bench.engine.plan import plan
 from bench.engine.pool import Limits
-from bench.engine.progress import Progress, RunState, firsts_first, progress_bar
+from bench.engine.progress import Progress, RunState, first_of_each_kind_first, progress_bar
 from bench.engine.runner import run_cells
 from bench.entrants.registry import default_settings
 from bench.scenario.scenario import Scenario
@@ -54,7 +54,7 @@ def course(methods: list[str]) -> list[tuple[float, str, float]]:
 @pytest.mark.parametrize("share", [0.25, 0.75])
 def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(order: str, share: float) -> None:
     """Of a sweep whose methods differ in cost by 100 times, at a share of the time, whatever the order of the cells."""
-    methods = firsts_first(ORDERS[order], lambda method: method)
+    methods = first_of_each_kind_first(ORDERS[order], lambda method: method)
     progress, events = progress_of(methods), course(methods)
     end = events[-1][0]
     for now, key, seconds in events:
@@ -69,7 +69,7 @@ def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(order: str, sha
 
 def test_unknown_costs_are_not_guessed() -> None:
     progress = progress_of(["ls", "mcmc"], 4, workers=1)
-    begin = progress.look()
+    begin = progress.state()
     assert (math.isnan(begin.seconds_left), begin.at_least, begin.done, begin.total) == (True, True, 0, 8)
     look = progress.add("0", 1, 3.0)
     assert (look.seconds_left, look.at_least) == (9.0, True)  # three more fits
@@ -84,7 +84,7 @@ def test_the_first_of_a_kind_is_no_example_once_there_is_a_second() -> None:
     progress = Progress(
         "bound", dict.fromkeys(keys, 1), {key: (name, "") for key, name in zip(keys, systems, strict=True)}
     )
-    looks = [progress.look(), *(progress.add(str(i), 1, took) for i, took in enumerate((20.0, 1.0, 2.0, 4.0)))]
+    looks = [progress.state(), *(progress.add(str(i), 1, took) for i, took in enumerate((20.0, 1.0, 2.0, 4.0)))]
     shown = [(look.done, None if math.isnan(look.seconds_left) else look.seconds_left, look.at_least) for look in looks]
     assert shown == [(0, None, True), (1, 40.0, True), (2, 41.0, False), (3, 3.0, False), (4, 1.0, False)]
 
@@ -98,7 +98,7 @@ FITS = RunState("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
         (FITS, 0.0, "about 1.7 min left"),
         (FITS, 40.0, "about 60 s left"),
         (FITS, 101.0, "longer than expected"),
-        (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "time left not known yet"),
+        (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "remaining time unknown"),
     ],
 )
 def test_the_time_left_runs_down_and_stands_first(look: RunState, since: float, said: str) -> None:

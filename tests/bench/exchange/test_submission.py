@@ -31,7 +31,7 @@ from bench.scoring.row import Row
 from bench.scoring.traces import MOMENTS, depends_on_clock
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 N = 12
 TODAY = load_method("ls").version
@@ -119,7 +119,9 @@ def absurd(stored: StoredCell) -> StoredCell:
     changed = {**stored.cell, "data": data, "snr_db": data["snr_db"]}
     scenario = Scenario.from_dict(changed, label=changed["system"])
     cell = Cell(scenario, changed["method"], changed["settings"], changed["replicates"], changed["seed"], "ls")
-    return replace(stored, identity=cell.identity, cell={**changed, **cell.stated()}, version=cell.version.as_json())
+    return replace(
+        stored, identity=cell.identity, cell={**changed, **cell.full_description()}, version=cell.version.as_json()
+    )
 
 
 def fewer_rows(stored: StoredCell) -> StoredCell:
@@ -254,7 +256,7 @@ def test_rows_made_better_are_found_and_nothing_is_added(
         (fewer_rows, {}, "lacks some of its 12 rows"),
         (a_reference, {}, "is of oracle, the submission of ls"),
         (another_question, {}, "means nothing here: cell="),
-        (absurd, {}, "its bound cannot be computed"),
+        (absurd, {}, "the bound cannot be computed"),
         (as_it_is, {"class": "somebody.methods:LS"}, "by somebody.methods:LS, and ls is methods.regression.ls:LS here"),
     ],
 )

@@ -71,4 +71,4 @@ def test_an_exit_status_that_a_start_could_read_as_well_is_read_once(tmp_path: P
     (tmp_path / "slow_status.py").write_text(SLOW_STATUS)
     path = os.pathsep.join([str(tmp_path), *sys.path])
     done = python("-c", "import slow_status; slow_status.main()", env={"PYTHONPATH": path})
-    assert done.stdout.strip() == "its process exited with status 3", done.stderr
+    assert done.stdout.strip() == "the process exited with status 3", done.stderr

@@ -9,7 +9,7 @@ from bench.commands.main import main
 from bench.config.overrides import read_overrides
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
-from bench.planning.forced import FORCED_QUANTITIES, ForcedTest, displacement, forced_errors
+from bench.planning.forced_test import FORCED_QUANTITIES, ForcedTest, displacement, forced_errors
 from bench.planning.forces import Forces, half_sine, told_by
 from bench.planning.free_decay import Oscillator
 from bench.planning.multisine import ALL, wanted_columns

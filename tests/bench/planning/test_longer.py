@@ -8,7 +8,7 @@ import pytest
 import bench
 from bench.commands.main import main
 from bench.planning.free_decay import Oscillator, motion
-from bench.planning.longer import Taken, start_of
+from bench.planning.extension import Taken, start_of
 
 OSCILLATOR, SIGMA, START = Oscillator(2.0, 0.03), 1e-3, (0.02, 0.1)
 TIMES = np.arange(40) * 0.05

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bench.planning.forced import ForcedTest, information
+from bench.planning.forced_test import ForcedTest, information
 from bench.planning.free_decay import Oscillator
 from bench.planning.multisine import (
     ALL,

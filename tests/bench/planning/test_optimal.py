@@ -9,7 +9,7 @@ from bench.commands.main import main
 from bench.entrants.registry import make_method
 from bench.planning import optimal
 from bench.planning.free_decay import Decay
-from bench.planning.optimal import VOLUME, best_times, told_by
+from bench.planning.sampling_times import VOLUME, best_times, told_by
 from bench.planning.search import Likely
 from bench.planning.verify import simulated
 

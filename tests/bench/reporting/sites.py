@@ -17,7 +17,7 @@ from bench.reporting.page.reading import ScenarioPanel, named
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 BOUND = Bound(
     ("m", "c", "k"),

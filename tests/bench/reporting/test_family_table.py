@@ -25,7 +25,7 @@ from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 FAMILY = "pinn_family"
 CHOICES = load_method(FAMILY).card.choices

@@ -12,7 +12,7 @@ from bench.reporting.frame import Result
 from bench.reporting.paper import Printed, implied, judged, printed, size_of_error
 from bench.scoring.row import Row
 from bench.scoring.verdict import Verdict, better_in_both, between
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 FOUND = {(b.table, b.row, b.method, b.metric): b for b in implied()}
 

@@ -21,7 +21,7 @@ from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.store.cell import Cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 K, C = "k_over_m_error_pct", "c_over_m_error_pct"
 BOUNDS = {K: 2.0, C: 7.0}

@@ -28,7 +28,7 @@ from bench.reporting.page.situations import Advice, advice
 from bench.reporting.page.words import at_most, seconds, slug, slugs
 from bench.reporting.pictures import png
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.store.version import settings_version
 
 pytest.importorskip("jinja2")

@@ -18,7 +18,7 @@ from bench.reporting.tables.leaderboard import leaderboard
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 METHOD = "srivc"  # registered, and not one of those that Table 4 asks for
 

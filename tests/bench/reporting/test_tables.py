@@ -35,7 +35,7 @@ from bench.scoring.summary import summarise
 from bench.scoring.verdict import judge
 from bench.store.cell import Cell
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 PRINTED = {
     # (table, row, method): m, c, k errors in percent, displacement RMSE; read off the printed article once more

@@ -8,7 +8,7 @@ from bench.config.experiment import expand
 from bench.contract.estimate import Status
 from bench.reporting.terms import kept_terms, terms_found, true_terms
 from bench.scoring.row import Row
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 from bench.systems import SDOF, BoucWen, Chain, Duffing, Pendulum, VanDerPol
 
 FREE: frozenset[int] = frozenset()

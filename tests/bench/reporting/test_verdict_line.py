@@ -17,7 +17,7 @@ from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.score import score
 from bench.scoring.summary import summarise
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 
 def cell(excess: dict[str, float], coverage: dict[str, float], ok: int = 100, failed: int = 0) -> StoredCell:

@@ -20,7 +20,7 @@ from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.store import cell as stored_cells
 from bench.store.cell import Cell
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 
 @dataclass(frozen=True)

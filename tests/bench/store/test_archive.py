@@ -27,7 +27,7 @@ from bench.store.digits import binary, decimal
 from bench.store.publication import ARRAY_BITS
 from bench.store.seal import sealed, unsealed_text
 from bench.store.store import BOUND_FORMAT, VARIABLE, Store, open_store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 NAN, INF = math.nan, math.inf
 ODD = ("", "größer", "a\nline", '"quoted"', "\u2028 \U0001f600", "nan", "null", "0")
@@ -229,14 +229,14 @@ def test_every_flipped_bit_is_noticed(archive: Archive) -> None:
 
 def test_a_store_lies_over_the_archive(store: Store, archive: Archive, tmp_path: Path) -> None:
     both = Store(tmp_path / "mine", archive)
-    assert both.there()
+    assert both.exists()
     assert both.identities() == store.identities()  # before the folder is there
     identity = f"{4:020x}"
-    assert both.whereabouts(identity) == f"published archive: {archive.folder / 'rows' / 'table1.parquet'}"
+    assert both.location(identity) == f"published archive: {archive.folder / 'rows' / 'table1.parquet'}"
     both.prepare()
     both.save(replace(random_cell(4), wall_s=7.0))
     both.save(random_cell(99))
-    assert both.whereabouts(identity) == f"full result: {both.path(identity)}"
+    assert both.location(identity) == f"full result: {both.path(identity)}"
     assert both.load(identity).wall_s == both.head(identity).wall_s == 7.0  # type: ignore[union-attr]
     assert len(list(both)) == 13
     assert [head.identity for head in both.heads()] == both.identities()

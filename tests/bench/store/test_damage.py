@@ -25,7 +25,7 @@ from bench.store.cell import stored_as_cell
 from bench.store.cell_file import FORMAT
 from bench.store.seal import sealed
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 FLIPS = 400
 LONG_S = 20.0

@@ -21,7 +21,7 @@ def claims(tmp_path: Path) -> Claims:
 def test_a_claim_that_says_nothing_is_no_error(claims: Claims, text: str) -> None:
     claims.prepare()
     (claims.folder / "held.claim").write_text(text)
-    assert claims.holder("held") == "which one, its claim does not say"
+    assert claims.holder("held") == "unknown process"
     assert claims.take("held")
     assert str(os.getpid()) in claims.holder("held")
 
@@ -66,7 +66,7 @@ def test_a_cell_that_another_user_has_claimed_is_waited_for(tmp_path: Path) -> N
         folder.mkdir()
         folder.chmod(mode)
     refused = as_another_user(ours)
-    assert refused.startswith(f"store={ours}: cells cannot be claimed in it (Permission denied, it belongs to root)")
+    assert refused.startswith(f"store={ours}: cannot be written (Permission denied, owned by root)")
     assert len(refused.splitlines()) == 1
     holder = Claims(shared)
     assert holder.take("held")

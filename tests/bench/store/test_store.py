@@ -21,7 +21,7 @@ from bench import InputError, Status
 from bench.scoring.row import Row
 from bench.store.cell_file import cell_file
 from bench.store.store import Store
-from bench.store.stored import StoredCell
+from bench.store.stored_cell import StoredCell
 
 NAN, INF = math.nan, math.inf
 ROWS = (

@@ -57,7 +57,7 @@ def test_each_number_makes_stale_and_is_named(number: str, monkeypatch: pytest.M
     assert by_label["ls"] == expected
     assert by_label["shooting"] == (("done", "") if number == "method" else expected)
     assert f"x {number} version {stored[number]}, today {today}" in store_page(store)
-    assert cell_version("ls", "sdof").is_that_of({**stored, number: today})
+    assert cell_version("ls", "sdof").matches({**stored, number: today})
     assert (bound_version("sdof") == [1, 1]) == (number == "method")
 
 

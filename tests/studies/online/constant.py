@@ -54,8 +54,8 @@ def constant(records: int, store: Path, workers: int) -> str:
     """Follow the records, and tell errors and alarms; finished records are kept in ``store``."""
     scenario = online_scenario(SCENARIO)
     tasks = [Tracking(scenario, row.method, _settings(row), max(1, round(row.share * records)), 1) for row in ROWS]
-    with progress_bar() as on_look:
-        run_tasks(in_order(tasks), store, Limits(workers), ("record", ""), on_look)
+    with progress_bar() as on_progress:
+        run_tasks(in_order(tasks), store, Limits(workers), ("record", ""), on_progress)
     rows = [_row(row, task, store) for row, task in zip(ROWS, tasks, strict=True)]
     headers = ["method", "records", "samples used", "k/m excess", "c/m excess", "k/m cov. %", "c/m cov. %",
                "false alarms in 10,000 samples", "at most, stated"]  # fmt: skip
