@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.atlas.forced import Forced
+from bench.atlas.forced_test import Forced
 from bench.atlas.point import FreeDecay, Point
 from bench.atlas.statistics import PointBound, Statistics, columns, score_fit, summarise_fits
 from bench.contract.estimate import Estimate, Status

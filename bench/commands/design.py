@@ -161,11 +161,13 @@ def longer(
     """State what a longer record of a free decay, or a repeated one, would determine."""
     from bench.config.atlas import efficient_methods
     from bench.config.overrides import read_overrides
-    from bench.planning.measured_decay import taken
+    from bench.planning.measured_decay import measured_decay
     from bench.reporting.plans import longer_page
 
     try:
-        measured = taken(read_overrides([f"data={given}", f"method={method or efficient_methods()[0]}", *record]))
+        measured = measured_decay(
+            read_overrides([f"data={given}", f"method={method or efficient_methods()[0]}", *record])
+        )
     except InputError as error:
         raise InputError("given" if error.field == "data" else error.field, error.value, error.remedy) from None
     print(longer_page(measured, *(want or (None, 0.0))))

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.atlas.design import Slice, blocks, make_point, sobol
-from bench.atlas.forced import Forced
+from bench.atlas.forced_test import Forced
 from bench.atlas.point import FreeDecay, Point
 from bench.atlas.run import PointBlock
 from bench.config.files import read_yaml

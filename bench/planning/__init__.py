@@ -1,1 +1,1 @@
-"""Planning a test: what a free decay would tell before it is taken, and the cheapest that tells enough."""
+"""Design of vibration tests: expected accuracy of a test, and the smallest test for a required accuracy."""

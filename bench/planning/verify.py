@@ -1,4 +1,4 @@
-"""A proposed test, simulated: whether real estimates from it are as near as it was to give."""
+"""Simulation of a proposed test, to compare actual errors of a method with the expected ones."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from bench.planning.search import WITHIN, Likely
 from bench.systems import make_system
 
 NORMAL = 0.6745
-"""Median size of a normal error, over its standard deviation."""
+"""Median absolute value of a normal error over its standard deviation."""
 
 
-def simulated(
+def simulate_decays(
     likely: Likely,
     decay: Decay,
     quantity: str,
@@ -27,20 +27,30 @@ def simulated(
     report: Callable[[], object],
     times: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Errors of the logarithm of a quantity in so many simulated free decays, each of a likely oscillator.
+    """Return the errors of a method in simulated free decays of likely oscillators.
 
-    Samples are at ``times`` in place of the even ones, where these are given. Infinite where the method has no
-    estimate, or one that is not positive.
+    Args:
+        likely: Prior knowledge of the oscillator.
+        decay: The test.
+        quantity: One of :data:`QUANTITIES`.
+        method: The method.
+        number: Number of simulated tests.
+        report: Called after each test.
+        times: Sampling times, s; by default those of ``decay``.
+
+    Returns:
+        Absolute errors of the logarithm of the quantity, (number,); infinite if the estimate is missing or not
+        positive.
     """
-    at = decay.times if times is None else times
+    grid = decay.times if times is None else times
 
-    def clean(own: Oscillator) -> np.ndarray:
-        return motion(own, at, (decay.amplitude, 0.0))[0]
+    def clean(oscillator: Oscillator) -> np.ndarray:
+        return motion(oscillator, grid, (decay.amplitude, 0.0))[0]
 
-    return _errors(likely, quantity, method, number, report, at, clean, ())
+    return _errors(likely, quantity, method, number, report, grid, clean, ())
 
 
-def simulated_forced(
+def simulate_forced_tests(
     likely: Likely,
     test: ForcedTest,
     force: np.ndarray,
@@ -49,10 +59,10 @@ def simulated_forced(
     number: int,
     report: Callable[[], object],
 ) -> np.ndarray:
-    """The same of tests under a measured force (n,), over mass and noise; from rest, which is not told."""
+    """Return the errors of a method in simulated tests with a measured ``force`` (n,); see :func:`simulate_decays`."""
 
-    def clean(own: Oscillator) -> np.ndarray:
-        return displacement(own, test, force)
+    def clean(oscillator: Oscillator) -> np.ndarray:
+        return displacement(oscillator, test, force)
 
     return _errors(likely, quantity, method, number, report, test.times, clean, (Force(test.times, force),))
 
@@ -67,32 +77,32 @@ def _errors(
     clean: Callable[[Oscillator], np.ndarray],
     forces: tuple[Force, ...],
 ) -> np.ndarray:
-    """Errors of the logarithm of a quantity by a method, (number,), from clean motions with unit noise."""
+    """Return the absolute errors of the logarithm of a quantity, (number,), for noise of unit variance."""
     system, rng = make_system("sdof", {}), np.random.default_rng(0)
     exponents = QUANTITIES[quantity]
-    found = np.full(number, np.inf)
+    result = np.full(number, np.inf)
     for i in range(number):
-        own = likely.oscillators[int(rng.integers(len(likely.oscillators)))]
-        values = clean(own) + rng.standard_normal(times.size)
+        oscillator = likely.oscillators[int(rng.integers(len(likely.oscillators)))]
+        values = clean(oscillator) + rng.standard_normal(times.size)
         problem = Problem(system, (Record((Channel(times, values),), forces),))
         estimate = method.identify(problem, np.random.default_rng(i))
-        true = (own.omega**2, 2.0 * own.damping_ratio * own.omega)
+        true = (oscillator.omega**2, 2.0 * oscillator.damping_ratio * oscillator.omega)
         groups = [estimate.marginal(system.quantity(name)) for name in ("k_over_m", "c_over_m")]
         logs = [
             exponent * math.log(marginal.value / t) if marginal is not None and marginal.value > 0 else math.inf
             for exponent, marginal, t in zip(exponents, groups, true, strict=True)
-            if exponent  # a damping that is found to be 0 says nothing against the stiffness
+            if exponent  # an estimated damping of 0 must not affect the stiffness alone
         ]
-        found[i] = abs(sum(logs))
+        result[i] = abs(sum(logs))
         report()
-    return found
+    return result
 
 
-def reached(errors: np.ndarray, wanted: float) -> float:
-    """The share of simulated tests within :data:`WITHIN` times the wanted error."""
-    return float(np.mean(errors <= WITHIN * wanted))
+def share_within(errors: np.ndarray, required: float) -> float:
+    """Return the share of simulated tests with an error within :data:`WITHIN` times the required standard deviation."""
+    return float(np.mean(errors <= WITHIN * required))
 
 
-def counted(errors: np.ndarray) -> float:
-    """The standard deviation that simulated errors had, were they normal: by their median size."""
+def robust_deviation(errors: np.ndarray) -> float:
+    """Estimate the standard deviation of simulated errors from their median absolute value."""
     return float(np.median(errors)) / NORMAL

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from bench.atlas.forced import Forced
+from bench.atlas.forced_test import Forced
 from bench.atlas.model import FOLDS, MAX_SD, CrossValidation, cross_validate, determined
 from bench.atlas.point import GROUPS, FreeDecay, Point
 from bench.atlas.run import PointBlock, bound_at, read_block

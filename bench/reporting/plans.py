@@ -18,15 +18,14 @@ from bench.config.atlas import efficient_methods
 from bench.contract.method import Identifier
 from bench.entrants.registry import load_method
 from bench.errors import InputError
+from bench.planning.extension import MeasuredDecay
 from bench.planning.forced_test import FORCED_QUANTITIES, ForcedTest
-from bench.planning.forces import LEAST_LINES, Forces, line_frequencies
-from bench.planning.forces import told_by as told_by_force
+from bench.planning.forces import LEAST_LINES, Forces, evaluate_force, line_frequencies
 from bench.planning.free_decay import QUANTITIES, Decay
-from bench.planning.extension import Taken
 from bench.planning.multisine import ALL
-from bench.planning.sampling_times import VOLUME, best_times, told_by
+from bench.planning.sampling_times import VOLUME, best_times, evaluate_times
 from bench.planning.search import LEAST_RATE, SHARE, WITHIN, Likely, ProposedTest, cheapest, proposal
-from bench.planning.verify import counted, reached, simulated, simulated_forced
+from bench.planning.verify import robust_deviation, share_within, simulate_decays, simulate_forced_tests
 from bench.reporting.atlas import RARE, point_frame
 from bench.reporting.terminal import table, wrapped
 
@@ -64,7 +63,7 @@ class PlanRequest:
     @property
     def median(self) -> str:
         """Say what a percentage is, where more than one oscillator is likely."""
-        return ", median over the likely oscillators" if self.likely.in_doubt else ""
+        return ", median over the likely oscillators" if self.likely.uncertain else ""
 
     def simulate(
         self, rows: Sequence[Row], heading: str, tests: Sequence[Simulation], text: Callable[[np.ndarray], str]
@@ -85,10 +84,10 @@ class PlanRequest:
         """Add the share of simulated decays, sampled at ``times`` if any, that reach the wanted error."""
 
         def simulation(decay: Decay, sampled: np.ndarray | None) -> Simulation:
-            return partial(simulated, self.likely, decay, self.quantity, times=sampled)
+            return partial(simulate_decays, self.likely, decay, self.quantity, times=sampled)
 
         tests = [simulation(*test) for test in zip(decays, times or [None] * len(decays), strict=True)]
-        self.simulate(rows, "simulated, %", tests, lambda errors: f"{100 * reached(errors, self.error):.1f}")
+        self.simulate(rows, "simulated, %", tests, lambda errors: f"{100 * share_within(errors, self.error):.1f}")
 
 
 def percent(value: float) -> str:
@@ -143,7 +142,7 @@ def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
     doubt = f" (median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)"
     text = (
         "Each line is the test of fewest samples for its initial displacement, released from rest; percentages are "
-        f"standard deviations by the Cramér-Rao bound{doubt if request.likely.in_doubt else ''}. "
+        f"standard deviations by the Cramér-Rao bound{doubt if request.likely.uncertain else ''}. "
         f"Methods that reach it: {', '.join(efficient_methods())}."
     )
     if request.simulations:
@@ -158,7 +157,7 @@ def times_page(request: PlanRequest, decay: Decay) -> tuple[str, np.ndarray]:
     """Return a table that compares even sampling times with the best ones, and the best for the wanted quantity (s)."""
     best = f"best for {request.title}"
     compared = {
-        "even": told_by(request.likely, decay.times, decay.amplitude),
+        "even": evaluate_times(request.likely, decay.times, decay.amplitude),
         best: best_times(request.likely, decay, request.quantity),
         "best for k/m and c/m": best_times(request.likely, decay, VOLUME),
     }
@@ -176,7 +175,7 @@ def _bursts(times: np.ndarray, decay: Decay) -> str:
     return ", ".join(f"{b[0]:.3g}" if b.size == 1 else f"{b.size} from {b[0]:.3g} to {b[-1]:.3g}" for b in bursts)
 
 
-def longer_page(record: Taken, quantity: str | None, error: float) -> str:
+def longer_page(record: MeasuredDecay, quantity: str | None, error: float) -> str:
     """Return a table of longer and repeated records, and what it takes to reach a wanted error, if one is wanted."""
     lines = [("as it is", record.duration, record.supported)]
     lines += [(f"{factor:g} times as long", factor * record.duration, record.expected(factor)) for factor in FACTORS]
@@ -189,7 +188,7 @@ def longer_page(record: Taken, quantity: str | None, error: float) -> str:
     return _page(rows, meaning, *([_until(record, quantity, error)] if quantity else []))
 
 
-def _until(record: Taken, quantity: str, error: float) -> str:
+def _until(record: MeasuredDecay, quantity: str, error: float) -> str:
     """Say what it takes to reach a wanted error."""
     title, factor = TITLES[quantity], record.factor_for(quantity, error)
     now = percent(record.supported[quantity])
@@ -232,7 +231,7 @@ def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: flo
         f"best for {title}": forces.best(quantity),
         "best for m, c and k": forces.best(ALL),
     }
-    told = {name: told_by_force(request.likely, test, force) for name, force in compared.items()}
+    told = {name: evaluate_force(request.likely, test, force) for name, force in compared.items()}
     best = told[f"best for {title}"]
     rows = [
         {
@@ -244,10 +243,10 @@ def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: flo
     ]  # fmt: skip
 
     def simulation(force: np.ndarray) -> Simulation:
-        return partial(simulated_forced, request.likely, test, force, quantity)
+        return partial(simulate_forced_tests, request.likely, test, force, quantity)
 
     tests = [simulation(force.force) for force in told.values()]
-    request.simulate(rows, "counted, %", tests, lambda errors: percent(counted(errors)))
+    request.simulate(rows, "counted, %", tests, lambda errors: percent(robust_deviation(errors)))
     notes = [
         f"Each force has the energy {energy:g} N² s and starts from an unknown state of rest; it is measured with the "
         "motion. Percentages are standard deviations by the Cramér-Rao bound of the finite record, with its "

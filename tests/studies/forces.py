@@ -15,9 +15,9 @@ from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
 from bench.planning.forced_test import ForcedTest
-from bench.planning.forces import ForceInformation, Forces, told_by
+from bench.planning.forces import ForceInformation, Forces, evaluate_force
 from bench.planning.search import Likely
-from bench.planning.verify import counted, simulated_forced
+from bench.planning.verify import robust_deviation, simulate_forced_tests
 from bench.reporting.tables.render import markdown_table
 from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.plans import drawn_likely, known
@@ -63,7 +63,7 @@ def _forces(one: Request) -> dict[str, ForceInformation]:
         "even multisine": forces.even_multisine(wanted), "best pulse": forces.best_pulse(wanted),
         "best multisine": forces.best_multisine(wanted), "best": forces.best(wanted),
     }  # fmt: skip
-    return {title: told_by(one.likely, one.test, force) for title, force in every.items()}
+    return {title: evaluate_force(one.likely, one.test, force) for title, force in every.items()}
 
 
 def forces(
@@ -84,9 +84,9 @@ def forces(
         for one, found in planned:
             for title in SIMULATED:
                 told = found[title]
-                errors = simulated_forced(one.likely, one.test, told.force, one.quantity, method, tests, advance)
+                errors = simulate_forced_tests(one.likely, one.test, told.force, one.quantity, method, tests, advance)
                 shares[title] += list(errors / told.median[one.quantity])
-    said = {title: counted(np.array(values)) for title, values in shares.items()}
+    said = {title: robust_deviation(np.array(values)) for title, values in shares.items()}
     publish(out / "forces.md", page(planned, said, name, tests))
     return 0
 

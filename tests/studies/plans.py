@@ -17,8 +17,8 @@ from bench.engine.progress import counter
 from bench.entrants.registry import make_method
 from bench.isolation.machine import single_threaded
 from bench.planning.free_decay import QUANTITIES, Decay, errors, information
-from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, ProposedTest, cheapest, not_exceeded
-from bench.planning.verify import reached, simulated
+from bench.planning.search import MOST_SAMPLES, WITHIN, Likely, ProposedTest, cheapest, quantile_error
+from bench.planning.verify import share_within, simulate_decays
 from bench.reporting.tables.render import markdown_table
 from tests.studies.common import RESULTS, Count, Out, publish, study
 
@@ -64,7 +64,7 @@ def doubled(one: Request) -> int | None:
     cycles = 1.0
     while HABIT * cycles < MOST_SAMPLES:
         decay = Decay(round(HABIT * cycles) + 1, cycles / one.likely.frequency, one.amplitude)
-        if not_exceeded(one.likely, decay, one.quantity) <= one.error:
+        if quantile_error(one.likely, decay, one.quantity) <= one.error:
             return decay.samples
         cycles *= 2.0
     return None
@@ -85,7 +85,9 @@ def plans(
     planned = drawn(requests)
     with counter("test", requests * tests) as advance:
         for one, plan in planned:
-            found = reached(simulated(one.likely, plan.decay, one.quantity, method, tests, advance), one.error)
+            found = share_within(
+                simulate_decays(one.likely, plan.decay, one.quantity, method, tests, advance), one.error
+            )
             share = expected_share(one, plan.decay)
             low, high = (float(value) / tests for value in binom.interval(0.95, tests, share))
             inside += low <= found <= high

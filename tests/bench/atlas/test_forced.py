@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.atlas.design import Slice, sobol
-from bench.atlas.forced import KINDS, Forced
+from bench.atlas.forced_test import KINDS, Forced
 from bench.commands.main import main
 from bench.config.atlas import SAMPLED, atlas_blocks, atlas_methods
 

@@ -10,11 +10,11 @@ from bench.config.overrides import read_overrides
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
 from bench.planning.forced_test import FORCED_QUANTITIES, ForcedTest, displacement, forced_errors
-from bench.planning.forces import Forces, half_sine, told_by
+from bench.planning.forces import Forces, evaluate_force, half_sine
 from bench.planning.free_decay import Oscillator
-from bench.planning.multisine import ALL, wanted_columns
+from bench.planning.multisine import ALL, criterion_columns
 from bench.planning.search import Likely
-from bench.planning.verify import counted, simulated_forced
+from bench.planning.verify import robust_deviation, simulate_forced_tests
 from bench.records.problem import read_measured
 from bench.records.request import request_of
 from bench.scenario.force import ForceSpec
@@ -51,12 +51,12 @@ def test_the_energy_is_the_integral_of_the_square() -> None:
     fine = np.linspace(0.0, TEST.duration, 200_001)
     integral = np.mean(np.interp(fine, TEST.times, force) ** 2) * TEST.duration
     assert TEST.energy_of(force) == pytest.approx(integral, rel=1e-4)
-    assert TEST.energy_of(TEST.scaled(force)) == pytest.approx(TEST.energy)
+    assert TEST.energy_of(TEST.scale(force)) == pytest.approx(TEST.energy)
 
 
 @pytest.mark.parametrize("quantity", ["c_over_m", ALL])
 def test_the_gradient_is_that_of_differences(quantity: str) -> None:
-    forces, columns = Forces(UNSURE, TEST), wanted_columns(quantity, 5)
+    forces, columns = Forces(UNSURE, TEST), criterion_columns(quantity, 5)
     lines, step = np.random.default_rng(0).standard_normal(forces.basis.shape[1]), 1e-6
     found = forces._with_gradient(lines, columns)
     assert found[0] == pytest.approx(forces.value(forces.basis @ lines, quantity))
@@ -110,8 +110,8 @@ def test_real_estimates_gain_what_the_bound_promises() -> None:
     forces, method = Forces(SURE, TEST), make_method("output_error", {})
     every = []
     for force in (forces.hammer_blow(), forces.best("c_over_m")):
-        told = told_by(SURE, TEST, force)
-        errors = simulated_forced(SURE, TEST, told.force, "c_over_m", method, 40, lambda: None)
+        told = evaluate_force(SURE, TEST, force)
+        errors = simulate_forced_tests(SURE, TEST, told.force, "c_over_m", method, 40, lambda: None)
         every.append(np.sqrt(np.mean(errors**2)))
         assert every[-1] == pytest.approx(told.median["c_over_m"], rel=0.4)  # three standard errors of 40
     assert every[1] < 0.6 * every[0]
@@ -119,8 +119,8 @@ def test_real_estimates_gain_what_the_bound_promises() -> None:
 
 def test_counted_errors_of_normal_ones_are_their_standard_deviation() -> None:
     errors = np.abs(0.03 * np.random.default_rng(0).standard_normal(20_000))
-    assert counted(errors) == pytest.approx(0.03, rel=0.03)
-    assert counted(np.array([0.1, np.inf, np.inf])) == math.inf
+    assert robust_deviation(errors) == pytest.approx(0.03, rel=0.03)
+    assert robust_deviation(np.array([0.1, np.inf, np.inf])) == math.inf
 
 
 def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, capsys, monkeypatch) -> None:
@@ -128,7 +128,7 @@ def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, c
     path = tmp_path / "force.csv"
     assert main(["design", *GIVEN, f"out={path}", "verify=2"]) == 0
     said = capsys.readouterr().out
-    for title in ("hammer blow", "band-limited noise", "even multisine", "best pulse for c/m", "counted, %"):
+    for title in ("hammer blow", "band-limited noise", "even multisine", "best pulse for c/m", "robust_deviation, %"):
         assert title in said
     heading, *rows = path.read_text().splitlines()
     times, force = np.array([row.split(",") for row in rows], float).T
@@ -162,6 +162,6 @@ def test_a_field_that_is_not_given_is_named(field: str, capsys) -> None:
 
 
 def test_every_quantity_of_a_free_decay_is_told_and_the_mass() -> None:
-    found = forced_errors(SURE.nominal, TEST, TEST.scaled(half_sine(TEST, 0.2)))
+    found = forced_errors(SURE.nominal, TEST, TEST.scale(half_sine(TEST, 0.2)))
     assert list(found) == list(FORCED_QUANTITIES)
     assert all(0 < value < 1 for value in found.values())

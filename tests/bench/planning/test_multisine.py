@@ -12,9 +12,9 @@ from bench.planning.multisine import (
     ENOUGH,
     best_powers,
     criterion,
+    criterion_columns,
     line_information,
     sensitivities,
-    wanted_columns,
 )
 from bench.planning.search import Likely
 
@@ -30,7 +30,7 @@ def lines_of(likely: Likely, frequencies: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("quantity", [ALL, "k_over_m", "c_over_m", "damping_ratio"])
 def test_no_line_is_more_sensitive_than_the_equivalence_theorem_allows(likely: Likely, quantity: str) -> None:
     """At most p at an optimum, by variances of the response that are computed line by line, and p where power is."""
-    found, columns = best_powers(likely.oscillators, FREQUENCIES, quantity), wanted_columns(quantity)
+    found, columns = best_powers(likely.oscillators, FREQUENCIES, quantity), criterion_columns(quantity)
     size = columns.shape[1]
     slope = np.zeros(FREQUENCIES.size)
     for own in likely.oscillators:
@@ -48,7 +48,7 @@ def test_no_line_is_more_sensitive_than_the_equivalence_theorem_allows(likely: L
 @pytest.mark.parametrize("quantity", [ALL, "c_over_m"])
 def test_no_powers_on_a_grid_are_better(likely: Likely, quantity: str) -> None:
     frequencies = np.array([0.5, 1.8, 2.1, 2.6])
-    lines, columns = lines_of(likely, frequencies), wanted_columns(quantity)
+    lines, columns = lines_of(likely, frequencies), criterion_columns(quantity)
     found = criterion(lines, best_powers(likely.oscillators, frequencies, quantity).shares, columns)
     parts = 12
     every = [
@@ -61,7 +61,7 @@ def test_no_powers_on_a_grid_are_better(likely: Likely, quantity: str) -> None:
 
 
 def test_sensitivities_are_the_slopes_of_the_criterion() -> None:
-    lines, columns = lines_of(UNSURE, FREQUENCIES), wanted_columns("c_over_m")
+    lines, columns = lines_of(UNSURE, FREQUENCIES), criterion_columns("c_over_m")
     shares, step = np.random.default_rng(0).dirichlet(np.ones(FREQUENCIES.size)), 1e-6
     slopes = [
         (criterion(lines, shares - step * one, columns) - criterion(lines, shares + step * one, columns)) / (2 * step)
@@ -74,7 +74,7 @@ def test_a_long_record_tells_what_its_lines_do_in_steady_state() -> None:
     own, shares, test = Oscillator(2.0, 0.05), np.array([0.2, 0.5, 0.3]), ForcedTest(40_01, 100.0, 1.0)
     frequencies = np.array([1.5, 2.0, 2.3])
     sizes = np.sqrt(2.0 * shares)
-    force = test.scaled(np.cos(2 * np.pi * np.outer(test.times, frequencies)) @ sizes)
+    force = test.scale(np.cos(2 * np.pi * np.outer(test.times, frequencies)) @ sizes)
     told = information(own, test, force)
     without_start = told[:3, :3] - told[:3, 3:] @ np.linalg.solve(told[3:, 3:], told[3:, :3])
     mean_square = test.energy / test.duration

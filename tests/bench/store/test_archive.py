@@ -251,7 +251,7 @@ def test_the_archive_is_named_by_field_or_environment(archive: Archive, monkeypa
     monkeypatch.setenv(VARIABLE, str(archive.folder))
     assert open_store("x").archive.folder == archive.folder  # type: ignore[union-attr]
     assert open_store("x", "none").archive is None
-    with pytest.raises(InputError, match="no such folder"):
+    with pytest.raises(InputError, match="folder not found"):
         open_store("x", "nowhere")
     assert pickle.loads(pickle.dumps(Store(Path("x"), archive))).archive.identities() == archive.identities()
     cell = archive.load(f"{4:020x}")

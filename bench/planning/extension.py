@@ -1,7 +1,8 @@
-"""A free decay that was taken: what it would tell if it had gone on for longer, or were taken again.
+"""Extension of a measured free decay: expected accuracy of a longer record, and of repeated records.
 
-The error that the record supports counts more than white noise; how it would fall is by the ratio of Cramér-Rao bounds,
-of the longer record and of the one that there is, at what was found in it, start and offset unknown.
+The standard error supported by the record includes more than white noise. For a longer record it is multiplied by the
+ratio of the Cramér-Rao bounds of the longer and the measured record, at the identified parameters, with unknown initial
+state and offset.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ import numpy as np
 from bench.planning.free_decay import QUANTITIES, Oscillator, errors, motion
 
 LONGEST = 20.0
-"""Times its duration, beyond which no record is proposed."""
+"""Largest proposed duration over that of the record."""
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
-    """A record: sample ``times`` (s) from its start, what was found, the start (x0, v0), ``sigma`` of its noise.
+class MeasuredDecay:
+    """A measured free decay with its identified parameters.
 
-    ``supported``: by quantity, the standard error of the logarithm that the record supports.
+    ``times``: times of the samples from the first one (s), (n,); ``oscillator``: identified parameters; ``start``:
+    initial displacement and velocity; ``sigma``: standard deviation of the noise; ``supported``: standard error of the
+    logarithm of each quantity that the record supports.
     """
 
     times: np.ndarray
@@ -34,41 +37,41 @@ class Taken:
 
     @property
     def interval(self) -> float:
-        """Between samples, s."""
+        """Sampling interval (s)."""
         return float(np.median(np.diff(self.times)))
 
     @property
     def duration(self) -> float:
-        """First to last sample, s."""
+        """Time from the first to the last sample (s)."""
         return float(self.times[-1] - self.times[0])
 
     def extended(self, factor: float) -> np.ndarray:
-        """Times of the record gone on to so many times its duration, at its rate."""
+        """Return the times of a record of ``factor`` times the duration, at the same sampling rate."""
         more = math.floor((factor - 1.0) * self.duration / self.interval + 1e-9)
         return np.concatenate([self.times, self.times[-1] + self.interval * np.arange(1, more + 1)])
 
     def bounds(self, times: np.ndarray) -> dict[str, float]:
-        """The bound on the standard error of each logarithm from samples at ``times``, start and offset unknown."""
+        """Return the bound on the standard error of each logarithm for samples at ``times``."""
         _, derivatives = motion(self.oscillator, times, self.start)
         derivatives = np.concatenate([derivatives, np.ones((times.size, 1))], axis=1) / self.sigma
         return errors(derivatives.T @ derivatives)
 
     @cached_property
     def now(self) -> dict[str, float]:
-        """The bound of the record as it is."""
+        """The bounds of the measured record."""
         return self.bounds(self.times)
 
     def expected(self, factor: float) -> dict[str, float]:
-        """The standard error of each logarithm, if the record had gone on."""
-        then = self.bounds(self.extended(factor))
-        return {name: self.supported[name] * then[name] / self.now[name] for name in QUANTITIES}
+        """Return the expected standard error of each logarithm for ``factor`` times the duration."""
+        bounds = self.bounds(self.extended(factor))
+        return {name: self.supported[name] * bounds[name] / self.now[name] for name in QUANTITIES}
 
     def repeated(self, number: int) -> dict[str, float]:
-        """The same of so many records alike."""
+        """Return the expected standard error of each logarithm for ``number`` similar records."""
         return {name: error / math.sqrt(number) for name, error in self.supported.items()}
 
     def factor_for(self, quantity: str, error: float) -> float | None:
-        """How many times its duration the record takes until a quantity is told so well; None where it never is."""
+        """Return the smallest factor on the duration for a required standard error; None above :data:`LONGEST`."""
         if self.supported[quantity] <= error:
             return 1.0
         low, high = 1.0, LONGEST
@@ -80,14 +83,14 @@ class Taken:
         return high
 
     def number_for(self, quantity: str, error: float) -> int:
-        """How many records alike tell a quantity so well."""
+        """Return the number of similar records for a required standard error."""
         return max(1, math.ceil((self.supported[quantity] / error) ** 2 - 1e-9))
 
 
-def start_of(oscillator: Oscillator, times: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Displacement and velocity at time 0 by least squares, with an offset; the motion is linear in them."""
+def initial_state(oscillator: Oscillator, times: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Estimate displacement and velocity at time 0 by linear least squares, together with an offset."""
     _, derivatives = motion(oscillator, times)
     columns = np.concatenate([derivatives[:, 2:], np.ones((times.size, 1))], axis=1)
     scale = np.linalg.norm(columns, axis=0)
-    found = np.linalg.lstsq(columns / scale, values, rcond=None)[0] / scale
-    return float(found[0]), float(found[1])
+    solution = np.linalg.lstsq(columns / scale, values, rcond=None)[0] / scale
+    return float(solution[0]), float(solution[1])

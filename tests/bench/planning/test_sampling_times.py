@@ -7,11 +7,10 @@ import pytest
 
 from bench.commands.main import main
 from bench.entrants.registry import make_method
-from bench.planning import optimal
 from bench.planning.free_decay import Decay
-from bench.planning.sampling_times import VOLUME, best_times, told_by
+from bench.planning.sampling_times import VOLUME, best_times, evaluate_times
 from bench.planning.search import Likely
-from bench.planning.verify import simulated
+from bench.planning.verify import simulate_decays
 
 LIKELY, DECAY = Likely(2.0, 0.02), Decay(40, 8.0, 20.0)
 
@@ -22,7 +21,9 @@ def test_no_subset_of_a_small_grid_is_much_better(quantity: str, monkeypatch) ->
     decay = Decay(5, 1.3, 20.0)
     found = best_times(LIKELY, decay, quantity).median[quantity]
     grid = np.linspace(0.0, decay.duration, 13)
-    every = [told_by(LIKELY, grid[list(own)], 20.0).median[quantity] for own in itertools.combinations(range(13), 5)]
+    every = [
+        evaluate_times(LIKELY, grid[list(own)], 20.0).median[quantity] for own in itertools.combinations(range(13), 5)
+    ]
     assert min(every) <= found * (1 + 1e-9)
     assert found < 1.1 * min(every)
 
@@ -33,9 +34,9 @@ def test_the_best_times_are_better_than_even_and_than_random_ones(likely: Likely
     for quantity in ("c_over_m", "k_over_m"):
         best = best_times(likely, DECAY, quantity)
         assert best.times.size == DECAY.samples == np.unique(best.times).size
-        assert best.median[quantity] < 0.85 * told_by(likely, DECAY.times, 20.0).median[quantity]
+        assert best.median[quantity] < 0.85 * evaluate_times(likely, DECAY.times, 20.0).median[quantity]
         drawn = [np.sort(rng.uniform(0.0, 8.0, 40)) for _ in range(20)]
-        assert best.median[quantity] < min(told_by(likely, times, 20.0).median[quantity] for times in drawn)
+        assert best.median[quantity] < min(evaluate_times(likely, times, 20.0).median[quantity] for times in drawn)
 
 
 def test_the_ellipse_is_smaller_than_for_either_quantity_alone() -> None:
@@ -48,7 +49,7 @@ def test_the_ellipse_is_smaller_than_for_either_quantity_alone() -> None:
 
 def test_a_real_method_gains_what_the_bound_promises() -> None:
     best, method = best_times(LIKELY, DECAY, "c_over_m"), make_method("output_error", {})
-    errors = simulated(LIKELY, DECAY, "c_over_m", method, 60, lambda: None, best.times)
+    errors = simulate_decays(LIKELY, DECAY, "c_over_m", method, 60, lambda: None, best.times)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(best.median["c_over_m"], rel=0.3)
 
 

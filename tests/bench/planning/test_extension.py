@@ -7,8 +7,8 @@ import pytest
 
 import bench
 from bench.commands.main import main
+from bench.planning.extension import MeasuredDecay, initial_state
 from bench.planning.free_decay import Oscillator, motion
-from bench.planning.extension import Taken, start_of
 
 OSCILLATOR, SIGMA, START = Oscillator(2.0, 0.03), 1e-3, (0.02, 0.1)
 TIMES = np.arange(40) * 0.05
@@ -19,9 +19,9 @@ def record(times: np.ndarray, seed: int) -> np.ndarray:
     return np.asarray(motion(OSCILLATOR, times, START)[0] + SIGMA * noise + 0.004)
 
 
-def taken() -> Taken:
-    plain = Taken(TIMES, OSCILLATOR, START, SIGMA, {})
-    return Taken(TIMES, OSCILLATOR, START, SIGMA, plain.bounds(TIMES))
+def taken() -> MeasuredDecay:
+    plain = MeasuredDecay(TIMES, OSCILLATOR, START, SIGMA, {})
+    return MeasuredDecay(TIMES, OSCILLATOR, START, SIGMA, plain.bounds(TIMES))
 
 
 @pytest.mark.slow
@@ -35,7 +35,7 @@ def test_a_longer_record_is_as_good_as_simulated_ones_are() -> None:
 
 
 def test_the_start_is_found_under_an_offset() -> None:
-    found = start_of(OSCILLATOR, TIMES, motion(OSCILLATOR, TIMES, START)[0] + 0.3)
+    found = initial_state(OSCILLATOR, TIMES, motion(OSCILLATOR, TIMES, START)[0] + 0.3)
     np.testing.assert_allclose(found, START, rtol=1e-9)
 
 
