@@ -73,7 +73,7 @@ def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
     [
         (FreeDecay(5, 2.0, 0.02, 20.0, 0.0, False), "outside the range of the atlas"),
         (FreeDecay(50, 40.0, 0.02, 20.0, 0.0, False), "half the sampling rate"),
-        (FreeDecay(20, 0.5, 0.5, -5.0, 0.0, False), "does not tell"),
+        (FreeDecay(20, 0.5, 0.5, -5.0, 0.0, False), "not identifiable"),
         (FreeDecay(100, 5.0, 0.02, 40.0, 0.0, False), ""),
     ],
 )

@@ -34,7 +34,7 @@ def test_without_an_interval_there_is_no_coverage() -> None:
 
 def test_a_row_holds_everything() -> None:
     found = summarise_fits([fit(1.0, 1.0), fit(9.0, 0.0)], [False, False], [1.0, 2.0])
-    again = Statistics.of_row(found.row())
+    again = Statistics.from_row(found.row())
     assert found.row().size == len(columns(("k_over_m", "c_over_m")))
     np.testing.assert_allclose(again.values, found.values, rtol=1e-6)
     assert (again.fits, again.failed, again.seconds) == (2, 0.0, 1.5)

@@ -77,7 +77,7 @@ def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_wha
         pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
     here, there = make_store(), make_store()
     monkeypatch.setenv(CACHE, str(tmp_path))
-    pickles, jobs, rounds = list[Path](), list[Path](), launch._rounds
+    pickles, jobs, rounds = list[Path](), list[Path](), launch._launch_rounds
 
     def looked(submitter: Any, sweep: LaunchJob, folder: Path, how: Any) -> None:
         rounds(submitter, sweep, folder, how)
@@ -85,7 +85,7 @@ def test_a_launcher_gives_the_rows_that_this_machine_gives_and_computes_only_wha
         pickles.extend(path for path in written if path.read_bytes()[:1] == b"\x80")
         jobs.extend(path for path in written if path.suffix == ".job")
 
-    monkeypatch.setattr(launch, "_rounds", looked)
+    monkeypatch.setattr(launch, "_launch_rounds", looked)
     assert _run(here, "local", "workers=1") == 0
     assert _run(there, launcher, "cells_per_job=3", *options) == 0  # two jobs, of three cells and of one
     rows = _outcomes(here, cells)
@@ -148,12 +148,12 @@ def test_cells_of_a_lost_node_are_launched_again_as_long_as_a_round_brings_some(
         Flaky(store, stored, ConnectionError("a node is gone")),
         LaunchJob(tuple(plan(cells, store)), store, Limits()),
     )
-    launch._rounds(launcher, job, tmp_path, Launch(("hydra/launcher=flaky",), 1))
+    launch._launch_rounds(launcher, job, tmp_path, Launch(("hydra/launcher=flaky",), 1))
     assert (launcher.rounds, len(store.identities())) == (rounds, len(cells) if stored else 0)
     assert said in capsys.readouterr().err
     full = Flaky(store, 0, InputError("store", "here", "cannot be written"))  # is not tried again
     with pytest.raises(InputError, match="cannot be written"):
-        launch._rounds(full, job, tmp_path / "full", Launch(("hydra/launcher=flaky",), 1))
+        launch._launch_rounds(full, job, tmp_path / "full", Launch(("hydra/launcher=flaky",), 1))
 
 
 def test_a_job_ends_with_its_sweep(
@@ -175,7 +175,7 @@ def test_a_job_ends_with_its_sweep(
     assert after == []
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("bench: store=")
-    assert "was removed while the sweep ran; start it again" in last
+    assert "was removed during the sweep; start it again" in last
 
 
 @pytest.fixture(scope="module")

@@ -98,7 +98,7 @@ FITS = RunState("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
         (FITS, 0.0, "about 1.7 min left"),
         (FITS, 40.0, "about 60 s left"),
         (FITS, 101.0, "longer than expected"),
-        (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "remaining time unknown"),
+        (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "time left not known yet"),
     ],
 )
 def test_the_time_left_runs_down_and_stands_first(look: RunState, since: float, said: str) -> None:

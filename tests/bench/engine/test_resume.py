@@ -82,7 +82,7 @@ def test_a_run_that_waits_for_another_prints_once_for_whom(
     waiting = threading.Thread(target=lambda: taken.append(tasks.take(None)))
     waiting.start()
     line = tasks.events.get(timeout=60)
-    assert line == f"waiting for another run on this store (cells left: 2): {other.holder(jobs[0].key)}"
+    assert line == f"waiting for another run on this store (2 cells left): {other.holder(jobs[0].key)}"
     assert line.endswith(f": process {os.getpid()} of {getpass.getuser()} on {platform.node()}")
     waiting.join(0.3)
     assert tasks.events.empty()
@@ -118,7 +118,7 @@ def test_the_statuses_that_can_be_tried_again() -> None:
     assert read_retry("none") == frozenset()
     assert read_retry("timeout,killed") == {Status.TIMEOUT, Status.KILLED}
     assert Status.UNSUPPORTED not in read_retry("failed")
-    with pytest.raises(InputError, match="retry=sometimes: none, failed, or of"):
+    with pytest.raises(InputError, match="retry=sometimes: use none, failed, or some of"):
         read_retry("sometimes")
 
 
@@ -134,7 +134,7 @@ def test_a_cell_that_cannot_be_read_for_a_moment_is_not_computed_again(
     with monkeypatch.context() as disk:
         for name in ("read_regular", "open_regular"):
             disk.setattr(f"bench.store.store.{name}", failing)
-        with pytest.raises(InputError, match="cannot be read now"):
+        with pytest.raises(InputError, match="cannot be read"):
             plan([cell], store)
     (again,) = plan([cell], store)
     assert (again.state, again.run) == (CellState.DONE, False)
@@ -177,7 +177,7 @@ def test_damaged_cells_are_named_and_computed_again_when_failures_are(
     capsys.readouterr()
     assert main(command) == 2  # as it stands: the first damaged file is named, nothing runs
     (line,) = capsys.readouterr().err.splitlines()
-    assert "retry=failed computes it again" in line
+    assert "compute it again with retry=failed" in line
     assert sum(str(store.path(name)) in line for name in names) == 1
     states = [(planned.state, planned.run) for planned in plan(cells, store, FAILURES)]
     assert states == [(CellState.DAMAGED, True)] * (len(DAMAGE) - 1) + [(CellState.DONE, False)]

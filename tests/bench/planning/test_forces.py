@@ -128,7 +128,7 @@ def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, c
     path = tmp_path / "force.csv"
     assert main(["design", *GIVEN, f"out={path}", "verify=2"]) == 0
     said = capsys.readouterr().out
-    for title in ("hammer blow", "band-limited noise", "even multisine", "best pulse for c/m", "robust_deviation, %"):
+    for title in ("hammer blow", "band-limited noise", "even multisine", "best pulse for c/m", "counted, %"):
         assert title in said
     heading, *rows = path.read_text().splitlines()
     times, force = np.array([row.split(",") for row in rows], float).T

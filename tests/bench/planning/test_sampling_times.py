@@ -7,6 +7,7 @@ import pytest
 
 from bench.commands.main import main
 from bench.entrants.registry import make_method
+from bench.planning import sampling_times
 from bench.planning.free_decay import Decay
 from bench.planning.sampling_times import VOLUME, best_times, evaluate_times
 from bench.planning.search import Likely
@@ -17,7 +18,7 @@ LIKELY, DECAY = Likely(2.0, 0.02), Decay(40, 8.0, 20.0)
 
 @pytest.mark.parametrize("quantity", ["c_over_m", "k_over_m", "damping_ratio"])
 def test_no_subset_of_a_small_grid_is_much_better(quantity: str, monkeypatch) -> None:
-    monkeypatch.setattr(optimal, "FINE", 3)
+    monkeypatch.setattr(sampling_times, "FINE", 3)
     decay = Decay(5, 1.3, 20.0)
     found = best_times(LIKELY, decay, quantity).median[quantity]
     grid = np.linspace(0.0, decay.duration, 13)
