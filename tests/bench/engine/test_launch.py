@@ -141,7 +141,7 @@ class Flaky:
 )  # fmt: skip
 def test_cells_of_a_lost_node_are_launched_again_as_long_as_a_round_brings_some(
     stored: int, rounds: int, said: str,
-    cells: list[Cell], make_store: Callable[[], Store], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    cells: list[Cell], make_store: Callable[[], Store], tmp_path: Path, caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
     store = make_store()
     launcher, job = (
@@ -150,7 +150,7 @@ def test_cells_of_a_lost_node_are_launched_again_as_long_as_a_round_brings_some(
     )
     launch._launch_rounds(launcher, job, tmp_path, Launch(("hydra/launcher=flaky",), 1))
     assert (launcher.rounds, len(store.identities())) == (rounds, len(cells) if stored else 0)
-    assert said in capsys.readouterr().err
+    assert said in caplog.text
     full = Flaky(store, 0, InputError("store", "here", "cannot be written"))  # is not tried again
     with pytest.raises(InputError, match="cannot be written"):
         launch._launch_rounds(full, job, tmp_path / "full", Launch(("hydra/launcher=flaky",), 1))
