@@ -1,13 +1,13 @@
-"""The harness: problems, bounds, scores, tables.
+"""Benchmark of methods that identify mass, damping and stiffness of vibrating systems from noisy samples.
 
-These names are the contract that methods import, and it loads none of them. ``run``, ``identify`` and ``experiment``
-are the benchmark from Python; they are loaded when they are asked for.
+The names below are the interface for methods and systems, which the benchmark does not import itself. ``run``,
+``identify`` and ``experiment`` run the benchmark from Python; they are imported on first use.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bench.isolation import signals as _  # noqa: F401 - first: it waits for Ctrl-C while the others load
+from bench.isolation import signals as _  # noqa: F401 - first, so that Ctrl-C is handled during the other imports
 
 # isort: split
 from bench.contract.distribution import Distribution, Draws, Marginal, Normal
@@ -174,7 +174,7 @@ FACE = {
     "experiment": "results",
     "run": "results",
 }
-"""What is loaded when it is asked for, by its module in ``bench.face``."""
+"""Names imported on first use, by module in ``bench.face``."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""``python -m bench``; kept to one import so that worker processes, which import it too, start fast."""
+"""Entry point of ``python -m bench``; worker processes import it too, so it imports nothing else."""
 
 import sys
 

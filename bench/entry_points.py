@@ -1,4 +1,4 @@
-"""Classes that installed packages register by entry points: methods, trackers, systems and parts of methods alike."""
+"""Classes that installed packages register by entry points: methods, trackers, systems and parts of methods."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bench.errors import InputError, did_you_mean
 
 @cache
 def entry_points_of(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name; nothing is imported."""
+    """Return the entry points of a group by name, without importing anything."""
     return {point.name: point for point in sorted(entry_points(group=group), key=lambda point: point.name)}
 
 
@@ -24,18 +24,21 @@ def load_entry_point(
     known: Collection[str] = (),
     needs: Collection[str] = (),
 ) -> Any:
-    """Return the class that is registered by a name.
+    """Import the class registered under a name.
 
     Args:
-        field: the field of the configuration that chooses the name.
-        name: the name of the entry point.
-        points: the entry points of the group.
-        base: the class that it must subclass.
-        known: all names that the field takes, where these are more than the entry points.
-        needs: attributes that the class must state.
+        field: Field of the configuration that selects the name.
+        name: Name of the entry point.
+        points: Entry points of the group, by name.
+        base: Required base class.
+        known: All valid names, if there are more than the entry points.
+        needs: Attributes that the class must define.
+
+    Returns:
+        The class.
 
     Raises:
-        InputError: for an unknown name, or an entry point that does not load or names something else.
+        InputError: If the name is unknown or ambiguous, the import fails, or the object is not such a class.
     """
     if name not in points:
         names = list(known or points)
@@ -50,7 +53,7 @@ def load_entry_point(
     try:
         loaded = point.load()
     except Exception as error:
-        remedy = f"its entry point does not load ({point.value}: {type(error).__name__}: {error})"
+        remedy = f"could not import its entry point ({point.value}: {type(error).__name__}: {error})"
         raise InputError(field, name, remedy) from None
     if not (isinstance(loaded, type) and issubclass(loaded, base)):
         raise InputError(field, name, f"its entry point ({point.value}) must name a subclass of {base.__name__}")

@@ -1,16 +1,22 @@
-"""The one error a user can cause: an input that names its field, its value and the remedy."""
+"""The error for invalid input, with the field, its value and the remedy."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
 LONGEST_VALUE, LONGEST_LINE = 200, 1900
+"""Largest number of characters of a value and of an error that are printed."""
 
 
 class InputError(ValueError):
-    """Bad input. ``str(error)`` is one line: field, value, and what would be right.
+    """Invalid input. ``str(error)`` is one line: field, value, and the remedy.
 
-    The command line prints that line and exits with status 2; nothing has run by then.
+    The command line prints this line and exits with status 2, before anything is computed.
+
+    Args:
+        field: Name of the field.
+        value: Its value.
+        remedy: What is wrong, or what would be valid.
     """
 
     def __init__(self, field: str, value: object, remedy: str) -> None:
@@ -22,13 +28,13 @@ class InputError(ValueError):
 
 
 def line_of(error: InputError) -> str:
-    """An error as a terminal may show it: what is long is cut, what is no letter is written out."""
+    """Return an error as one printable line of limited length."""
     line = f"{shortened(error.field)}={shortened(error.value)}: {shortened(error.remedy, LONGEST_LINE)}"
     return shortened(line, LONGEST_LINE)
 
 
 def shortened(value: object, longest: int = LONGEST_VALUE) -> str:
-    """A value in one line of letters that a terminal shows, cut in its middle where it is longer than so many."""
+    """Return a value as one line of at most ``longest`` printable characters, shortened in the middle."""
     text = " ".join(str(value).split())
     if len(text) > longest:
         text = f"{text[: longest - 60]}...{text[-50:]}"
@@ -36,17 +42,27 @@ def shortened(value: object, longest: int = LONGEST_VALUE) -> str:
 
 
 def did_you_mean(written: object, names: Collection[str]) -> str:
-    """Return ``did you mean ls? `` with the name that is nearest in spelling; an empty text where none is near."""
+    """Return ``did you mean ls? `` with the most similar name, or an empty string if no name is similar."""
     from difflib import get_close_matches
 
     text = str(written)[:LONGEST_VALUE]
     near = get_close_matches(text, names, n=1, cutoff=0.6)
-    if not near and len(text) == 2:  # two letters that changed places are half a match
+    if not near and len(text) == 2:  # two swapped letters have a similarity of only one half
         near = [name for name in names if name == text[::-1]]
     return f"did you mean {near[0]}? " if near else ""
 
 
 def check_name(field: str, value: object, names: Collection[str], more: str = "") -> None:
-    """Raise InputError for a value that is none of some names, with the one that may have been meant."""
+    """Check that a value is one of some names.
+
+    Args:
+        field: Name of the field.
+        value: Its value.
+        names: Valid names.
+        more: Text to append to the error.
+
+    Raises:
+        InputError: If the value is none of the names; it suggests the most similar one.
+    """
     if value not in names:
         raise InputError(field, value, f"{did_you_mean(value, names)}one of {', '.join(names)}{more}")

@@ -1,4 +1,4 @@
-"""Files as all rooms read and write them: regular files only, written whole or not at all."""
+"""Reading of regular files, and atomic writing."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from pathlib import Path
 from typing import BinaryIO
 
 TEMPORARY = ".tmp"
-"""Ending of files that are being written; what a killed writer leaves has it."""
+"""Suffix of files being written; a killed process may leave such a file."""
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading; raises OSError, also for a device or a pipe, which could be read without end."""
+    """Open a file for reading. Raises OSError, also for a device or a pipe, which may never end."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     return os.fdopen(handle, "rb")
 
 
 def read_regular(path: Path) -> bytes:
-    """Read a file; raises OSError as :func:`open_regular`."""
+    """Return the content of a file. Raises OSError, as :func:`open_regular`."""
     with open_regular(path) as file:
         return file.read()
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, see :func:`write_together`."""
+    """Write a file atomically, see :func:`write_together`."""
     write_together({path: content})
 
 
 def write_together(files: Mapping[Path, bytes]) -> None:
-    """Write files beside their places, flush them to disk, and rename them once all are written.
+    """Write temporary files in the same folders, flush them to disk, and rename them once all are written.
 
-    Never through a symbolic link that somebody has left under a name. Their rights are what the umask leaves. Raises
-    OSError, and has then changed nothing, unless a rename failed.
+    Symbolic links are replaced, not followed. File permissions follow the umask. Raises OSError; then no file has
+    changed, unless a rename failed.
     """
     written: dict[Path, Path] = {}
     try:
         for path, content in files.items():
-            # two machines can have the same process ids
+            # unique also among processes of several machines
             temporary = path.with_name(f".{path.name[:100]}.{uuid.uuid4().hex}{TEMPORARY}")
             with temporary.open("xb") as file:
                 written[temporary] = path

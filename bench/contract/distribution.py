@@ -1,7 +1,6 @@
-"""What is believed of the parameters after a fit: a normal in their logarithms, or draws.
+"""Estimated distributions of parameters: normal (usually in the logarithms), or samples.
 
-Distributions of many replicates that differ in their numbers alone are one distribution whose arrays have leading axes
-(*sets).
+Distributions of many replicates are stored as one distribution whose arrays have leading axes (*sets).
 """
 
 from __future__ import annotations
@@ -16,19 +15,21 @@ import numpy as np
 from bench.systems import Quantity
 
 ROUNDING = 4.0 * float(np.finfo(float).eps)
-"""What a variance may be off by, over that of the parts whose covariances cancel in it."""
+"""Relative rounding error of a variance in which covariances cancel, times the variance of the parts."""
 DOF_DEGREE, DOF_RANGE = 9, 1.1
-"""Quantiles of Student's t are interpolated by polynomials of this degree between degrees of freedom that differ by
-less than this factor, to 1e-12 of their size: each takes 0.3 µs, and a replicate has 200 of them."""
+"""Quantiles of Student's t are interpolated by polynomials of this degree in the degrees of freedom if these differ by
+less than this factor; the relative error is 1e-12. A direct evaluation takes 0.3 µs, and a replicate needs 200."""
 
 
 @dataclass(frozen=True)
 class Marginal:
-    """The distribution about one quantity: its point value and its quantile function.
+    """Estimated distribution of one quantity.
 
-    ``value`` is a number, or an array (*sets). ``ppf`` maps levels (n,) in (0, 1) to quantiles (*sets, n), ``cdf`` a
-    value, or values (*sets), to levels (*sets); both are None where the method gives no uncertainty. ``parts``: the
-    distributions that this one is a mixture of, the leading one first; none where it is not a mixture.
+    Attributes:
+        value: Point estimate, a number or an array (*sets).
+        ppf: Quantile function, levels (n,) in (0, 1) to quantiles (*sets, n); None without uncertainty.
+        cdf: Distribution function, values (*sets) to levels (*sets); None without uncertainty.
+        parts: Components of a mixture, the one with the point estimate first; empty if it is not a mixture.
     """
 
     value: Any
@@ -37,9 +38,9 @@ class Marginal:
     parts: tuple[Marginal, ...] = ()
 
     def interval(self, level: float) -> tuple[Any, Any]:
-        """The equal-tailed interval of the given level, e.g. 0.95; NaNs without an uncertainty.
+        """Return the equal-tailed interval of a level, e.g. 0.95; NaNs without uncertainty.
 
-        Of a mixture, the hull of :meth:`intervals`.
+        For a mixture it is the hull of :meth:`intervals`.
         """
         if self.ppf is None:
             return float("nan"), float("nan")
@@ -50,7 +51,7 @@ class Marginal:
         return _number(ends[..., 0]), _number(ends[..., 1])
 
     def intervals(self, level: float) -> list[tuple[Any, Any]]:
-        """The interval of the given level; of a mixture, the union of its parts' intervals, in increasing order."""
+        """Return the interval of a level; for a mixture, the union of the intervals of its components, sorted."""
         pieces: list[tuple[Any, Any]] = []
         for low, high in sorted(part.interval(level) for part in self.parts or (self,)):
             if pieces and low <= pieces[-1][1]:
@@ -61,16 +62,18 @@ class Marginal:
 
 
 MIXTURE_STEPS = 60
-"""Bisections for a quantile of a mixture: more than the digits of a double."""
+"""Number of bisections for a quantile of a mixture, enough for double precision."""
 
 
 def mixed(parts: Sequence[Marginal], weights: Sequence[float]) -> Marginal:
-    """Mix distributions about one quantity; its value is that of the first part, its quantiles are those of the
-    mixture.
+    """Return the mixture of distributions of one quantity.
 
     Args:
-        parts: Distributions, each of one number; the first one alone where any gives no uncertainty.
-        weights: Their probabilities, which add up to 1.
+        parts: Distributions of scalar quantities; if any has no uncertainty, the first is returned.
+        weights: Their probabilities, which sum to 1.
+
+    Returns:
+        Distribution with the point estimate of the first component and the quantiles of the mixture.
     """
     if len(parts) == 1 or any(part.ppf is None or part.cdf is None for part in parts):
         return parts[0]
@@ -80,7 +83,10 @@ def mixed(parts: Sequence[Marginal], weights: Sequence[float]) -> Marginal:
 
     def ppf(levels: np.ndarray) -> np.ndarray:
         quantiles = np.array([part.ppf(levels) for part in parts if part.ppf])
-        low, high = quantiles.min(axis=0), quantiles.max(axis=0)  # the mixture's lie between those of its parts
+        low, high = (
+            quantiles.min(axis=0),
+            quantiles.max(axis=0),
+        )  # bounds of the mixture quantiles
         for _ in range(MIXTURE_STEPS):
             middle = 0.5 * (low + high)
             below = np.array([cdf(value) for value in middle]) < levels
@@ -91,16 +97,21 @@ def mixed(parts: Sequence[Marginal], weights: Sequence[float]) -> Marginal:
 
 
 def _number(value: Any) -> Any:
-    """Return an array as it is, and one without axes as a float."""
+    """Return an array unchanged, and an array without axes as a float."""
     return float(value) if np.ndim(value) == 0 else value
 
 
 def standard_quantile(levels: Any, dof: Any) -> Any:
-    """Quantiles of the standard normal, or of Student's t with ``dof`` degrees of freedom, a number or (*sets).
+    """Return quantiles of the standard normal distribution or of Student's t.
 
-    Of levels (n,) they have the shape (n,), or (*sets, n).
+    Args:
+        levels: Probabilities, a number or (n,).
+        dof: Degrees of freedom, a number or (*sets); None for the normal distribution.
+
+    Returns:
+        Quantiles, shape (*sets, n).
     """
-    from scipy.special import ndtri  # slow to import, and few need it
+    from scipy.special import ndtri  # slow to import, rarely needed
 
     if dof is None:
         return ndtri(levels)
@@ -110,7 +121,7 @@ def standard_quantile(levels: Any, dof: Any) -> Any:
 
 @lru_cache(maxsize=8)
 def _student_quantiles(levels: bytes, dof: bytes) -> np.ndarray:
-    """Compute quantiles of Student's t, (n_dof, n_levels), once for all quantities of the same replicates."""
+    """Return quantiles of Student's t, (n_dof, n_levels); cached, since all quantities of a replicate share them."""
     from numpy.polynomial.chebyshev import chebinterpolate, chebval
     from scipy.special import stdtrit
 
@@ -123,9 +134,17 @@ def _student_quantiles(levels: bytes, dof: bytes) -> np.ndarray:
 
 
 def normal_marginal(value: Any, mean: Any, sd: Any, dof: Any, log: bool) -> Marginal:
-    """Normal, or Student's t with ``dof`` degrees of freedom, in the quantity or in its logarithm.
+    """Return a normal or Student's t distribution of a quantity or of its logarithm.
 
-    Value, mean, standard deviation and degrees of freedom are numbers, or arrays of one shape (*sets).
+    Args:
+        value: Point estimate, a number or (*sets), as are the following.
+        mean: Mean of the quantity, or of its logarithm.
+        sd: Standard deviation of the same.
+        dof: Degrees of freedom of Student's t; None for the normal distribution.
+        log: True if mean and standard deviation are those of the logarithm.
+
+    Returns:
+        The distribution.
     """
 
     def ppf(levels: np.ndarray) -> np.ndarray:
@@ -144,37 +163,41 @@ def normal_marginal(value: Any, mean: Any, sd: Any, dof: Any, log: bool) -> Marg
 
 
 class Distribution(Protocol):
-    """What both kinds of distribution can say. Who needs no more names no kind, and does not change with one."""
+    """Common interface of :class:`Normal` and :class:`Draws`."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters, or groups, that it is about."""
+        """Names of the parameters or groups."""
         ...
 
     def values(self) -> dict[str, Any]:
-        """The point value of each of them: a number, or an array (*sets)."""
+        """Return the point estimates by name, numbers or arrays (*sets)."""
         ...
 
     def finite(self) -> bool:
-        """Whether every number in it is."""
+        """Return True if all numbers are finite."""
         ...
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The distribution about a product of powers; None where its names do not determine it."""
+        """Return the distribution of a product of powers; None if it is not determined by the named quantities."""
         ...
 
     def expressed_in(self, scale: Mapping[str, float]) -> Self:
-        """The same distribution with every named quantity divided by its scale."""
+        """Return the distribution of the named quantities divided by their scales."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """A normal distribution over named positive parameters, in their logarithms; or over groups, in themselves.
+    """Normal distribution of the logarithms of parameters, or of groups.
 
-    ``names`` of shape (d,), ``mean`` (*sets, d) and ``covariance`` (*sets, d, d). With ``log`` the mean is that of the
-    logarithms. ``covariance`` None: a point without uncertainty. With ``dof``, a number or (*sets), the intervals use
-    Student's t with that many degrees of freedom (the noise was estimated), else the normal.
+    Attributes:
+        names: Names of the parameters or groups, length d.
+        mean: Mean, shape (*sets, d).
+        covariance: Covariance, shape (*sets, d, d); None for a point estimate without uncertainty.
+        log: True if mean and covariance are those of the logarithms.
+        dof: Degrees of freedom of Student's t, a number or (*sets), if the noise level was estimated; None for normal
+            intervals.
     """
 
     names: tuple[str, ...]
@@ -184,17 +207,17 @@ class Normal:
     dof: Any = None
 
     def values(self) -> dict[str, Any]:
-        """The point value of each named quantity."""
+        """Return the point estimates by name."""
         centre = np.exp(self.mean) if self.log else self.mean
         return dict(zip(self.names, map(_number, np.moveaxis(centre, -1, 0)), strict=True))
 
     def finite(self) -> bool:
-        """Whether every number is."""
+        """Return True if mean and covariance are finite."""
         arrays = [self.mean] if self.covariance is None else [self.mean, self.covariance]
         return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The distribution about a product of powers; None where these names do not determine it."""
+        """Return the distribution of a product of powers; None if it is not determined by the named quantities."""
         if self.log:
             return self._log_marginal(quantity)
         if quantity.name in self.names:
@@ -215,12 +238,12 @@ class Normal:
         if self.covariance is None:
             return Marginal(_number(value))
         sds = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=-2, axis2=-1), 0.0))
-        rounding = ROUNDING * (sds @ np.abs(weights)) ** 2  # of a ratio that is known far better than its parts
+        rounding = ROUNDING * (sds @ np.abs(weights)) ** 2  # matters for a ratio known much better than its terms
         sd = np.sqrt(np.maximum(self.covariance @ weights @ weights, 0.0) + rounding)
         return normal_marginal(value, centre, sd, self.dof, True)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Normal:
-        """The same distribution with every named quantity divided by its scale."""
+        """Return the distribution of the named quantities divided by their scales."""
         s = np.array([scale[name] for name in self.names])
         if self.log:
             return replace(self, mean=self.mean - np.log(s))
@@ -230,25 +253,29 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """A distribution as draws of the parameters: ``samples`` of shape (*sets, n_draws, n_parameters), all positive.
+    """Distribution represented by samples of the parameters.
 
-    The point value of a quantity is the median of its draws: the one functional of a skewed posterior that a monotone
-    change of the quantity leaves in its place, so that ``1/q`` and ``log q`` have theirs at the same draw.
+    The point estimate of a quantity is the median of its samples, which is invariant under monotone transformations:
+    the estimates of ``1/q`` and ``log q`` are those of the same sample.
+
+    Attributes:
+        names: Names of the parameters.
+        samples: Positive samples, shape (*sets, n_draws, n_parameters).
     """
 
     names: tuple[str, ...]
     samples: np.ndarray
 
     def values(self) -> dict[str, Any]:
-        """The point value of each parameter."""
+        """Return the median of each parameter, by name."""
         return dict(zip(self.names, map(_number, np.moveaxis(np.median(self.samples, axis=-2), -1, 0)), strict=True))
 
     def finite(self) -> bool:
-        """Whether every draw is."""
+        """Return True if all samples are finite."""
         return bool(np.all(np.isfinite(self.samples)))
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The distribution about a product of powers; None where these names do not determine it."""
+        """Return the distribution of a product of powers; None if it is not determined by the named quantities."""
         if not set(quantity.exponents) <= set(self.names):
             return None
         columns = {name: self.samples[..., i] for i, name in enumerate(self.names)}
@@ -258,12 +285,12 @@ class Draws:
             return np.moveaxis(np.quantile(draws, levels, axis=-1), 0, -1)
 
         def cdf(true: Any) -> Any:
-            # mid-rank over n + 1: the rank statistic of simulation-based calibration, never 0 or 1
+            # mid-rank over n + 1, the rank statistic of simulation-based calibration; it is never 0 or 1
             below = np.sum(draws < np.expand_dims(true, -1), axis=-1)
             return _number((below + 0.5) / (draws.shape[-1] + 1.0))
 
         return Marginal(_number(np.median(draws, axis=-1)), ppf, cdf)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Draws:
-        """The same draws with every parameter divided by its scale."""
+        """Return the samples of the parameters divided by their scales."""
         return replace(self, samples=self.samples / np.array([scale[name] for name in self.names]))

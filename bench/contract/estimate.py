@@ -1,4 +1,4 @@
-"""What a method returns: parameters with their uncertainty, the reconstructed displacement, a status, a cost."""
+"""Result of a method: parameters with uncertainty, reconstructed displacement, status and cost."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from bench.contract.problem import InitialState, Problem, Units
 from bench.systems import LENGTH, MEASURED, Dimension, Quantity, System
 
 Reconstruction = Callable[[np.ndarray], np.ndarray]
-"""Displacement (m) by times (s): shape (n,) to shape (n_dof, n). Must be picklable."""
+"""Function from times (s), shape (n,), to displacement (m), shape (n_dof, n). Must be picklable."""
 
 
 class Status(StrEnum):
-    """What became of one replicate, or of a cell. One list, everywhere."""
+    """Outcome of a replicate or of a cell."""
 
     OK = "ok"
     DIVERGED = "diverged"
@@ -33,19 +33,24 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Cost:
-    """What an estimate took, as counted by the method itself; time and memory are the harness's to measure."""
+    """Computational effort as counted by the method; time and memory are measured by the benchmark.
+
+    Attributes:
+        evaluations: Number of evaluations of the model.
+        iterations: Number of iterations.
+    """
 
     evaluations: int = 0
     iterations: int = 0
 
 
 class NoEstimate(Exception):
-    """Raised by a method that finds none: :class:`Identifier` makes of it an Estimate with status and sentence.
+    """Raised by a method that cannot find an estimate; :class:`Identifier` converts it to a failed Estimate.
 
     Args:
-        sentence: What went wrong, and what the user can do.
-        status: ``diverged`` unless said otherwise.
-        cost: What the attempt took.
+        sentence: Cause, and what the user can do.
+        status: Status of the estimate.
+        cost: Effort of the attempt.
     """
 
     def __init__(self, sentence: str, status: Status = Status.DIVERGED, cost: Cost | None = None) -> None:
@@ -55,7 +60,7 @@ class NoEstimate(Exception):
 
 @dataclass(frozen=True)
 class Rescaled:
-    """A reconstruction in other units; picklable."""
+    """Reconstruction converted to other units; picklable."""
 
     original: Reconstruction
     time: float
@@ -67,19 +72,25 @@ class Rescaled:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The answer of a method to one problem.
+    """Result of a method for one problem. A successful method gives either ``parameters`` or ``groups``.
 
-    Exactly one of these is given by a method that succeeded: ``parameters`` (all of them, natively, with the prior
-    used), or ``groups`` (the identifiable groups only, in themselves and without the prior; the harness then combines
-    them with the prior, once). ``reconstructions`` holds the displacement as a function of time, one a record;
-    empty where the method has none, and the response simulated from its parameters stands in. ``bands`` holds the
-    standard deviation (m) of the displacement as a function of time, one a record, where the method has it.
-    ``initial_states`` (one a record) and ``offsets`` (one a channel, record by record) are the method's own, where it
-    has them.
-    ``traces`` keeps named arrays worth a picture (loss history, parameter trajectory); ``dimensions`` gives, of those
-    that depend on the units, the dimension of each entry of the last axis (or one for all).
-    ``alternatives``: other answers that the data support, of the same kind, each with its ``weight``, the probability
-    that it is the right one; an interval then covers them too (:meth:`Marginal.intervals`).
+    Attributes:
+        system: System of the problem.
+        parameters: Distribution of all parameters, with the prior included.
+        groups: Distribution of the identifiable groups, without the prior; the benchmark combines it with the prior.
+        reconstructions: Displacement as a function of time, one per record; if empty, the response is simulated from
+            the estimated parameters.
+        bands: Standard deviation (m) of the displacement as a function of time, one per record, or empty.
+        initial_states: Estimated initial states, one per record.
+        offsets: Estimated sensor offsets, one per channel, record by record.
+        status: Outcome.
+        message: Explanation for the user, in one sentence.
+        cost: Effort as counted by the method.
+        traces: Named arrays for figures, such as the history of the loss.
+        dimensions: For traces that depend on the units, the dimension of each entry of the last axis (or one for all).
+        alternatives: Other estimates that the data support, each with its ``weight``; intervals include them (see
+            :meth:`Marginal.intervals`).
+        weight: Probability that this estimate, among its alternatives, is the right one.
     """
 
     system: System
@@ -99,27 +110,38 @@ class Estimate:
 
     @staticmethod
     def failed(system: System, status: Status, message: str, cost: Cost = Cost()) -> Estimate:
-        """An estimate that says only what went wrong, in a sentence."""
+        """Return an estimate without values.
+
+        Args:
+            system: System of the problem.
+            status: Outcome.
+            message: Cause of the failure, in one sentence.
+            cost: Effort of the attempt.
+
+        Returns:
+            The failed estimate.
+        """
         return Estimate(system, status=status, message=message, cost=cost)
 
     @property
     def distribution(self) -> Distribution | None:
-        """The parameters' distribution, or the groups' where the method has only those."""
+        """Distribution of the parameters, or of the groups if the method estimates only these."""
         return self.parameters if self.parameters is not None else self.groups
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The distribution about a quantity of the system; None where this estimate does not determine it.
+        """Return the distribution of a quantity of the system; None if the estimate does not determine it.
 
-        With ``alternatives`` a mixture, whose value is that of this estimate without them.
+        With ``alternatives`` it is a mixture whose point estimate is that of this estimate.
         """
-        own = self._own_marginal(quantity)
-        if own is None or not self.alternatives:
-            return own
+        main = self._main_marginal(quantity)
+        if main is None or not self.alternatives:
+            return main
         others = [(other.marginal(quantity), other.weight) for other in self.alternatives]
-        known = [(own, self.weight), *((other, weight) for other, weight in others if other is not None)]
+        known = [(main, self.weight), *((other, weight) for other, weight in others if other is not None)]
         return mixed([part for part, _ in known], [weight for _, weight in known])
 
-    def _own_marginal(self, quantity: Quantity) -> Marginal | None:
+    def _main_marginal(self, quantity: Quantity) -> Marginal | None:
+        """Return the distribution of a quantity without the alternatives."""
         if self.parameters is not None:
             return self.parameters.marginal(quantity)
         if self.groups is None:
@@ -127,7 +149,7 @@ class Estimate:
         return self.groups.marginal(quantity) or self._from_groups(quantity)
 
     def _from_groups(self, quantity: Quantity) -> Marginal | None:
-        """A product of powers of the groups, with the first-order (delta method) variance of its logarithm."""
+        """Return the distribution of a product of powers of groups, by the delta method in its logarithm."""
         assert self.groups is not None
         names = self.system.names
         basis = np.array([self.system.quantity(name).vector(names) for name in self.groups.names]).T
@@ -144,9 +166,10 @@ class Estimate:
         return normal_marginal(np.exp(centre), centre, np.sqrt(np.maximum(variance, 0.0)), self.groups.dof, True)
 
     def expressed_in(self, units: Units) -> Estimate:
-        """Convert to other units (see :meth:`Problem.expressed_in`; ``units.inverse`` leads back).
+        """Convert to other units (see :meth:`Problem.expressed_in`); ``units.inverse`` converts back.
 
-        Offsets stay as they are, since what their channels measure is not known here: see :meth:`returned`.
+        Offsets are not converted, since the measured quantities of their channels are not known here; see
+        :meth:`returned`.
         """
         scale = {name: units.of(dimension) for name, dimension in self.system.dimensions.items()}
         starts = self.initial_states
@@ -163,10 +186,18 @@ class Estimate:
         )
 
     def _traces_in(self, units: Units) -> dict[str, np.ndarray]:
-        return {n: self.traces[n] / np.array([units.of(d) for d in own]) for n, own in self.dimensions.items()}
+        return {n: self.traces[n] / np.array([units.of(d) for d in dims]) for n, dims in self.dimensions.items()}
 
     def returned(self, problem: Problem, units: Units) -> Estimate:
-        """Convert the answer to ``problem.expressed_in(units)``, offsets too, to the units of ``problem``."""
+        """Convert the estimate for ``problem.expressed_in(units)``, including offsets, to the units of ``problem``.
+
+        Args:
+            problem: Problem in the user's units.
+            units: Units in which the estimate was computed.
+
+        Returns:
+            The estimate in the user's units.
+        """
         offsets = self.offsets
         if offsets is not None:
             sizes = [units.of(MEASURED[c.measures]) for record in problem.records for c in record.channels]
@@ -176,7 +207,7 @@ class Estimate:
         return replace(answer, system=problem.system, offsets=offsets, alternatives=alternatives)
 
     def checked(self) -> Estimate:
-        """Itself, or a failure with status ``nonfinite`` where a number in it is not finite."""
+        """Return this estimate, or a failure with status ``nonfinite`` if it contains a number that is not finite."""
         distributions = [part.distribution for part in (self, *self.alternatives)]
         if self.status is Status.OK and not all(
             distribution is not None and distribution.finite() for distribution in distributions

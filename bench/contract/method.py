@@ -1,4 +1,4 @@
-"""The contract of a method: settings as typed fields, one function to write, and a card that says what it is told."""
+"""Interface of identification methods: settings as typed fields, one function to implement, and a card."""
 
 from __future__ import annotations
 
@@ -19,10 +19,14 @@ SILENT = "no sensor shows any motion; check the wiring or choose another record"
 
 @dataclass(frozen=True)
 class Choice:
-    """A value of a setting that stands in a table as a row of its own: its name, where it is from, its package.
+    """A value of a setting that is a row of a table.
 
-    ``supplier``: the class of another package that the value stands for, as ``module:class`` (none: the method itself
-    does what the value says); ``version``: that class's, raised where a change of it alters results.
+    Attributes:
+        title: Name in the table.
+        source: Publication.
+        package: Package that provides the value; empty for the method itself.
+        supplier: Class of another package that the value selects, as ``module:class``; empty for the method itself.
+        version: Version of that class, to be raised when a change of it alters results.
     """
 
     title: str
@@ -34,17 +38,24 @@ class Choice:
 
 @dataclass(frozen=True)
 class Card:
-    """What a reader must know of a method before comparing it, and how tables, figures and the page show it.
+    """Description of a method for readers, tables and figures. The fields after ``settings_source`` are optional.
 
-    ``scale`` says whether it works on all parameters with the prior (``native``) or returns identifiable groups only.
-
-    What follows ``tuning`` may be left out. ``title``: its name for people (else its registered name). ``order``:
-    its place in tables and legends, lowest first (else behind those that have one, by name). ``paper``: the method
-    of the paper that it stands beside, as ``bench/data/paper_tables.csv`` calls it. ``states_terms``: the messages
-    of its estimates name the terms of the equation of motion that it found, after ``terms kept of N:``.
-    ``remarks``: its messages say how a fit ended, where those of others are warnings. ``variants``: by the name of
-    a file of ``conf/method`` that starts from this method, the fields of the card that differ for it. ``choices``:
-    by setting and value, what the values of a setting are called that a table compares.
+    Attributes:
+        summary: What the method does, in one sentence.
+        start: How the method uses the initial state of a record.
+        scale: ``native`` if it estimates all parameters with the prior, ``groups`` if identifiable groups only.
+        reconstruction: ``own`` if it returns the displacement, ``simulated`` if the benchmark simulates it.
+        uncertainty: How intervals are computed.
+        settings_source: Origin of the default settings.
+        tuning: Data on which settings were chosen, and number of trials.
+        title: Name in tables and figures; by default the registered name.
+        order: Position in tables and legends, lowest first; ties are sorted by name.
+        paper: Method of the paper to compare with, as named in ``bench/data/paper_tables.csv``.
+        states_terms: True if messages of estimates list the selected terms of the equation of motion after
+            ``terms kept of N:``.
+        remarks: True if messages of estimates describe how the fit ended; otherwise they are warnings.
+        variants: For each file of ``conf/method`` based on this method, by name, the fields that differ.
+        choices: For each setting, by value, the description of values that a table compares.
     """
 
     summary: str
@@ -63,13 +74,26 @@ class Card:
     choices: Mapping[str, Mapping[str, Choice]] = field(default_factory=dict)
 
     def variant(self, name: str) -> Card:
-        """The card of a variant: this one with the fields that differ."""
+        """Return the card of a variant."""
         return replace(self, variants={}, **self.variants[name])
 
 
 @dataclass(frozen=True)
 class Scope:
-    """What problems a method can take; anything else becomes a row with status ``unsupported`` and a sentence."""
+    """Problems that a method can solve; others give a row with status ``unsupported`` and the reason.
+
+    Attributes:
+        measures: Quantities that it can use.
+        several_records: True if it can use several records.
+        several_channels: True if it can use several channels per record.
+        offsets: True if it can estimate unknown sensor offsets.
+        forced: True if it can use known forces.
+        max_dof: Largest number of degrees of freedom; None for no limit.
+        nonlinear: True if it can identify nonlinear systems.
+        hidden_states: True if it can identify systems with hidden states.
+        free_without_prior: True if it can identify the groups from free vibration without a prior.
+        added_mass: True if it can use known added masses.
+    """
 
     measures: tuple[Measures, ...] = ("displacement",)
     several_records: bool = False
@@ -92,21 +116,20 @@ EVERY_PROBLEM = Scope(
     hidden_states=True,
     added_mass=True,
 )
-"""What a method serves that takes any problem: one that simulates, or enforces, the whole equation of motion."""
+"""Scope of methods that simulate or enforce the whole equation of motion: any problem."""
 
 
 class Identifier(ABC):
-    """A method: a frozen dataclass whose fields are its settings. Subclass it, write ``estimate``, register it.
+    """Base class of methods: a frozen dataclass whose fields are the settings. Subclasses implement ``estimate``.
 
-    Register by an entry point in the group ``bench.methods``; that alone makes ``method=<name>`` work. A method
-    imports heavy packages inside ``estimate``, names them in ``requires``, and the extra that brings them in ``extra``.
-    Raise ``version`` where a change of the method alters its results: stored cells of another version are stale.
-    ``works_in``: the units of the problems that ``estimate`` gets, the user's own or :meth:`Problem.natural_units`.
+    Register a method by an entry point in the group ``bench.methods``; then ``method=<name>`` works. Import large
+    packages inside ``estimate``, and name them in ``requires`` and the extra that installs them in ``extra``. Raise
+    ``version`` when a change of the method alters its results; stored cells of another version are stale. ``works_in``
+    selects the units of the problems given to ``estimate``: the user's or :meth:`Problem.natural_units`.
 
-    Call ``identify``; it does what every method needs: it answers a problem that the method objects to, or in which no
-    sensor shows any motion, by itself; converts to the units that the method works in, and its answer, its offsets and
-    its reports of progress back; silences numpy's warnings of overflow and the like; and makes an answer of a
-    :class:`NoEstimate`.
+    Callers use ``identify``, which rejects problems outside the scope and records without motion, converts problems,
+    estimates and progress reports between units, suppresses NumPy's floating-point warnings, and converts a
+    :class:`NoEstimate` to a failed estimate.
     """
 
     version: ClassVar[int] = 1
@@ -118,29 +141,35 @@ class Identifier(ABC):
 
     @property
     def problems_at_once(self) -> int:
-        """How many problems :meth:`identify_many` solves together, where that depends on a setting.
-
-        A sweep hands out so many at a time; 1: as it likes, in small numbers.
-        """
+        """Number of problems that a sweep passes to :meth:`identify_many` at a time; 1 for no preference."""
         return 1
 
     @abstractmethod
     def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Write this: the answer to one problem, in its units.
+        """Solve one problem (to be implemented).
 
         Args:
-            problem: What is measured and told; read-only.
+            problem: The problem, read-only.
             rng: The only source of randomness.
 
+        Returns:
+            The estimate in the units of the problem. A failure may be returned as an estimate with a status.
+
         Raises:
-            NoEstimate: A fit that went wrong, with a sentence; an Estimate with a status is as good. Any other
-                exception is a bug of the method, and becomes a row with status ``crashed``.
+            NoEstimate: If the fit failed. Any other exception counts as an error of the method (status ``crashed``).
         """
 
     def estimate_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Answer the problems, in order. Override where many can be done faster than one by one.
+        """Solve several problems; to be overridden where a batch is faster.
 
-        An estimate must not depend on which other problems it is solved with.
+        The estimate of a problem must not depend on the other problems.
+
+        Args:
+            problems: The problems.
+            rngs: One random generator per problem.
+
+        Returns:
+            One estimate per problem, in order.
         """
         return [self._estimate_or_failure(problem, rng) for problem, rng in zip(problems, rngs, strict=True)]
 
@@ -151,20 +180,44 @@ class Identifier(ABC):
             return Estimate.failed(problem.system, reason.status, str(reason), reason.cost)
 
     def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
-        """Add what all methods of a kind say of their answers, in the user's units; nothing by default."""
+        """Complete estimates in the user's units, for instance by messages; returns them unchanged by default.
+
+        Args:
+            problems: The problems in the user's units.
+            estimates: One estimate per problem.
+
+        Returns:
+            The completed estimates, in order.
+        """
         return list(estimates)
 
     @final
     def identify(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        """Answer one problem, in its units; see the class."""
+        """Solve one problem, with the checks and conversions described for the class.
+
+        Args:
+            problem: The problem.
+            rng: The only source of randomness.
+
+        Returns:
+            The estimate in the units of the problem.
+        """
         return self.identify_many([problem], [rng])[0]
 
     @final
     def identify_many(self, problems: Sequence[Problem], rngs: Sequence[np.random.Generator]) -> list[Estimate]:
-        """Answer the problems, in order, each in its units and as it would be alone; see the class."""
+        """Solve several problems, with the checks and conversions described for the class.
+
+        Args:
+            problems: The problems.
+            rngs: One random generator per problem.
+
+        Returns:
+            One estimate per problem, in order and in its units; each is the same as if solved alone.
+        """
         refused = [self._refusal(problem) for problem in problems]
-        taken = [(problem, rng) for problem, rng, no in zip(problems, rngs, refused, strict=True) if no is None]
-        originals, own_rngs = [problem for problem, _ in taken], [rng for _, rng in taken]
+        accepted = [(problem, rng) for problem, rng, no in zip(problems, rngs, refused, strict=True) if no is None]
+        originals, generators = [problem for problem, _ in accepted], [rng for _, rng in accepted]
         natural = self.works_in == "natural units"
         units = [problem.natural_units() if natural else Units() for problem in originals]
         given = [p.expressed_in(u) if natural else p for p, u in zip(originals, units, strict=True)]
@@ -173,9 +226,9 @@ class Identifier(ABC):
             return estimate.returned(originals[i], units[i]) if natural else estimate
 
         with reported_as(given, originals, [partial(back, i) for i in range(len(given))]), np.errstate(all="ignore"):
-            found = self.estimate_many(given, own_rngs) if given else []
-            answers = iter(self.completed(originals, [back(i, estimate) for i, estimate in enumerate(found)]))
-        return [next(answers) if no is None else no for no in refused]
+            estimates = self.estimate_many(given, generators) if given else []
+            completed = iter(self.completed(originals, [back(i, estimate) for i, estimate in enumerate(estimates)]))
+        return [next(completed) if no is None else no for no in refused]
 
     def _refusal(self, problem: Problem) -> Estimate | None:
         objection = self.objection(problem)
@@ -184,14 +237,14 @@ class Identifier(ABC):
         return Estimate.failed(problem.system, Status.DIVERGED, SILENT) if problem.silent else None
 
     def objection(self, problem: Problem) -> str | None:
-        """Why this method cannot take the problem, in a sentence; None where it can."""
+        """Return the reason why the method cannot solve the problem, in one sentence; None if it can."""
         s, system = self.scope, problem.system
         channels = [channel for record in problem.records for channel in record.channels]
         unmeasured = {c.measures for c in channels} - set(s.measures)
         checks = {
             f"it cannot use measured {', '.join(sorted(unmeasured))}": bool(unmeasured),
             "it takes one record": len(problem.records) > 1 and not s.several_records,
-            "it takes one channel a record": any(len(r.channels) > 1 for r in problem.records)
+            "it takes one channel per record": any(len(r.channels) > 1 for r in problem.records)
             and not s.several_channels,
             "it cannot estimate a sensor's offset": any(c.offset for c in channels) and not s.offsets,
             "it cannot use a known force": problem.forced and not s.forced,

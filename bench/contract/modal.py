@@ -1,7 +1,7 @@
-"""The contract of a modal method: free decays, blows or frequency responses in; modes with their uncertainty out.
+"""Interface of modal methods, which estimate modes from free decays, hammer blows or frequency responses.
 
-A mode is a natural frequency, a damping ratio and what it does in each channel. How many there are is part of the
-answer unless it is told.
+A mode has a natural frequency, a damping ratio and a shape over the channels. The number of modes is estimated unless
+it is given.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from bench.contract.estimate import Status
 from bench.errors import InputError
 
 Response = Literal["receptance", "mobility", "accelerance"]
-"""What is measured per unit of force: displacement, velocity or acceleration."""
+"""Displacement, velocity or acceleration per unit of force."""
 DERIVATIVES: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
-"""How often the displacement is differentiated."""
+"""Order of the derivative of the displacement."""
 MOST_MODES = 10
+"""Largest number of modes."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeDecays:
-    """Free vibration: ``times`` (n,) in s; ``values`` (channels, n), each about a constant of its own."""
+    """Measured free vibration.
+
+    Attributes:
+        times: Times (s), shape (n,).
+        values: Values, shape (channels, n); every channel may have an unknown offset.
+    """
 
     times: np.ndarray
     values: np.ndarray
@@ -32,10 +38,14 @@ class FreeDecays:
 
 @dataclass(frozen=True, eq=False)
 class Blows:
-    """Force and response at one point of force, records of equal length.
+    """Force and response of repeated blows on one point, in records of equal length.
 
-    ``step`` in s; ``forces`` (records, n) in N; ``responses`` (records, outputs, n); ``window``: decay rate (1/s) of an
-    exponential window that the responses were multiplied with already, 0 without.
+    Attributes:
+        step: Sampling interval (s).
+        forces: Force (N), shape (records, n).
+        responses: Responses, shape (records, outputs, n).
+        response: Measured quantity per unit of force.
+        window: Decay rate (1/s) of an exponential window already applied to the responses; 0 for none.
     """
 
     step: float
@@ -47,10 +57,14 @@ class Blows:
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponses:
-    """Response per unit of force: ``frequencies`` (lines,) in Hz; ``values`` (outputs, lines), complex.
+    """Frequency response functions for one point of force.
 
-    ``variances`` (outputs, lines): mean square of the complex error, None where it is not known; ``window``: decay rate
-    (1/s) of an exponential window that is still in them, 0 without.
+    Attributes:
+        frequencies: Frequencies (Hz), shape (lines,).
+        values: Complex response per unit of force, shape (outputs, lines).
+        response: Measured quantity per unit of force.
+        variances: Variance of the complex error, shape (outputs, lines); None if unknown.
+        window: Decay rate (1/s) of an exponential window that is not corrected for; 0 for none.
     """
 
     frequencies: np.ndarray
@@ -65,7 +79,16 @@ ModalData = FreeDecays | Blows | FrequencyResponses
 
 @dataclass(frozen=True, eq=False)
 class ModalProblem:
-    """What a modal method is given: ``count`` modes, or as many as the data show; in ``band`` (Hz), or in all of it."""
+    """Data and options of a modal analysis.
+
+    Attributes:
+        data: Measurements.
+        count: Number of modes; None to estimate it.
+        band: Lower and upper frequency (Hz) of the analysis; None for all frequencies.
+
+    Raises:
+        InputError: If the number of modes is out of range, or the band is empty.
+    """
 
     data: ModalData
     count: int | None = None
@@ -80,13 +103,18 @@ class ModalProblem:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode with standard errors, NaN where the method gives none.
+    """A mode with standard errors, which are NaN if the method gives none.
 
-    ``frequency``: the natural frequency (Hz), that of the undamped mode, ``|pole| / 2 pi``; ``damping_ratio``: of
-    critical damping; ``shape`` (channels,), complex: of free decays the amplitude of ``Re(shape exp(pole (t - t0)))``
-    at the first time t0, in each channel's unit; of blows and frequency responses the residue of the receptance,
-    ``shape / (s - pole)`` beside its conjugate; ``shape_sd`` (channels,): standard error of its real part, and of its
-    imaginary part. ``share``: part of the root mean square of the data that is this mode's.
+    Attributes:
+        frequency: Undamped natural frequency (Hz), ``|pole| / 2 pi``.
+        damping_ratio: Ratio to critical damping.
+        frequency_sd: Standard error of the frequency (Hz).
+        damping_ratio_sd: Standard error of the damping ratio.
+        shape: Complex shape, shape (channels,). For free decays, the amplitude of ``Re(shape exp(pole (t - t0)))`` at
+            the first time t0, in the unit of each channel; for blows and frequency responses, the residue of the
+            receptance ``shape / (s - pole)`` plus its conjugate term.
+        shape_sd: Standard error of the real part, and of the imaginary part, of the shape, shape (channels,).
+        share: Root mean square of the mode relative to that of the data.
     """
 
     frequency: float
@@ -101,7 +129,18 @@ class Mode:
     def of_pole(
         pole: complex, covariance: np.ndarray, shape: np.ndarray, shape_sd: np.ndarray, share: float = float("nan")
     ) -> Mode:
-        """Return the mode of a pole (1/s) whose real and imaginary parts have this covariance, shape (2, 2)."""
+        """Return the mode of a pole, with standard errors by the delta method.
+
+        Args:
+            pole: Pole (1/s) in the upper half plane.
+            covariance: Covariance of its real and imaginary parts, shape (2, 2).
+            shape: Complex shape, (channels,).
+            shape_sd: Standard errors of the shape, (channels,).
+            share: Root mean square of the mode relative to that of the data.
+
+        Returns:
+            The mode.
+        """
         real, imaginary, rate = float(pole.real), float(pole.imag), float(abs(pole))
         by = np.array([[real / rate, imaginary / rate], [-(imaginary**2) / rate**3, real * imaginary / rate**3]])
         rate_sd, ratio_sd = (float(sd) for sd in np.sqrt(np.diag(by @ covariance @ by.T)))
@@ -121,10 +160,13 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class ModalEstimate:
-    """Modes in order of frequency.
+    """Estimated modes.
 
-    ``degrees``: degrees of freedom of Student's t, by which standard errors become intervals; ``message``: what a user
-    should know; how the number of modes was decided.
+    Attributes:
+        modes: Modes in order of frequency.
+        degrees: Degrees of freedom of Student's t for confidence intervals.
+        status: Outcome.
+        message: Information for the user, such as how the number of modes was selected.
     """
 
     modes: tuple[Mode, ...]
@@ -135,7 +177,14 @@ class ModalEstimate:
 
 @dataclass(frozen=True)
 class ModalCard:
-    """What a table says of a modal method."""
+    """Description of a modal method for tables.
+
+    Attributes:
+        summary: What the method does, in one sentence.
+        settings_source: Origin of the default settings.
+        title: Name in tables and figures.
+        order: Position in tables and figures, lowest first.
+    """
 
     summary: str
     settings_source: str
@@ -144,10 +193,10 @@ class ModalCard:
 
 
 class ModalIdentifier(ABC):
-    """A modal method: a frozen dataclass whose fields are its settings.
+    """Base class of modal methods: a frozen dataclass whose fields are the settings.
 
-    Register it by an entry point in the group ``bench.modal``. Raise ``version`` where a change of the method alters
-    its results.
+    Register a method by an entry point in the group ``bench.modal``. Raise ``version`` when a change of the method
+    alters its results.
     """
 
     version: ClassVar[int] = 1
@@ -158,10 +207,10 @@ class ModalIdentifier(ABC):
 
     @abstractmethod
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
-        """Find the modes; a failure is an estimate with its status, not an exception."""
+        """Estimate the modes; a failure is reported by the status of the estimate, not by an exception."""
 
     def objection(self, problem: ModalProblem) -> str | None:
-        """Say why this method cannot serve the problem, in a sentence; None where it can."""
+        """Return the reason why the method cannot solve the problem, in one sentence; None if it can."""
         if isinstance(problem.data, self.scope):
             return None
         return f"it is made for {' or '.join(WORDS[kind] for kind in self.scope)}, not {WORDS[type(problem.data)]}"

@@ -1,8 +1,7 @@
-"""The contract of an online identifier: a layout without data, one sample at a time, what is believed after each.
+"""Interface of online methods: a layout without data, samples one at a time, and an estimate after each sample.
 
-A tracker sees the past only. What it holds is bounded, and a sample costs the same however many came before. What
-every tracker needs is done here, once: the clock of the samples (a gap, a repeated time stamp), values that say nothing
-(missing, at the limit of the range), and a step that went wrong.
+A tracker uses past samples only; its memory and the cost of a sample are bounded. This module handles what all trackers
+have in common: gaps and repeated time stamps, missing and saturated values, and steps that fail.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ from bench.errors import InputError
 from bench.systems import MEASURED, Quantity, System
 
 STUCK = 2
-"""So often again the most extreme value so far, to the last digit, is a sensor at its limit."""
+"""A sensor counts as saturated after this many exact repeats of its extreme value."""
 MOST_SKIPPED = 32
-"""Samples whose steps failed, one behind the other, of which the forces are kept."""
+"""Largest number of consecutive failed steps whose forces are kept."""
 LONGEST_GAP = 10_000
-"""Sampling intervals; behind a longer gap the motion is taken to be unknown, as at the start."""
+"""Largest gap (sampling intervals); after a longer one the state of motion is considered unknown."""
 
 
 class SampleStatus(StrEnum):
-    """What became of one sample."""
+    """Outcome of processing a sample."""
 
     OK = "ok"
     WARMING_UP = "warming_up"
@@ -48,7 +47,16 @@ class SampleStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a channel measures and where; ``limits`` of its range, beyond which it says nothing, where they are told."""
+    """A sensor.
+
+    Attributes:
+        measures: Measured quantity.
+        dof: Degree of freedom, from 0.
+        limits: Lower and upper limit of the range, at and beyond which values are ignored; None if unknown.
+
+    Raises:
+        InputError: If the quantity is unknown or the limits are not in increasing order.
+    """
 
     measures: Measures = "displacement"
     dof: int = 0
@@ -58,16 +66,24 @@ class Sensor:
         if self.measures not in MEASURED:
             raise InputError("sensor.measures", self.measures, f"one of {', '.join(MEASURED)}")
         if self.limits is not None and not self.limits[0] < self.limits[1]:
-            raise InputError("sensor.limits", self.limits, "the lower limit first, and below the upper")
+            raise InputError("sensor.limits", self.limits, "the lower limit, then a larger upper limit")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A problem without data: system, sensors, sampling interval (s), and on which DOFs a force acts.
+    """Description of a data stream: system, sensors, sampling interval and forces.
 
-    ``forced``: DOFs under a force that is told with each sample and held until the next. ``ambient``: DOFs under a
-    force that nobody measures. Without a known force, free or ambient motion tells ratios to one mass only, the
-    system's groups; with one, every parameter. Raises InputError where the parts do not fit.
+    With a known force every parameter is identifiable, without one only the groups of the system.
+
+    Attributes:
+        system: Equation of motion.
+        sensors: Sensors, at least one.
+        interval: Sampling interval (s).
+        forced: DOFs with a known force, which is given with each sample and constant until the next.
+        ambient: DOFs with an unmeasured force.
+
+    Raises:
+        InputError: If there is no sensor, a DOF does not exist, or the interval is not positive.
     """
 
     system: System
@@ -88,18 +104,18 @@ class Layout:
 
     @property
     def scale_known(self) -> bool:
-        """Whether the data tell every parameter, by a known force."""
+        """True if a known force makes every parameter identifiable."""
         return bool(self.forced)
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """The parameters that a tracker estimates: all, or all but the gauge, which is then one unit of mass."""
+        """Estimated parameters: all, or, without a known force, all except the gauge mass, which is set to 1."""
         names = self.system.names
         return names if self.scale_known else tuple(name for name in names if name != self.system.gauge)
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What the data tell: parameters, groups and modal quantities, or the last two alone."""
+        """Identifiable quantities: parameters, groups and modal quantities; without a known force, no parameters."""
         if self.scale_known:
             return self.system.quantities
         return tuple(self.system.groups) + tuple(self.system.modal)
@@ -107,7 +123,13 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One instant: time (s), a value a sensor (NaN: missing), and the force (N) on each forced DOF from now on."""
+    """Measurements at one instant.
+
+    Attributes:
+        time: Time (s).
+        values: One value per sensor; NaN if missing.
+        forces: Force (N) on each forced DOF from this time on.
+    """
 
     time: float
     values: tuple[float, ...]
@@ -116,12 +138,17 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class TrackerOutput:
-    """What a tracker believes after a sample, from the past alone.
+    """Estimate of a tracker after a sample, from this and earlier samples.
 
-    ``distribution``: normal, in the logarithms of the layout's free parameters (or of quantities by name); None where
-    there is none yet. ``prediction`` and ``prediction_sd``, shape (n_sensors,): of this sample before it was seen, in
-    the sensors' units. ``alarm``: what a detector of changes stands at, compared with a threshold of the user's choice;
-    NaN where the method has none. ``message``: a sentence where the status is not ``ok``.
+    Attributes:
+        time: Time of the sample (s).
+        status: Outcome of processing the sample.
+        distribution: Normal distribution of the logarithms of the free parameters of the layout, or of quantities by
+            name; None before the first estimate.
+        prediction: One-step prediction of the sample in sensor units, shape (n_sensors,).
+        prediction_sd: Standard deviation of the prediction, shape (n_sensors,).
+        alarm: Statistic of a change detector, to be compared with a threshold; NaN if the method has none.
+        message: Explanation if the status is not ``ok``.
     """
 
     time: float
@@ -133,19 +160,26 @@ class TrackerOutput:
     message: str = ""
 
     def marginal(self, quantity: Quantity) -> Marginal | None:
-        """The distribution about a quantity of :attr:`Layout.quantities`; None where there is none."""
+        """Return the distribution of a quantity of :attr:`Layout.quantities`; None if there is no estimate."""
         if self.distribution is None:
             return None
         if quantity.name in self.distribution.names:
             quantity = replace(quantity, exponents={quantity.name: 1.0}, coefficient=1.0)
-        held = set(self.distribution.names)
-        known = {name: power for name, power in quantity.exponents.items() if name in held}
+        known = {n: power for n, power in quantity.exponents.items() if n in self.distribution.names}
         return self.distribution.marginal(replace(quantity, exponents=known))
 
 
 @dataclass(frozen=True)
 class OnlineCard:
-    """What a reader must know of an online method, and how tables and figures call it."""
+    """Description of an online method for tables and figures.
+
+    Attributes:
+        summary: What the method does, in one sentence.
+        source: Publication.
+        settings_source: Origin of the default settings.
+        title: Name in tables and figures.
+        order: Position in tables and figures, lowest first.
+    """
 
     summary: str
     source: str
@@ -155,16 +189,16 @@ class OnlineCard:
 
 
 class Tracker(ABC):
-    """What follows one stream. Subclass it and write :meth:`step`; callers use :meth:`update`.
+    """Online estimator for one data stream. Subclasses implement :meth:`step`; callers use :meth:`update`.
 
-    ``holds`` names the attributes that a step changes: numbers, texts, arrays, or lists of these. They are what is
-    saved; everything else follows from the settings and the layout.
+    ``state_names`` lists the attributes that a step changes: numbers, strings, arrays, or lists of these. Only they are
+    saved; everything else is derived from the settings and the layout.
     """
 
-    holds: ClassVar[tuple[str, ...]] = ()
+    state_names: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, layout: Layout) -> None:
-        """Begin before the first sample."""
+        """Initialise the tracker before the first sample."""
         self.layout = layout
         self.samples = 0
         self.owed = 0
@@ -172,44 +206,47 @@ class Tracker(ABC):
         self.last: float | None = None
         self.stray: float | None = None
         self.forces = list[float]()
-        self._standing: TrackerOutput | None = None
+        self._output: TrackerOutput | None = None
         n = len(layout.sensors)
         self.repeats = [0] * n
         self.lowest, self.highest = [float("inf")] * n, [float("-inf")] * n
 
     @abstractmethod
     def step(self, sample: Sample, steps: int) -> TrackerOutput:
-        """Write this: what is believed after a sample.
+        """Process a sample (to be implemented).
 
         Args:
-            sample: its values are NaN where they say nothing.
-            steps: sampling intervals since the sample before; 1 but after a gap, 0 for the first.
+            sample: Sample whose missing and saturated values are NaN.
+            steps: Sampling intervals since the previous sample: 1, more after a gap, 0 for the first sample.
+
+        Returns:
+            The estimate after the sample.
         """
 
-    def prepare(self) -> None:  # noqa: B027 - most have nothing to do
-        """Do what takes long and needs no sample, such as compiling. By default nothing."""
+    def prepare(self) -> None:  # noqa: B027 - most methods need no preparation
+        """Perform slow preparations that need no sample, such as compilation. Does nothing by default."""
 
     def reset_motion(self) -> None:  # noqa: B027
-        """Forget the motion, but not the parameters: behind a long gap. By default nothing."""
+        """Discard the state of motion, but not the parameters, after a long gap. Does nothing by default."""
 
     def smooth(self) -> list[TrackerOutput]:
-        """What is believed of the samples still held, given all of them; empty where a method has none."""
+        """Return smoothed estimates of the samples in memory; empty for methods without a smoother."""
         return []
 
     @final
     def update(self, sample: Sample) -> TrackerOutput:
-        """Take a sample and say what is believed. Raises InputError for a sample that does not fit the layout."""
+        """Process a sample and return the estimate. Raises InputError if the sample does not fit the layout."""
         if len(sample.values) != len(self.layout.sensors) or len(sample.forces) != len(self.layout.forced):
             wanted = f"{len(self.layout.sensors)} value(s) and {len(self.layout.forced)} force(s)"
             raise InputError("sample", f"{len(sample.values)} and {len(sample.forces)}", wanted)
         if not isfinite(sample.time):
-            return self._unread(sample, SampleStatus.REPEATED, "its time is not a finite number; left out")
+            return self._unread(sample, SampleStatus.REPEATED, "its time is not a finite number; ignored")
         if self.is_far(sample.time):
             self.stray = sample.time
             return self._unread(sample, SampleStatus.GAP, FAR)
         steps = 0 if self.last is None else round((sample.time - self.last) / self.layout.interval)
         if self.last is not None and steps <= 0:
-            return self._unread(sample, SampleStatus.REPEATED, "its time is not after the one before; left out")
+            return self._unread(sample, SampleStatus.REPEATED, "its time is not later than the previous one; ignored")
         sample, status = self._usable(sample)
         self.forces = list(sample.forces)
         self.last = sample.time
@@ -218,44 +255,43 @@ class Tracker(ABC):
         if steps > LONGEST_GAP:
             self.reset_motion()
             steps = 1
-        found = self._stepped(sample, steps)
-        if found.status is SampleStatus.OK:
+        output = self._checked_step(sample, steps)
+        if output.status is SampleStatus.OK:
             if status is not SampleStatus.OK:
-                found = replace(found, status=status, message=SENTENCES[status])
+                output = replace(output, status=status, message=SENTENCES[status])
             elif missing > 0:
-                found = replace(found, status=SampleStatus.GAP, message=f"{missing} sample(s) are not there")
-        self._standing = found
-        return found
+                output = replace(output, status=SampleStatus.GAP, message=f"{missing} sample(s) are missing")
+        self._output = output
+        return output
 
     @final
     def is_far(self, time: float) -> bool:
-        """Whether a time is so far behind the sample before that only another sample near it makes it believed."""
+        """Return True for an isolated time far after the previous sample, which is accepted only if another follows."""
         reach = LONGEST_GAP * self.layout.interval
         followed = self.stray is not None and 0 < time - self.stray <= reach
         return self.last is not None and time - self.last > reach and not followed
 
-    def _stepped(self, sample: Sample, steps: int) -> TrackerOutput:
+    def _checked_step(self, sample: Sample, steps: int) -> TrackerOutput:
+        """Perform a step; if it fails numerically, keep the previous estimate."""
         try:
-            found = self.step(sample, steps)
+            output = self.step(sample, steps)
             self.owed, self.skipped = 0, []
-            return found
+            return output
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-            self.owed = max(steps, 1)  # to the next step it is a gap, whose forces are known
+            self.owed = max(steps, 1)  # the next step treats it as a gap with known forces
             self.skipped = [*self.skipped[1 - MOST_SKIPPED :], list(sample.forces)]
-            before = self._standing
-            distribution = before.distribution if before else None
-            said = f"{type(error).__name__}: {error}"
-            return TrackerOutput(
-                sample.time, SampleStatus.FAILED, distribution, message=f"the step went wrong ({said})"
-            )
+            distribution = self._output.distribution if self._output else None
+            message = f"the step failed ({type(error).__name__}: {error})"
+            return TrackerOutput(sample.time, SampleStatus.FAILED, distribution, message=message)
 
     def _unread(self, sample: Sample, status: SampleStatus, message: str) -> TrackerOutput:
-        before = self._standing
-        alarm = before.alarm if before else float("nan")
-        return TrackerOutput(sample.time, status, before.distribution if before else None, alarm=alarm, message=message)
+        """Return the previous estimate for a sample that is ignored."""
+        last = self._output
+        alarm = last.alarm if last else float("nan")
+        return TrackerOutput(sample.time, status, last.distribution if last else None, alarm=alarm, message=message)
 
     def _usable(self, sample: Sample) -> tuple[Sample, SampleStatus]:
-        """The sample with NaN for values that say nothing and forces as before for missing ones; and why."""
+        """Replace unusable values by NaN and missing forces by the previous ones; return the sample and its status."""
         values, forces, status = list(sample.values), list(sample.forces), SampleStatus.OK
         for i, (value, sensor) in enumerate(zip(sample.values, self.layout.sensors, strict=True)):
             if not isfinite(value):
@@ -264,8 +300,8 @@ class Tracker(ABC):
             if is_saturated(self, i, value, sensor):
                 values[i], status = nan, SampleStatus.SATURATED
         if not all(map(isfinite, forces)):
-            before = self.forces or [0.0] * len(forces)
-            forces = [f if isfinite(f) else held for f, held in zip(forces, before, strict=True)]
+            previous = self.forces or [0.0] * len(forces)
+            forces = [f if isfinite(f) else last for f, last in zip(forces, previous, strict=True)]
             status = SampleStatus.MISSING
         if status is SampleStatus.OK:
             return sample, status
@@ -273,14 +309,14 @@ class Tracker(ABC):
 
     @final
     def saved(self) -> dict[str, Any]:
-        """All that it holds, as numbers, texts, lists and arrays by name: what :meth:`restored` goes on from."""
-        every = {name: getattr(self, name) for name in (*CLOCK, *self.holds)}
+        """Return the state as numbers, strings, lists and arrays by name, for :meth:`restored`."""
+        every = {name: getattr(self, name) for name in (*CLOCK, *self.state_names)}
         return {name: _copied(value) for name, value in every.items()}
 
     @final
     def restored(self, state: Mapping[str, Any]) -> Self:
-        """Itself in a saved state; raises InputError for one of something else."""
-        names = (*CLOCK, *self.holds)
+        """Restore a saved state and return the tracker. Raises InputError for a state of another method."""
+        names = (*CLOCK, *self.state_names)
         if set(state) != set(names):
             raise InputError("state", sorted(set(state) ^ set(names)), "the state of this method in this version")
         for name in names:
@@ -289,11 +325,11 @@ class Tracker(ABC):
         return self
 
     def rebuild(self) -> None:  # noqa: B027
-        """Make again what follows from a restored state. By default nothing."""
+        """Recompute what is derived from a restored state. Does nothing by default."""
 
 
 class Extremes(Protocol):
-    """Holds the extreme values so far of each sensor, and how often the more recent was repeated to the last digit."""
+    """Extreme values of each sensor so far, and the number of exact repeats of the more recent one."""
 
     repeats: list[int]
     lowest: list[float]
@@ -301,41 +337,51 @@ class Extremes(Protocol):
 
 
 def is_saturated(extremes: Extremes, i: int, value: float, sensor: Sensor) -> bool:
-    """Return whether the next value of the i-th sensor is at the limit of its range, stated or seen."""
+    """Decide whether a sensor is saturated, and update its extreme values.
+
+    Args:
+        extremes: Extreme values of all sensors; updated in place.
+        i: Index of the sensor.
+        value: Next value of the sensor.
+        sensor: The sensor, with its limits if they are known.
+
+    Returns:
+        True if the value is at or beyond a known limit, or repeats the extreme value.
+    """
     low, high = extremes.lowest[i], extremes.highest[i]
-    held = value in (low, high)
-    if held:
+    repeated = value in (low, high)
+    if repeated:
         extremes.repeats[i] += 1
     elif not low <= value <= high:
         extremes.repeats[i] = 0
         extremes.lowest[i], extremes.highest[i] = min(low, value), max(high, value)
     beyond = sensor.limits is not None and not sensor.limits[0] < value < sensor.limits[1]
-    return beyond or (held and extremes.repeats[i] >= STUCK)
+    return beyond or (repeated and extremes.repeats[i] >= STUCK)
 
 
 def _copied(value: Any) -> Any:
-    """A value that a later step cannot change; arrays of another library become numpy's."""
+    """Return a copy of a value, with arrays of other libraries converted to NumPy."""
     if isinstance(value, list):
         return [_copied(item) for item in value]
     return np.array(value) if hasattr(value, "__array__") else value
 
 
 CLOCK = ("samples", "owed", "skipped", "last", "stray", "forces", "repeats", "lowest", "highest")
-"""What every tracker holds: the clock of the samples, and what shows a sensor at its limit."""
+"""State of every tracker: times of samples, and extreme values of sensors."""
 
-FAR = "its time is far after the one before; left out, unless the next sample follows it"
+FAR = "its time is far after the previous one; ignored, unless another sample follows"
 SENTENCES = {
-    SampleStatus.MISSING: "a value, or a force, is missing; a force is taken to be as before",
+    SampleStatus.MISSING: "a value or force is missing; the previous force is used",
     SampleStatus.SATURATED: "a sensor is at the limit of its range",
 }
-"""What is said of a sample that tells less than it should."""
+"""Message for a sample that is used only in part."""
 
 
 class OnlineIdentifier(ABC):
-    """An online method: a frozen dataclass whose fields are its settings; ``start`` makes a tracker of a layout.
+    """Base class of online methods: a frozen dataclass whose fields are the settings.
 
-    Register it by an entry point in the group ``bench.trackers``. Raise ``version`` where a change of the method alters
-    its results: stored runs of another version are computed again.
+    Register a method by an entry point in the group ``bench.trackers``. Raise ``version`` when a change of the method
+    alters its results; stored results of another version are recomputed.
     """
 
     version: ClassVar[int] = 1
@@ -345,8 +391,8 @@ class OnlineIdentifier(ABC):
 
     @abstractmethod
     def start(self, layout: Layout) -> Tracker:
-        """A tracker before its first sample."""
+        """Return a new tracker for a stream."""
 
     def objection(self, layout: Layout) -> str | None:
-        """Why this method cannot follow such a stream, in a sentence; None where it can."""
+        """Return the reason why the method cannot follow such a stream, in one sentence; None if it can."""
         return None

@@ -1,4 +1,4 @@
-"""The nominal prior: independent log-normals on the parameters, the same for every method."""
+"""Prior distribution of the parameters: independent log-normals, the same for every method."""
 
 from __future__ import annotations
 
@@ -13,10 +13,17 @@ from bench.systems import Dimension, System
 
 @dataclass(frozen=True)
 class Prior:
-    """``log p ~ Normal(log nominal, log_sd²)``, independently for each parameter.
+    """Independent log-normal prior, ``log p ~ Normal(log nominal, log_sd²)``.
 
-    ``nominal`` holds what is stated of each parameter (SI units), ``log_sd`` the standard deviation of its
-    logarithm. The nominal values are drawn around the truth, so a prior is calibrated and never centred on it.
+    In the benchmark nominal values are drawn around the true values, so that the prior is calibrated but not centred
+    on them.
+
+    Attributes:
+        nominal: Nominal value of each parameter by name (SI units).
+        log_sd: Standard deviation of the logarithm of each parameter, by name.
+
+    Raises:
+        InputError: If a value is not a positive number, or the names differ.
     """
 
     nominal: Mapping[str, float]
@@ -36,6 +43,7 @@ class Prior:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
         return tuple(self.nominal)
 
     @property
@@ -49,18 +57,31 @@ class Prior:
         return np.array([self.log_sd[name] for name in self.nominal])
 
     def residuals(self, log_parameters: np.ndarray) -> np.ndarray:
-        """Standardised distance from the prior, shape (..., n_parameters); half its square is the penalty."""
+        """Return the standardised deviations from the prior mean, shape (..., n_parameters).
+
+        Half the sum of their squares is the negative log density of the prior, up to a constant.
+        """
         return np.asarray((log_parameters - self.log_mean) / self.log_sds)
 
     def expressed_in(self, scale: Mapping[str, float]) -> Prior:
-        """The same prior with each parameter divided by its scale."""
+        """Return the prior of the parameters divided by their scales."""
         return Prior({n: value / scale[n] for n, value in self.nominal.items()}, self.log_sd)
 
 
 def draw_prior(
     system: System, truth: Mapping[str, float], sd_by_kind: Mapping[str, float], rng: np.random.Generator
 ) -> Prior:
-    """A calibrated prior: nominal values drawn around the truth with the stated width of each kind."""
+    """Draw a calibrated prior, with nominal values around the true values ``truth``.
+
+    Args:
+        system: System whose parameters are drawn in order.
+        truth: True values by name.
+        sd_by_kind: Standard deviation of the logarithm, by kind of parameter.
+        rng: Random generator.
+
+    Returns:
+        The prior.
+    """
     sds = {p.name: float(sd_by_kind[p.kind]) for p in system.parameters}
     return Prior({n: truth[n] * float(np.exp(sds[n] * rng.standard_normal())) for n in system.names}, sds)
 
@@ -68,11 +89,24 @@ def draw_prior(
 def wrong_prior(
     system: System, truth: Mapping[str, float], sd_by_kind: Mapping[str, float], rng: np.random.Generator
 ) -> Prior:
-    """A miscalibrated prior: every nominal value three standard deviations off, to a random side."""
+    """Draw a miscalibrated prior: every nominal value is three standard deviations off, in a random direction.
+
+    Arguments and result are those of :func:`draw_prior`.
+    """
     sds = {p.name: float(sd_by_kind[p.kind]) for p in system.parameters}
     return Prior({n: truth[n] * float(np.exp(3.0 * sds[n] * rng.choice([-1.0, 1.0]))) for n in system.names}, sds)
 
 
 def dimension_scale(dimension: Dimension, mass: float, length: float, time: float) -> float:
-    """Size in SI of one unit of the given dimension, when mass, length and time have these units."""
+    """Return the size of the unit of a dimension.
+
+    Args:
+        dimension: Exponents of mass, length and time.
+        mass: Size of the unit of mass.
+        length: Size of the unit of length.
+        time: Size of the unit of time.
+
+    Returns:
+        Product of powers of the base units.
+    """
     return float(mass**dimension.mass * length**dimension.length * time**dimension.time)

@@ -1,7 +1,7 @@
-"""What a method is given: measurements, known forces, what is said of the start, the prior and the equations.
+"""Identification problem as given to a method: measurements, known forces and initial states, prior, system.
 
-Everything is validated once, here, and read-only afterwards. No true value can be in a Problem; what scores an
-estimate is :class:`bench.scenario.truth.Truth`, a type of its own.
+The data are validated here and read-only afterwards. A Problem holds no true values; estimates are scored with
+:class:`bench.scenario.truth.Truth`.
 """
 
 from __future__ import annotations
@@ -22,12 +22,24 @@ if TYPE_CHECKING:
 Measures = Literal["displacement", "velocity", "acceleration"]
 Hold = Literal["zero_order", "linear", "cubic"]
 DEGREES: dict[Hold, int] = {"zero_order": 1, "linear": 1, "cubic": 3}
-"""Degree of the polynomial that carries a force from one sample to the next (a step is carried as a line)."""
+"""Degree of the polynomial between two samples of a force (for ``zero_order``, a line that is constant)."""
 MIN_SAMPLES = 3
+"""Smallest number of samples of a record."""
 
 
 def read_only(values: object, field_name: str) -> np.ndarray:
-    """A read-only float64 copy of one-dimensional finite values; raises InputError otherwise."""
+    """Return a read-only float64 copy of one-dimensional finite values.
+
+    Args:
+        values: Sequence of numbers, shape (n,).
+        field_name: Field to name in an error.
+
+    Returns:
+        Array of shape (n,).
+
+    Raises:
+        InputError: If the values are not numbers, not finite, or not one-dimensional.
+    """
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):
@@ -51,31 +63,46 @@ def _increasing(times: np.ndarray, field_name: str) -> None:
 
 @dataclass(frozen=True)
 class Units:
-    """A system of units: how much one unit of mass (kg), length (m) and time (s) is in the units of the Problem."""
+    """System of units, given by the sizes of its base units in the units of the Problem (SI unless converted).
+
+    Attributes:
+        mass: Size of the unit of mass (kg).
+        length: Size of the unit of length (m).
+        time: Size of the unit of time (s).
+    """
 
     mass: float = 1.0
     length: float = 1.0
     time: float = 1.0
 
     def of(self, dimension: Dimension) -> float:
-        """How much one unit of the given dimension is."""
+        """Return the size of the unit of a dimension."""
         return dimension_scale(dimension, self.mass, self.length, self.time)
 
     @property
     def inverse(self) -> Units:
+        """Units that convert back."""
         return Units(1.0 / self.mass, 1.0 / self.length, 1.0 / self.time)
 
     def scales(self, system: System) -> dict[str, float]:
-        """How much one unit of each parameter of the system is."""
+        """Return the size of the unit of each parameter of a system, by name."""
         return {p.name: self.of(p.dimension) for p in system.parameters}
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One sensor: what it measures, of which DOF (from 0), at which times (s, from the start of its record).
+    """Samples of one sensor.
 
-    ``values`` and ``times`` have shape (n_samples,); times increase and need not be uniform. ``offset`` says that
-    an unknown constant is added to every value, to be estimated with the rest.
+    Attributes:
+        times: Times since the start of the record (s), shape (n_samples,); increasing, not necessarily uniform.
+        values: Measured values, shape (n_samples,).
+        measures: Measured quantity.
+        dof: Degree of freedom, from 0.
+        unit: Unit of the values.
+        offset: True if an unknown constant is added to every value, to be estimated with the parameters.
+
+    Raises:
+        InputError: If the arrays do not fit each other, or times are negative or do not increase.
     """
 
     times: np.ndarray
@@ -94,19 +121,27 @@ class Channel:
             raise InputError("values", self.values.size, f"as many values as times are needed ({self.times.size})")
         _increasing(self.times, "times")
         if self.times.size and self.times[0] < 0:
-            raise InputError("times", self.times[0], "times count from the start of the record, so none is negative")
+            raise InputError("times", self.times[0], "0 or later: times count from the start of the record")
 
     @property
     def n(self) -> int:
+        """Number of samples."""
         return int(self.times.size)
 
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """A known force on one DOF: samples (N) at times (s), shape (n,), and how it runs between them.
+    """Known force on one DOF, zero outside its times; call it with times (s) to evaluate it (N).
 
-    ``zero_order`` holds each sample to the next time, ``linear`` joins them, ``cubic`` is the cubic spline through them
-    (not-a-knot: de Boor, A Practical Guide to Splines, chapter IV); it is zero outside its times.
+    Attributes:
+        times: Times since the start of the record (s), shape (n,), at least two, increasing.
+        values: Force (N), shape (n,).
+        hold: Interpolation between samples: ``zero_order`` holds each sample until the next, ``linear`` connects them,
+            ``cubic`` is the not-a-knot cubic spline (de Boor, A Practical Guide to Splines, chapter IV).
+        dof: Degree of freedom, from 0.
+
+    Raises:
+        InputError: If the arrays do not fit each other, or times do not increase.
     """
 
     times: np.ndarray
@@ -120,22 +155,22 @@ class Force:
         if self.hold not in DEGREES:
             raise InputError("force.hold", self.hold, f"one of {', '.join(DEGREES)}")
         if self.times.size != self.values.size or self.times.size < 2:
-            raise InputError("force.values", self.values.size, "at least two samples, as many as times")
+            raise InputError("force.values", self.values.size, "at least two samples, one per time, are needed")
         _increasing(self.times, "force.times")
 
     @property
     def degree(self) -> int:
-        """Degree of the polynomial between samples."""
+        """Degree of the polynomial between two samples."""
         return DEGREES[self.hold]
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        from scipy.interpolate import CubicSpline  # slow to import, and few need it
+        from scipy.interpolate import CubicSpline  # slow to import, rarely needed
 
         return CubicSpline(self.times, self.values)
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """The force (N) at the times, same shape."""
+        """Evaluate the force (N) at times (s) of any shape."""
         times = np.asarray(times, float)
         if self.hold == "linear":
             inside = np.interp(times, self.times, self.values)
@@ -148,7 +183,12 @@ class Force:
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Displacement (m) and velocity (m/s) at time 0 of a record, each of shape (n_dof,)."""
+    """State at time 0 of a record.
+
+    Attributes:
+        displacement: Displacement (m), shape (n_dof,).
+        velocity: Velocity (m/s), shape (n_dof,).
+    """
 
     displacement: np.ndarray
     velocity: np.ndarray
@@ -158,7 +198,7 @@ class InitialState:
         object.__setattr__(self, "velocity", read_only(np.atleast_1d(self.velocity), "initial velocity"))
 
     def expressed_in(self, units: Units) -> InitialState:
-        """The same state in other units."""
+        """Convert the state to other units."""
         return InitialState(
             self.displacement / units.of(MEASURED["displacement"]), self.velocity / units.of(MEASURED["velocity"])
         )
@@ -166,9 +206,16 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One run of the rig: its channels, the known forces, and its state at time 0 where that is told.
+    """Measurements of one test.
 
-    ``added_mass``: known masses (kg, shape (n_dof,)) that the rig carried in this run, beside its own.
+    Attributes:
+        channels: Measured channels.
+        forces: Known forces; several on one DOF add up.
+        initial_state: State at time 0; None if unknown.
+        added_mass: Known masses (kg), shape (n_dof,), attached to the structure during this test.
+
+    Raises:
+        InputError: If an added mass is negative, or there are too few samples.
     """
 
     channels: tuple[Channel, ...]
@@ -182,10 +229,10 @@ class Record:
         if self.added_mass is not None:
             object.__setattr__(self, "added_mass", read_only(self.added_mass, "added_mass"))
             if np.any(self.added_mass < 0):
-                raise InputError("added_mass", list(self.added_mass), "no negative mass (kg)")
+                raise InputError("added_mass", list(self.added_mass), "masses (kg) of 0 or more")
         n = sum(channel.n for channel in self.channels)
         if n < MIN_SAMPLES:
-            raise InputError("samples", n, f"a record needs at least {MIN_SAMPLES}")
+            raise InputError("samples", n, f"a record needs at least {MIN_SAMPLES} samples")
 
     @property
     def duration(self) -> float:
@@ -198,18 +245,26 @@ class Record:
         return sum(channel.n for channel in self.channels)
 
     def rig(self, system: System) -> System:
-        """The system as it was in this run: with the added masses in its equation of motion."""
+        """Return the system with the added masses of this test."""
         return system if self.added_mass is None else LoadedSystem(system, tuple(map(float, self.added_mass)))
 
     def force(self, times: np.ndarray, n_dof: int) -> list[np.ndarray]:
-        """The known force (N) on each DOF at the times: ``n_dof`` arrays of the shape of ``times``."""
+        """Evaluate the known forces.
+
+        Args:
+            times: Times (s), of any shape.
+            n_dof: Number of degrees of freedom.
+
+        Returns:
+            Force (N) on each DOF, ``n_dof`` arrays of the shape of ``times``.
+        """
         total = [np.zeros(np.shape(times)) for _ in range(n_dof)]
         for force in self.forces:
             total[force.dof] = total[force.dof] + force(times)
         return total
 
     def expressed_in(self, units: Units) -> Record:
-        """The same record in other units: times, measurements, forces and start."""
+        """Convert times, measurements, forces, initial state and added masses to other units."""
         channels = tuple(
             replace(c, times=c.times / units.time, values=c.values / units.of(MEASURED[c.measures]))
             for c in self.channels
@@ -222,9 +277,16 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One or more records of one system that share its parameters, with the prior if there is one.
+    """One or more records of a system with common parameters. The noise level is unknown.
 
-    The noise level is not told. Raises InputError where records and system do not fit each other.
+    Attributes:
+        system: Equation of motion.
+        records: Records, at least one.
+        prior: Prior of all parameters, in the order of the system; None for no prior.
+        name: Name for messages.
+
+    Raises:
+        InputError: If records, prior and system do not fit each other.
     """
 
     system: System
@@ -242,7 +304,7 @@ class Problem:
                 if not 0 <= dof < n:
                     raise InputError("dof", dof, f"{self.system.name} has DOFs 0 to {n - 1}")
             if record.added_mass is not None and record.added_mass.size != n:
-                raise InputError("added_mass", list(record.added_mass), f"one mass a DOF, {n} in all")
+                raise InputError("added_mass", list(record.added_mass), f"one mass per DOF, {n} in all")
             start = record.initial_state
             if start is not None and (start.displacement.size != n or start.velocity.size != n):
                 raise InputError("initial_state", start.displacement.size, f"{self.system.name} has {n} DOF")
@@ -256,38 +318,39 @@ class Problem:
 
     @property
     def forced(self) -> bool:
-        """Whether any known force acts."""
+        """True if a known force acts in any record."""
         return any(np.any(force.values != 0) for record in self.records for force in record.forces)
 
     @property
     def scale_known(self) -> bool:
-        """Whether the data tell the scale of the parameters: by a known force, or by a known mass in some record."""
+        """True if a known force or added mass makes the scale of the parameters identifiable."""
         return self.forced or any(np.any(r.added_mass > 0) for r in self.records if r.added_mass is not None)
 
     @property
     def silent(self) -> bool:
-        """Whether no sensor shows any motion: every value zero, or constant where a constant offset is unknown."""
+        """True if no sensor shows motion: all values are zero, or constant if the offset is unknown."""
         return not any(
             np.any(c.values - (c.values[:1] if c.offset else 0.0)) for record in self.records for c in record.channels
         )
 
     @property
     def start_known(self) -> bool:
-        """Whether every record's initial state is told."""
+        """True if the initial state of every record is known."""
         return all(record.initial_state is not None for record in self.records)
 
     def expressed_in(self, units: Units) -> Problem:
-        """The same problem in other units: prior, initial state and forces converted too."""
+        """Convert the problem to other units, including prior, initial states and forces."""
         prior = self.prior.expressed_in(units.scales(self.system)) if self.prior else None
         system = self.system.rescaled(units.of)
         return Problem(system, tuple(r.expressed_in(units) for r in self.records), prior, self.name)
 
     def natural_units(self) -> Units:
-        """Units in which data, time and prior mass are of order one, from the problem alone.
+        """Return units in which data, times and mass are of order one.
 
-        Time: the longest record. Length: root mean square of the largest channel (integrated to a displacement by
-        the unit of time). Mass: the nominal value of the gauge mass, else from the force, else an added mass, else 1.
-        A method that works in these units gives the same answer whatever units its user measures in.
+        The unit of time is the duration of the longest record. The unit of length is the root mean square of the
+        largest channel, converted to a displacement by the unit of time. The unit of mass is the nominal gauge mass,
+        or else computed from the force, or else an added mass, or 1. A method that works in these units returns
+        estimates that do not depend on the units of the data.
         """
         time = max(record.duration for record in self.records)
         sizes = [

@@ -1,4 +1,4 @@
-"""Best answers so far: what a long fit may say on its way, so that running out of time does not lose everything."""
+"""Intermediate estimates of a running fit, which are scored if the fit exceeds its time limit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _listener: Listener | None = None
 
 
 def listen(listener: Listener | None) -> None:
-    """Have ``listener`` told; the harness does so in the process of a method."""
+    """Set the function that receives reports; the benchmark does so in the process of a method."""
     global _listener
     _listener = listener
 
@@ -22,7 +22,16 @@ def listen(listener: Listener | None) -> None:
 def reported_as(
     given: Sequence[Problem], originals: Sequence[Problem], back: Sequence[Callable[[Estimate], Estimate]]
 ) -> Iterator[None]:
-    """Pass reports on the problems ``given`` to a method on as ones on their originals, converted by ``back``."""
+    """Translate reports on converted problems into reports on the original problems.
+
+    Args:
+        given: Problems in the units of the method.
+        originals: The same problems in the user's units.
+        back: For each problem, the conversion of an estimate to the user's units.
+
+    Yields:
+        None; reports are translated within the context.
+    """
     global _listener
     outer = _listener
     places = {id(problem): i for i, problem in enumerate(given)}
@@ -41,14 +50,13 @@ def reported_as(
 
 
 def report_progress(problem: Problem, estimate: Callable[[], Estimate]) -> None:
-    """Report the best answer so far to a problem that a method was given; costs nothing where nobody listens.
+    """Report the best estimate so far, for instance once per iteration.
 
-    A fit that is stopped at its time limit is scored by its last report, with status ``timeout``. Call it as often as
-    convenient: once an iteration, say.
+    A fit that is stopped at its time limit is scored by its last report, with status ``timeout``.
 
     Args:
-        problem: The object that the method was given, not a copy.
-        estimate: Makes the answer, in the problem's units; called only if it is wanted.
+        problem: The problem object that the method was given, not a copy.
+        estimate: Function that returns the estimate in the units of the problem; called only when needed.
     """
     if _listener is not None:
         _listener(problem, estimate)

@@ -80,9 +80,9 @@ class _ARTracker(LeastSquaresTracker):
     ``recent``: regressors of the next prediction; ``slopes``: the last two gradients of the prediction.
     """
 
-    holds = (
-        *LeastSquaresTracker.holds, "begun", "head_values", "head_forces", "information", "recent", "slopes", "sizes",
-        "far", "settling", "zero", "zeroed", "off",
+    state_names = (
+        *LeastSquaresTracker.state_names, "begun", "head_values", "head_forces", "information", "recent", "slopes",
+        "sizes", "far", "settling", "zero", "zeroed", "off",
     )  # fmt: skip
 
     def __init__(self, layout: Layout, settings: OnlineAR) -> None:

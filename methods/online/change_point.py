@@ -37,7 +37,7 @@ OLD = 1_000_000
 class HypothesisTracker(FilterTracker):
     """Filters that each assume a time of the last change; ``born``: samples between new ones, one per parameter."""
 
-    holds = (*FilterTracker.holds, "ages", "since")
+    state_names = (*FilterTracker.state_names, "ages", "since")
 
     def __init__(self, layout: Layout, warm_up: int, members: int, born: int) -> None:
         self.kinds, self.born = len(layout.free), born

@@ -42,7 +42,7 @@ OLDEST = 999_999
 class _Ratio(HypothesisTracker):
     """Likelihood-ratio detector; member 0 is the main filter and gives the estimate."""
 
-    holds = (*HypothesisTracker.holds, "ratios", "bounded")
+    state_names = (*HypothesisTracker.state_names, "ratios", "bounded")
 
     threshold = float("inf")
     """Log-likelihood ratio above which the hypothesis of the largest ratio becomes the main filter."""
@@ -119,7 +119,7 @@ class OnlineGLR(FilterIdentifier):
 class _Cusum(_Ratio):
     """CUSUM detector; member ``i + 1`` assumes a change of parameter i and restarts while its ratio is below 1."""
 
-    holds = (*_Ratio.holds, "sums", "ringing")
+    state_names = (*_Ratio.state_names, "sums", "ringing")
 
     def __init__(self, layout: Layout, method: OnlineCUSUM) -> None:
         super().__init__(layout, method.warm_up, 1 + len(layout.free), method.born)

@@ -34,7 +34,7 @@ class Rates(FilterTracker):
     """
 
     mixes = True
-    holds = (*FilterTracker.holds, "chain", "still", "switches", "lasted")
+    state_names = (*FilterTracker.state_names, "chain", "still", "switches", "lasted")
 
     def __init__(self, layout: Layout, method: OnlineEKF) -> None:
         walk = method.walks(len(layout.free))

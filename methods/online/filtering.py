@@ -92,7 +92,7 @@ class FilterTracker(Tracker):
     factor of the weights, or a transition matrix where members mix.
     """
 
-    holds: ClassVar[tuple[str, ...]] = (
+    state_names: ClassVar[tuple[str, ...]] = (
         "begun", "lacking", "rows", "count", "searching", "losses", "block", "levels", "scatter", "wider",
         "means", "spreads", "weights", "sigma", "push", "memory", "square",
         "before", "far", "width", "moving", "resting", "asking",

@@ -20,7 +20,7 @@ class LeastSquaresTracker(Tracker):
     ``power``: weighted sum of squared residuals; ``weight``: sum of the weights of all equations.
     """
 
-    holds: ClassVar[tuple[str, ...]] = ("theta", "inverse", "power", "weight")
+    state_names: ClassVar[tuple[str, ...]] = ("theta", "inverse", "power", "weight")
 
     def __init__(self, layout: Layout, unknowns: int) -> None:
         super().__init__(layout)

@@ -86,7 +86,7 @@ class OnlineRLS(OnlineIdentifier):
 
 
 class _RLSTracker(LeastSquaresTracker):
-    holds = (*LeastSquaresTracker.holds, "values", "pushes", "waits", "zero")
+    state_names = (*LeastSquaresTracker.state_names, "values", "pushes", "waits", "zero")
 
     def __init__(self, layout: Layout, settings: OnlineRLS) -> None:
         super().__init__(layout, len(layout.free) + layout.system.n_dof)

@@ -56,7 +56,7 @@ class OnlineSSI(OnlineIdentifier):
 
 
 class _SSITracker(Tracker):
-    holds = ("values", "unseen", "mean", "covariance")
+    state_names = ("values", "unseen", "mean", "covariance")
 
     def __init__(self, layout: Layout, settings: OnlineSSI) -> None:
         super().__init__(layout)

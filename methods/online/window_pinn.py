@@ -73,7 +73,7 @@ class OnlinePINN(OnlineIdentifier):
 
 
 class _PINNTracker(WindowTracker):
-    holds = (*WindowTracker.holds, "end", "left")
+    state_names = (*WindowTracker.state_names, "end", "left")
 
     def __init__(self, layout: Layout, settings: OnlinePINN) -> None:
         super().__init__(layout, settings.length, settings.every, settings.arrival)

@@ -10,7 +10,7 @@ from bench.systems import make_system
 class Counting(Tracker):
     """Keeps what it was given; goes wrong where a value is above 100."""
 
-    holds = ("given",)
+    state_names = ("given",)
 
     def __init__(self, layout: Layout) -> None:
         super().__init__(layout)

@@ -35,7 +35,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     "NaN in the times": (lambda: Channel([0, NAN, 2], [1, 2, 3]), "times=nan"),
     "unsorted times": (lambda: Channel([0.0, 2.0, 1.0], [1, 2, 3]), "increase (at sample 3)"),
     "the same time twice": (lambda: Channel([0.0, 1.0, 1.0], [1, 2, 3]), "increase"),
-    "a negative time": (lambda: Channel([-1.0, 0.0, 1.0], [1, 2, 3]), "none is negative"),
+    "a negative time": (lambda: Channel([-1.0, 0.0, 1.0], [1, 2, 3]), "0 or later"),
     "fewer values than times": (lambda: Channel(T, X[:4]), "as many values as times"),
     "a table of values": (lambda: Channel(T, X[None]), "one dimension"),
     "a word": (lambda: Channel(T, ["a"] * 5), "numbers are needed"),
@@ -44,7 +44,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     "no channel": (lambda: Record(()), "at least 3"),
     "unknown hold": (lambda: Force(T, X, "quintic"), "zero_order, linear"),  # type: ignore[arg-type]
     "force of one sample": (lambda: Force([0.0], [1.0]), "at least two"),
-    "force of unequal sizes": (lambda: Force(T, X[:4]), "as many as times"),
+    "force of unequal sizes": (lambda: Force(T, X[:4]), "one per time"),
     "NaN in the force": (lambda: Force(T, [0, 0, 0, 0, NAN]), "force.values"),
     "unsorted force": (lambda: Force([0, 2, 1, 3, 4], X), "force.times"),
     "NaN in the start": (lambda: InitialState(np.array([NAN]), np.zeros(1)), "initial displacement"),

@@ -20,7 +20,7 @@ def test_a_jump_is_found_where_it_is_with_its_size(at: int, seed: int) -> None:
     values[at:] += 1.5
     found = largest_jump(values)
     assert found is not None
-    assert found.at == at
+    assert found.first == at
     assert found.size == pytest.approx(1.5, abs=0.4)
 
 
@@ -42,7 +42,7 @@ def test_missing_samples_are_passed_over() -> None:
     values[90:] -= 2.0
     found = largest_jump(values)
     assert found is not None
-    assert found.at == 90
+    assert found.first == 90
 
 
 def test_too_few_samples_tell_nothing() -> None:

@@ -45,7 +45,7 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
     assert (said["method"].split()[0], said["status"]) == ("zero_crossings", "ok"), said
     done = python("-m", "bench", "method=broken", f"store={store.folder}", env=env)
     assert done.returncode == 2
-    assert done.stderr.startswith("bench: method=broken: its entry point does not load")
+    assert done.stderr.startswith("bench: method=broken: could not import its entry point")
     assert len(done.stderr.splitlines()) == 1
     (stored,) = (store.load(identity) for identity in store.identities())
     assert stored is not None

@@ -168,7 +168,7 @@ def test_a_weighting_and_a_function_of_time_from_outside_find_the_stiffness(
         ("nameless", "its entry point (lion_pinn:Nameless) lacks title, source"),
         ("idle", "its entry point (lion_pinn:Idle) lacks minimise"),
         ("versionless", "the version of its entry point (lion_pinn:Versionless) is 'new'; a whole number from 1"),
-        ("nowhere", "its entry point does not load (lion_pinn:Nowhere: AttributeError"),
+        ("nowhere", "could not import its entry point (lion_pinn:Nowhere: AttributeError"),
         ("torch", "its entry point (lion_pinn:torch) must name a subclass of Optimizer"),
     ],
 )

@@ -124,5 +124,5 @@ def test_what_cannot_be_said_of_two_records_is_not_said() -> None:
     with pytest.raises(InputError, match="one record"):
         structure_of(TWO)
     settings: dict[str, Any] = {"added_mass": np.array([0.1, 0.2])}
-    with pytest.raises(InputError, match="one mass a DOF"):
+    with pytest.raises(InputError, match="one mass per DOF"):
         Problem(SDOF(), (Record((Channel([0.0, 1.0, 2.0], [0.0, 1.0, 0.0]),), **settings),))

@@ -133,7 +133,7 @@ def test_a_time_from_far_away_is_left_out_until_another_follows() -> None:
     )
     for more, delay in ([], 0), (["band=0.1:8"], 1):  # a sample for the force
         found = [json.loads(line) for line in run([*RLS, "rate=20", *more], text).stdout.splitlines()]
-        far = [i for i, one in enumerate(found) if "far after the one before" in one["message"]]
+        far = [i for i, one in enumerate(found) if "far after the previous one" in one["message"]]
         assert far == [100 - delay, 101 - delay, 202 - delay]
         assert [found[i]["t"] for i in far] == [1e308, 1e18, 1e6]
         assert [one["sample"] for one in found if one["t"] < 10] == list(range(1, 201 - delay))
