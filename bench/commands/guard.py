@@ -40,7 +40,7 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
         print(f"\n{name}: {interrupted}", file=sys.stderr)
         return 130
     except Ended as ended:
-        with suppress(OSError):  # the terminal may be gone
+        with suppress(OSError):  # the terminal may be closed
             print(f"{name}: {interrupted}", file=sys.stderr)
         return ended.status
     except ModuleNotFoundError as error:

@@ -29,8 +29,8 @@ def merge(
     Rows of a submission, drawn at random over all its cells, are recomputed first, and the method is tried on varied
     scenarios with a secret seed. Its cells are added only if every recomputed score and status agrees and the errors
     over the bound are the same on the secret scenarios; tables mark them as submitted. Of two results of one cell the
-    store keeps the one that was computed here, then the current one, then the one with more successful fits, then its
-    own.
+    store keeps a computed one rather than a submitted one, a current one rather than a stale one, and the one with more
+    successful fits; otherwise the one that it has.
     Exit status: 0, 1 where a submission does not agree, 2 for bad input.
     """
     from bench.engine.runner import compute_bounds

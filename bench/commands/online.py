@@ -111,7 +111,7 @@ def _trackings(
     from bench.online.paths import Tracking
 
     content = online_track()
-    settings = {name: dict(own) for name, own in content["variants"].items()}
+    settings = {name: dict(fields) for name, fields in content["variants"].items()}
     registered = {name: settings.get(name, {}).pop("method", name) for name in method or content["methods"]}
     made = {name: make_online(registered[name], settings.get(name, {})) for name in registered}
     tasks: list[Tracking] = []

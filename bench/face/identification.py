@@ -143,7 +143,7 @@ def identify(
     timeout_s: float | None = None,
     memory_mb: float | None = None,
 ) -> Identification:
-    """Identify measured records with one method, in a process of its own; nothing is printed or stored.
+    """Identify measured records with one method, in a separate process; nothing is printed or stored.
 
     Args:
         data: A file, or several of one rig (text, xlsx, xls, mat, npz, Parquet, UFF 58, TDMS, wav); or the times of

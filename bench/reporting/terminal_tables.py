@@ -57,7 +57,8 @@ def cell_table(cell: Cell, stored: StoredCell) -> str:
     lines = [coloured(wrapped(text), GREEN if text == GOOD else YELLOW)]
     lines += [wrapped(f"{n} x {status}: {message}", "    ", "  ") for (status, message), n in failures(stored).items()]
     seconds = [row.wall_s for row in stored.rows if math.isfinite(row.wall_s)]
-    lines += [f"median time per fit: {time_text(median_high(seconds))} (start-up of a batch included)"] if seconds else []
+    if seconds:
+        lines.append(f"median time per fit: {time_text(median_high(seconds))} (start-up of a batch included)")
     lines += [wrapped(sentence) for sentence in [*_searches(stored), LEGEND]]
     return "\n\n".join([*blocks, "\n".join(lines)])
 

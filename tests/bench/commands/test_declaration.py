@@ -1,4 +1,4 @@
-"""A verb is a function: its fields, their errors, its help and what the shell completes follow from its parameters."""
+"""The fields of a verb, their errors, help and completion, from the parameters of its function."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def measure(
 ) -> int:
     """Measure something.
 
-    With care.
+    Details.
     """
     return 0
 
@@ -59,11 +59,11 @@ def test_words_become_values_of_the_declared_types() -> None:
         "data": "a,b.csv", "count": 3, "level": 1e-3, "mode": "slow", "method": ("rls", "ls"), "dry": True,
         "from_": -1.0, "out": Path.home() / "x", "pair": 4, "record": ["system.n=2", "columns=t:0"],
     }  # fmt: skip
-    assert read_arguments(measure, ["data=x"]) == {"data": "x", "record": []}  # the others have their defaults
+    assert read_arguments(measure, ["data=x"]) == {"data": "x", "record": []}  # all others have defaults
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "message"),
     [
         ("cuont=3", "cuont=3: not a field; did you mean count?"),
         ("count=", "count=: give a value, or leave the field out"),
@@ -85,13 +85,13 @@ def test_words_become_values_of_the_declared_types() -> None:
         ("pair=3", "pair=3: an even number"),
     ],
 )
-def test_a_word_that_makes_no_sense_is_named_with_what_would_be_right(word: str, said: str) -> None:
+def test_a_wrong_word_is_named_with_a_remedy(word: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         read_arguments(measure, ["data=x", word])
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(message)
 
 
-def test_a_required_field_is_named_where_it_is_missing() -> None:
+def test_a_missing_required_field_is_named() -> None:
     with pytest.raises(InputError, match="data=: needed: measured record"):
         read_arguments(measure, ["count=3"])
 
@@ -104,7 +104,7 @@ def test_settings_are_read_by_the_grammar_of_a_run() -> None:
             settings_of([wrong])
 
 
-def test_the_help_shows_every_field_with_its_default_and_its_values() -> None:
+def test_the_help_lists_every_field_with_default_and_choices() -> None:
     lines = help_page("python -m bench measure", measure).splitlines()
     assert lines[0] == "usage: python -m bench measure data=<value> [field=value ...]"
     assert lines[2] == "Measure something."
@@ -136,14 +136,14 @@ def test_the_shell_completes_verbs(line: str, offered: list[str]) -> None:
     assert completed(line) == offered
 
 
-def test_a_command_line_says_what_is_no_default() -> None:
+def test_a_command_line_leaves_out_defaults() -> None:
     bound = inspect.signature(measure).bind("a b.csv", ["system.n=2"], count=3)
     bound.apply_defaults()
     assert command_line(measure, bound.arguments) == "python -m bench measure 'data=a b.csv' system.n=2 count=3"
 
 
 @pytest.mark.parametrize("name", VERBS)
-def test_every_verb_has_a_description_and_texts_of_its_fields(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_verb_and_field_has_a_description(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     for verb in variants(name).values():
         assert (inspect.getdoc(verb) or "").split("\n")[0].endswith((".", ";"))
         assert all(field.text for field in fields_of(verb).values())

@@ -18,7 +18,7 @@ HEAVY = ("torch", "casadi", "pysindy", "emcee", "jax", "matplotlib")
 
 
 def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
-    """Every file below a folder with its time of change and content."""
+    """Return every file below a folder with its modification time and content."""
     return {
         str(p): (p.stat().st_mtime_ns, p.read_bytes())
         for p in sorted(folder.rglob("*"))
@@ -37,8 +37,8 @@ def test_json_is_one_object_with_the_documented_keys(store: Store, capsys: pytes
     result = json.loads(out, parse_constant=no_constants)
     keys = {"method", "system", "snr", "replicates", "seed", "n_ok", "status", "wall_s", "metrics"}
     assert keys <= set(result)
-    stated = ("method", "system", "snr", "replicates", "seed", "n_ok", "status")
-    assert [result[key] for key in stated] == ["oracle", "sdof", 20.0, 2, 0, 2, "ok"]
+    fields = ("method", "system", "snr", "replicates", "seed", "n_ok", "status")
+    assert [result[key] for key in fields] == ["oracle", "sdof", 20.0, 2, 0, 2, "ok"]
     for name in ("m_error_pct", "k_over_m_error_pct", "c_over_m_error_pct", "rmse", "rmse_simulated", "rmse_forecast"):
         metric = result["metrics"][name]
         assert set(metric) == {"mean", "median", "ci_low", "ci_high", "bound", "excess"}
@@ -63,10 +63,10 @@ def test_json_of_a_failed_cell_has_nulls_and_a_message(
     assert result["metrics"]["rmse"]["median"] is None
 
 
-def test_a_finished_cell_is_answered_from_the_store(
+def test_a_finished_cell_is_read_from_the_store(
     store: Store, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However the same number is written, and whatever only concerns how it is run or shown."""
+    """The notation of a number, the number of workers and the format do not matter."""
     arguments = ["method=prior", "replicates=3", "format=json", f"store={store.folder}"]
     assert main([*arguments, "snr=20", "workers=1"]) == 0
     first = capsys.readouterr().out
@@ -102,14 +102,14 @@ def test_help_and_bad_input_load_no_heavy_package(python: Callable[..., Any]) ->
     assert len(done.stderr.splitlines()) == 2
 
 
-def test_nothing_at_all_is_usage_and_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_command_line_prints_the_usage_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert capsys.readouterr().out.startswith("usage:")
 
 
-def test_workers_and_limits_reach_the_run_and_stand_in_its_provenance(store: Store) -> None:
+def test_workers_and_limits_reach_the_run_and_are_stored_with_it(store: Store) -> None:
     limits = ["workers=3", "timeout_s=50", "memory_mb=1500"]
     assert main(["method=prior", "replicates=2", *limits, f"store={store.folder}"]) == 0
     (path,) = store.folder.glob("*.json")
-    come = json.loads(path.read_text().splitlines()[0])["provenance"]
-    assert (come["workers"], come["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})
+    provenance = json.loads(path.read_text().splitlines()[0])["provenance"]
+    assert (provenance["workers"], provenance["limits"]) == (3, {"timeout_s": 50.0, "memory_mb": 1500.0})

@@ -1,4 +1,4 @@
-"""How far a run is and what it may still take: against sweeps whose course is worked out beside it."""
+"""Progress of a run and its estimated time, against simulated sweeps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell
 
 START_S, FIT_S, REPLICATES = 0.4, {"ls": 0.02, "mcmc": 2.0}, 10
-"""Seconds of the start of a cell and of a fit by method, and fits of a cell, in the made-up sweeps."""
+"""Start-up time of a cell (s), time of a fit by method (s) and fits per cell of the simulated sweeps."""
 ORDERS = {
     "ls first": [*("ls",) * 8, *("mcmc",) * 8],
     "mcmc first": [*("mcmc",) * 8, *("ls",) * 8],
@@ -31,14 +31,14 @@ ORDERS = {
 
 
 def progress_of(methods: list[str], n: int = REPLICATES, workers: int = 2) -> Progress:
-    """Return the progress of cells of ``n`` fits each, by these methods; their keys are their places."""
+    """Return the progress of cells of ``n`` fits each by these methods; the keys are their indices."""
     keys = [str(i) for i in range(len(methods))]
     kinds = {key: (method, "sdof") for key, method in zip(keys, methods, strict=True)}
     return Progress("fit", dict.fromkeys(keys, n), kinds, workers, "cell")
 
 
 def course(methods: list[str]) -> list[tuple[float, str, float]]:
-    """Return when which fit is done and what it took, each of two workers taking the next cell when it is free."""
+    """Return end time, cell and duration of each fit, if each of two workers takes the next cell when it is free."""
     free, events = [0.0, 0.0], []
     for i, method in enumerate(methods):
         now = heapq.heappop(free)
@@ -52,8 +52,8 @@ def course(methods: list[str]) -> list[tuple[float, str, float]]:
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("share", [0.25, 0.75])
-def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(order: str, share: float) -> None:
-    """Of a sweep whose methods differ in cost by 100 times, at a share of the time, whatever the order of the cells."""
+def test_the_estimated_time_left_is_within_a_factor_of_two(order: str, share: float) -> None:
+    """The costs of the methods differ by a factor of 100; the estimate is made after a share of the time."""
     methods = first_of_each_kind_first(ORDERS[order], lambda method: method)
     progress, events = progress_of(methods), course(methods)
     end = events[-1][0]
@@ -63,7 +63,7 @@ def test_the_time_left_is_within_a_factor_of_two_of_what_is_left(order: str, sha
             break
     assert not look.at_least
     assert 0.5 * (end - now) <= look.seconds_left <= 2.0 * (end - now)
-    if order == "ls first" and share == 0.25:  # fits counted alike say less than half, so the test can fail
+    if order == "ls first" and share == 0.25:  # equal costs per fit would give less than half
         assert now * (look.total - look.done) / look.done < 0.5 * (end - now)
 
 
@@ -77,8 +77,8 @@ def test_unknown_costs_are_not_guessed() -> None:
     assert (look.seconds_left, look.at_least) == (39.0, False)
 
 
-def test_the_first_of_a_kind_is_no_example_once_there_is_a_second() -> None:
-    """Much is compiled for the first bound of a system."""
+def test_the_cost_of_the_first_is_left_out_once_there_is_a_second() -> None:
+    """The first bound of a system includes compilation."""
     systems = ["duffing", "sdof", "duffing", "duffing", "sdof"]
     keys = list("01234")
     progress = Progress(
@@ -93,7 +93,7 @@ FITS = RunState("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
 
 
 @pytest.mark.parametrize(
-    ("look", "since", "said"),
+    ("state", "since", "text"),
     [
         (FITS, 0.0, "about 1.7 min left"),
         (FITS, 40.0, "about 60 s left"),
@@ -101,22 +101,22 @@ FITS = RunState("fit", 9, 40, "ls 20 dB", 100.0, False, "2/8 cells, 3 failed")
         (replace(FITS, seconds_left=math.nan, at_least=True), 0.0, "time left not known yet"),
     ],
 )
-def test_the_time_left_runs_down_and_stands_first(look: RunState, since: float, said: str) -> None:
-    """Since a narrow terminal shows the beginning alone."""
-    assert look.words(since, 30.0) == f"{said}, 2/8 cells, 3 failed, 9/40 fits, 30 s so far, ls 20 dB"
+def test_the_time_left_decreases_and_comes_first(state: RunState, since: float, text: str) -> None:
+    """A narrow terminal shows only the beginning."""
+    assert state.words(since, 30.0) == f"{text}, 2/8 cells, 3 failed, 9/40 fits, 30 s so far, ls 20 dB"
     assert RunState("bound", 4, 4, "sdof", 0.0, False).words(0.0, 12.0) == "4/4 bounds, in 12 s"
 
 
 def test_a_run_shows_its_bounds_and_then_all_its_fits(
     reference: Scenario, plugins: Plugins, new_store: StoreFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Outside a terminal a line now and then, and one at the end of each stage."""
+    """Without a terminal there is a line from time to time, and one at the end of each stage."""
     monkeypatch.setattr(bars, "LINE_S", 0.0)
     monkeypatch.setattr("sys.stderr", io.StringIO())
     plugins("Wrong")
     store, looks = new_store(), list[RunState]()
     settings = {**default_settings("wrong"), "kind": "raise"}
-    louder = replace(reference, snr_db=19.0)  # a scenario of which no bound is kept yet
+    louder = replace(reference, snr_db=19.0)  # a scenario whose bound is not stored
     cells = [Cell(louder, "wrong", settings, 3, 0, "wrong"), Cell(louder, "prior", {}, 4, 0, "prior")]
     with progress_bar() as show:
         run_cells(plan(cells, store), store, Limits(1, 60.0, 2000.0), lambda look: (looks.append(look), show(look)))
