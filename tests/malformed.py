@@ -183,7 +183,7 @@ $SUBMIT method=ls store=store                     | method=ls                   
 $MERGE submission=store store=store               | store=store                      | with itself
 $MERGE submission=good.csv verify=2               | verify=2                         |
 $MERGE submission=random                          | submission=random                | not a whole submission
-$MERGE submission=later.submission                | submission=later.submission      | has format 99
+$MERGE submission=later.submission                | submission=later.submission      | of format 99
 $MERGE submission=lacking.submission              | submission=lacking.submission    | not a whole submission
 $MERGE submission=huge.submission                 | submission=huge.submission       | 64 MB
 $MERGE submission=arrays.submission               | submission=arrays.submission     | not a whole submission
