@@ -63,7 +63,8 @@ def notebook(text: str, folder: Path) -> dict[str, Any]:
         elif part["picture"]:
             _add_picture(cells, part["picture"], (folder / part["picture"]).read_bytes())
         elif part["language"] in ("text", "txt"):
-            cells[-1]["outputs"] = [{"output_type": "stream", "name": "stdout", "text": part["code"]}]
+            printing = next(cell for cell in reversed(cells) if cell["cell_type"] == "code")
+            printing["outputs"] = [{"output_type": "stream", "name": "stdout", "text": part["code"]}]
         elif part["title"]:
             _add_code(cells, f"%%writefile {part['title']}\n{part['code']}")
         else:

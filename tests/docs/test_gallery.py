@@ -59,12 +59,13 @@ def test_a_notebook_has_all_blocks_of_its_page(example: Path, notebooks: ModuleT
     for block in blocks(example):
         if block.language == "python" and not block.title:
             assert block.code.strip() in [cell["source"] for cell in code]
-        if block.language == "text":
+        if block.language in ("text", "txt"):
             assert block.code in [output.get("text") for cell in code for output in cell["outputs"]]
     assert sum("%%writefile" in cell["source"] for cell in code) == sum(bool(block.title) for block in blocks(example))
     for cell in code:
         assert "```" not in cell["source"]
         assert not re.search(r"^python ", cell["source"], re.MULTILINE)
+    assert {"outputs" in cell for cell in book["cells"] if cell["cell_type"] == "markdown"} == {False}
     assert len({cell["id"] for cell in book["cells"]}) == len(book["cells"])
 
 
