@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 from examples import excerpt, pictures, run
 from pages import REPOSITORY, agree, blocks
 
+CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 GALLERY = REPOSITORY / "docs" / "gallery"
 EXAMPLES = sorted(path for path in GALLERY.glob("*.md") if path.stem != "index")
 LONG = {"add_optimizer", "add_system"}
@@ -119,3 +121,16 @@ def test_the_readme_shows_what_its_commands_print(tmp_path: Path) -> None:
             [sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True
         ).stdout
         assert agree(block.code, printed), f"shown:\n{block.code}\nprinted:\n{printed}"
+
+
+def test_the_container_runs_the_command_of_the_readme() -> None:
+    """The same packages and the same record; the container adds the index of the CPU build of torch."""
+    command = next(block.code for block in blocks(REPOSITORY / "README.md") if "venv" in block.code)
+    install, run_command = command.split(" && ")[1:]
+    dockerfile = (REPOSITORY / "Dockerfile").read_text(encoding="utf-8")
+    assert install.partition("-c ")[2] in dockerfile.replace(f"--extra-index-url {CPU_INDEX} ", "")
+    assert shlex.split(run_command)[3:] == re.findall(r'"([^"]+)"', dockerfile.partition("CMD ")[2])
+    copied = re.findall(r"^COPY (.*) \S+$", dockerfile, re.MULTILINE)
+    assert [name for line in copied for name in line.split() if not (REPOSITORY / name).exists()] == []
+    container = json.loads((REPOSITORY / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    assert "pip install -q -c constraints.txt -e '.[all,test]'" in container["postCreateCommand"]
