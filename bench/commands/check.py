@@ -37,10 +37,10 @@ def check(
         if format == "json":
             print(json.dumps({"kind": subject.kind, "subject": subject.name, **asdict(outcome)}), flush=True)
         elif outcome.passed:
-            print(wrapped(f"  passed  {outcome.name:<28} {outcome.found}".rstrip(), " " * 38), flush=True)
+            print(wrapped(f"  passed  {outcome.name:<28} {outcome.message}".rstrip(), " " * 38), flush=True)
         else:
             print(wrapped(f"  FAILED  {outcome.name:<28} {outcome.about}", " " * 38))
-            print(wrapped(f"{'':10}found:  {outcome.found}", " " * 18))
+            print(wrapped(f"{'':10}found:  {outcome.message}", " " * 18))
             print(wrapped(f"{'':10}remedy: {outcome.remedy}", " " * 18))
             lines = outcome.traceback.strip().splitlines()[-LOG_LINES:]
             print("".join(f"{'':10}| {line}\n" for line in lines), end="", flush=True)

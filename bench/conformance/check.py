@@ -23,12 +23,12 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class CheckOutcome:
-    """The result of a check: a remark or a reason as ``found``, and a remedy where it failed."""
+    """The result of a check: a remark or the reason of a failure, and a remedy."""
 
     name: str
     about: str
     passed: bool
-    found: str = ""
+    message: str = ""
     remedy: str = ""
     traceback: str = ""
 
@@ -51,9 +51,9 @@ class Check:
     remedy: str
     gate: bool = False
 
-    def failed(self, found: str, remedy: str = "", traceback: str = "") -> CheckOutcome:
+    def failed(self, message: str, remedy: str = "", traceback: str = "") -> CheckOutcome:
         """Return the outcome of a failure."""
-        return CheckOutcome(self.name, self.about, False, found, remedy or self.remedy, traceback)
+        return CheckOutcome(self.name, self.about, False, message, remedy or self.remedy, traceback)
 
     def outcome(self, subject: Any) -> CheckOutcome:
         """Run the check; whatever the subject raises makes it fail."""

@@ -109,10 +109,10 @@ def summary(estimate: Estimate, prior: Prior | None) -> np.ndarray:
     return np.array(values + [(high - low) / 2 for low, high in intervals])
 
 
-def same(one: Estimate, other: Estimate) -> bool:
+def same(first: Estimate, other: Estimate) -> bool:
     """Return whether two answers to the ordinary problem agree to the last bit."""
     prior = free_problem().prior
-    return np.array_equal(summary(one, prior), summary(other, prior), equal_nan=True)
+    return np.array_equal(summary(first, prior), summary(other, prior), equal_nan=True)
 
 
 def solve(method: Identifier, seeds: Sequence[int]) -> list[np.ndarray]:

@@ -55,17 +55,17 @@ def described() -> Described:
     return Described(places, questions, bounds, [name for name in numbers if drawn_scenarios(name)])
 
 
-def superseded(stored: StoredCell, own: Described, both: Store) -> bool:
+def superseded(stored: StoredCell, experiments_described: Described, both: Store) -> bool:
     """Return whether a cell of no experiment asks what one of an experiment does, of other replicates."""
     try:
         cell = stored_as_cell(stored)
     except InputError:
         return False  # its configuration means something else now: nothing that an experiment asks
-    identity = own.questions.get(cell.question, stored.identity)
+    identity = experiments_described.questions.get(cell.question, stored.identity)
     return identity != stored.identity and identity in both
 
 
-def write_published(store: Store, archive: Archive, own: Described) -> list[Path]:
+def write_published(store: Store, archive: Archive, experiments_described: Described) -> list[Path]:
     """Write an archive anew, with the cells of a store; returns the files that have changed.
 
     Raises InputError for a damaged cell, OSError without room.
@@ -73,12 +73,14 @@ def write_published(store: Store, archive: Archive, own: Described) -> list[Path
     both = Store(store.folder, archive)
     experiments: dict[str, list[StoredCell]] = {}
     for identity in both.identities():
-        name, cell = own.places.get(identity, OTHER), both.load(identity)
+        name, cell = experiments_described.places.get(identity, OTHER), both.load(identity)
         assert cell is not None
-        if name == OTHER and superseded(cell, own, both):
+        if name == OTHER and superseded(cell, experiments_described, both):
             continue
-        experiments.setdefault(name, []).append(replace(cell, arrays={}) if name in own.drawn else cell)
-    return write_archive(archive.folder, experiments, _bounds(both, archive, own.bounds))
+        experiments.setdefault(name, []).append(
+            replace(cell, arrays={}) if name in experiments_described.drawn else cell
+        )
+    return write_archive(archive.folder, experiments, _bounds(both, archive, experiments_described.bounds))
 
 
 def _bounds(both: Store, archive: Archive, used: Collection[str]) -> dict[str, str]:

@@ -73,7 +73,7 @@ def printed() -> tuple[Printed, ...]:
 @cache
 def implied() -> tuple[Printed, ...]:
     """Return what every row of the paper implies of the sizes of the errors (%) of both ratios, in its order."""
-    found, errors = [], {(p.table, p.row, p.method, p.metric): p for p in printed()}
+    numbers, errors = [], {(p.table, p.row, p.method, p.metric): p for p in printed()}
     for mass in (number for number in printed() if number.metric == "m" + ERROR):
         place = (mass.table, mass.row, mass.method)
         for ratio, name in RATIOS.items():
@@ -84,8 +84,8 @@ def implied() -> tuple[Printed, ...]:
             low, high = size_of_error(above, below)
             middle = 100.0 * (sum(above[0]) / sum(below[0]) - 1.0)
             text = f"{middle:+.2f}" if mass.table == 2 else f"{low:.1f} to {high:.1f}"
-            found.append(Printed(*place, ratio, low, high, mass.snr_db, text))
-    return tuple(found)
+            numbers.append(Printed(*place, ratio, low, high, mass.snr_db, text))
+    return tuple(numbers)
 
 
 def size_of_error(above: Sequence[Range], below: Sequence[Range]) -> Range:
@@ -107,22 +107,22 @@ def _either_sign(error: float) -> list[Range]:
     return [(1.0 - most, 1.0 - least), (1.0 + least, 1.0 + most)]
 
 
-def judged(number: Printed, own: Result, oracle: Result) -> Verdict:
+def judged(number: Printed, result: Result, oracle: Result) -> Verdict:
     """Return the verdict of a cell on a number that the paper prints or implies.
 
     Table 2 prints one estimate, which is no mean of many. The data do not determine k and c, only their ratios to the
     mass, and an error of theirs may follow from that of the mass: ours is better only where it is in the ratio, too.
     """
     # the prior's part of this method's own mean square error: a method that is far off is so for other reasons
-    share = own.prior_share.get(quantity(number.metric), 0.0) / max(own.excess(number.metric) ** 2, 1.0)
-    errors, least = own.errors(number.metric), oracle.errors(number.metric)
+    share = result.prior_share.get(quantity(number.metric), 0.0) / max(result.excess(number.metric) ** 2, 1.0)
+    errors, least = result.errors(number.metric), oracle.errors(number.metric)
     verdict = between(*(judge(end, errors, least, share) for end in (number.low, number.high)))
     if number.table == 2 and verdict.single != verdict.mean:
         verdict = Verdict(verdict.single, verdict.single, verdict.single)
     where = (number.table, number.row, number.method, quantity(number.metric))
     ratio = next((p for p in implied() if (p.table, p.row, p.method, RATIOS[p.metric]) == where), None)
-    if ratio and not own.identifiable.get(quantity(number.metric), True):
-        return better_in_both(verdict, judged(ratio, own, oracle))
+    if ratio and not result.identifiable.get(quantity(number.metric), True):
+        return better_in_both(verdict, judged(ratio, result, oracle))
     return verdict
 
 

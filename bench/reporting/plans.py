@@ -231,21 +231,21 @@ def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: flo
         f"best for {title}": forces.best(quantity),
         "best for m, c and k": forces.best(ALL),
     }
-    told = {name: evaluate_force(request.likely, test, force) for name, force in compared.items()}
-    best = told[f"best for {title}"]
+    errors_by_force = {name: evaluate_force(request.likely, test, force) for name, force in compared.items()}
+    best = errors_by_force[f"best for {title}"]
     rows = [
         {
             "force": name, "peak, N": f"{size * float(np.abs(force.force).max()):.3g}",
             **_errors(force.median, FORCED_QUANTITIES),
             "over the best": f"{force.median[quantity] / best.median[quantity]:.2f}",
         }
-        for name, force in told.items()
+        for name, force in errors_by_force.items()
     ]  # fmt: skip
 
     def simulation(force: np.ndarray) -> Simulation:
         return partial(simulate_forced_tests, request.likely, test, force, quantity)
 
-    tests = [simulation(force.force) for force in told.values()]
+    tests = [simulation(force.force) for force in errors_by_force.values()]
     request.simulate(rows, "counted, %", tests, lambda errors: percent(robust_deviation(errors)))
     notes = [
         f"Each force has the energy {energy:g} N² s and starts from an unknown state of rest; it is measured with the "

@@ -144,16 +144,16 @@ def free_decay(r: Published, f: Facts) -> None:
     time = fits.groupby(["label", "snr_db", "initial_state"]).cpu_s.median()
     quiet = time.index.get_level_values("snr_db") == 40
     spline = (time["collocation"] / time["pinn"]).to_numpy()
-    held = r.rows("calibration", method=ON_BOUND, snr_db=(30, 20, 10), quantity=("k_over_m", "c_over_m"))
+    coverage = r.rows("calibration", method=ON_BOUND, snr_db=(30, 20, 10), quantity=("k_over_m", "c_over_m"))
     f.say(".2f", on_bound=lines.excess)
-    f.say(on_bound_n=lines.n, spline_time=100 * spline, held=100 * held.coverage_95, held_n=held.n)
+    f.say(on_bound_n=lines.n, spline_time=100 * spline, held=100 * coverage.coverage_95, held_n=coverage.n)
     f.say(".1g", spline_apart=100 * apart.max(), pinn_s_40_db=time[quiet]["pinn"])
     f.say(".1g", **{f"{name}_s": time[~quiet][name] for name in ON_BOUND})
     f.hold(
         four_are_on_the_bound=lines.excess < NEAR,
         spline_is_as_good_as_the_network=apart < 0.05,
         spline_is_cheaper=spline < 1,
-        intervals_of_the_noise_hold=held.coverage_95.between(0.9, 0.98),
+        intervals_of_the_noise_hold=coverage.coverage_95.between(0.9, 0.98),
     )
 
 
@@ -274,7 +274,7 @@ def pinn(r: Published, f: Facts) -> None:
     """The study of the engine, and the paper's training and uncertainty."""
     rivals = r.study("pinn.md", "Time against other inverse PINNs").replace("-", "nan")
     time, above = (rivals[name].astype(float) for name in ("seconds a fit", "above the minimum %"))
-    ours, others = time.index[0], time.index[time.index.str.contains("PyTorch|DeepXDE")]
+    project, others = time.index[0], time.index[time.index.str.contains("PyTorch|DeepXDE")]
     steps = r.study("pinn.md", "What the steps of first-order training buy")
     steps = steps[steps.index == "40"].set_index("steps of L-BFGS")["off by (largest)"].astype(float)
     fits = r.fits(REFERENCE, ["message", "cpu_s"], label="pinn_adam", system="sdof")
@@ -282,7 +282,7 @@ def pinn(r: Published, f: Facts) -> None:
     loud = known.snr_db == 10
     spread = r.rows("calibration", method="pinn_ensemble")
     trained = r.rows("calibration", method="pinn_ensemble_adam", quantity="k_over_m").set_index("initial_state")
-    f.say(".1g", engine_s=time[ours], steps_off_10000=steps["10,000"])
+    f.say(".1g", engine_s=time[project], steps_off_10000=steps["10,000"])
     f.say(rivals_s=time[others], rivals_over=time[others] / time["method=pinn, whole fit"], adam_fits=len(fits))
     f.say(".1f", rivals_above=above[others], steps_off_1000=steps["1,000"])
     f.say(".1f", adam_s=fits.groupby(["snr_db", "initial_state"]).cpu_s.median())
@@ -290,7 +290,7 @@ def pinn(r: Published, f: Facts) -> None:
     f.say(ensemble_n=spread.n.sum(), ensemble_adam_n=trained.n)
     f.say(**{f"ensemble_adam_{start}": trained.coverage_95[start] * trained.n[start] for start in ("known", "unknown")})
     f.hold(
-        engine_is_at_the_minimum=above[ours] <= 1,
+        engine_is_at_the_minimum=above[project] <= 1,
         the_rivals_stop_above_it=above[others] > 1,
         papers_training_ends_at_its_limit=fits.message.str.contains("number of steps"),
         papers_training_is_on_the_bound_at_10_db_only=(known.excess < NEAR) == loud,
@@ -315,8 +315,8 @@ def pinn_family(r: Published, f: Facts) -> None:
     minima = [r.rows("pinn_family", section="Weightings", quantity=name, **case).set_index("row") for name in names]
     minimum = pd.concat([table.value.astype(float) for table in minima], axis=1)
     paper, noise = minimum.loc["fixed, all one"], minimum.loc["by the estimated noise"]
-    held = r.rows("pinn_family", section="Ways of stating uncertainty", quantity="k_over_m_coverage_95", **case)
-    held = held.set_index("row").astype({"value": float}).loc[list(UNCERTAINTY)].rename(index=UNCERTAINTY)
+    coverage = r.rows("pinn_family", section="Ways of stating uncertainty", quantity="k_over_m_coverage_95", **case)
+    coverage = coverage.set_index("row").astype({"value": float}).loc[list(UNCERTAINTY)].rename(index=UNCERTAINTY)
     fits = r.fits(("pinn",), [K, C])
     bounds = r.table("archive/summaries.parquet").pivot_table("bound", "identity", "metric")
     fits["error"] = np.hypot(*(fits[name] / fits.identity.map(bounds[name]) for name in (K, C)))
@@ -327,12 +327,12 @@ def pinn_family(r: Published, f: Facts) -> None:
     p_better = np.array([wilcoxon(*pair.to_numpy().T, alternative="less").pvalue for pair in pairs])
     f.say(".2f", weighting_paper=paper, weighting_ours=noise)
     f.say(weightings_n=len(minimum), trainings_n=len(pairs))
-    f.say(**{f"stated_{name}": f"{100 * row.value:.0f} % of {row.n:.0f}" for name, row in held.iterrows()})
+    f.say(**{f"stated_{name}": f"{100 * row.value:.0f} % of {row.n:.0f}" for name, row in coverage.iterrows()})
     f.hold(
         the_papers_minimum_is_farther_from_the_truth=paper > noise,
         no_weighting_is_nearer=np.hypot(*minimum.T.to_numpy()) > np.hypot(*noise) - 0.014,
-        the_linearisation_covers=held.value["laplace"] > 0.9,
-        these_three_do_not=held.value[["variational", "ensemble", "dropout"]] < 0.5,
+        the_linearisation_covers=coverage.value["laplace"] > 0.9,
+        these_three_do_not=coverage.value[["variational", "ensemble", "dropout"]] < 0.5,
         no_training_beats_levenberg_marquardt=p_better * len(pairs) > 0.05,
     )
 
@@ -355,9 +355,9 @@ def atlas(r: Published, f: Facts) -> None:
     low, high = binom.interval(0.95, resolved.fits, resolved.wrong_basin.clip(0, 1))
     inside = (resolved.k_over_m_gross * resolved.fits).round().between(low, high).mean()
     honest = ("output_error", "shooting", "frequency", "iqml", "matrix_pencil")
-    held = np.array([determined(table[table.method == name], "k_over_m").k_over_m_held.mean() for name in honest])
+    coverage = np.array([determined(table[table.method == name], "k_over_m").k_over_m_held.mean() for name in honest])
     f.say(atlas_fits=table.fits.sum(), atlas_points=len(points), atlas_k=share["k_over_m"], atlas_c=share["c_over_m"])
-    f.say(best_near=100 * near(best).mean(), best_n=len(best), beyond_n=len(beyond), atlas_held=100 * held)
+    f.say(best_near=100 * near(best).mean(), best_n=len(best), beyond_n=len(beyond), atlas_held=100 * coverage)
     f.say(beyond_gross=100 * beyond.k_over_m_gross.mean(), beyond_held=100 * beyond.k_over_m_held.mean())
     f.say(threshold_n=len(resolved), threshold_inside=100 * inside, threshold_risky=(resolved.wrong_basin > 0.01).sum())
     f.say(".1g", best_gross=100 * best.k_over_m_gross.mean())
@@ -366,7 +366,7 @@ def atlas(r: Published, f: Facts) -> None:
         output_error_is_near=[near(lines).mean() > 0.8 for lines in (best, *hard)],
         not_beyond_the_nyquist_frequency=beyond.k_over_m_gross.mean() > 0.5,
         the_threshold_is_where_theory_has_it=inside >= 0.92,
-        five_have_honest_intervals=(held > 0.92) & (held < 0.98),
+        five_have_honest_intervals=(coverage > 0.92) & (coverage < 0.98),
     )
 
 
@@ -399,16 +399,16 @@ def wrong_models(r: Published, f: Facts) -> None:
         return r.rows("misspecified", wrong=kind, quantity=quantity, method=likelihood, **more)
 
     friction, spring = wrong("added_friction", "c_over_m"), wrong("cubic_spring", "k_over_m")
-    seen, unseen = (wrong("added_friction", "k_over_m", snr_db=snr).coloured for snr in (40, 20))
+    visible, hidden = (wrong("added_friction", "k_over_m", snr_db=snr).coloured for snr in (40, 20))
     mass = wrong("wrong_prior", "m").coverage_95
-    f.say(friction=friction.bias_pct, seen=100 * seen, unseen=100 * unseen, spring_seen=100 * spring.coloured)
+    f.say(friction=friction.bias_pct, seen=100 * visible, unseen=100 * hidden, spring_seen=100 * spring.coloured)
     f.say(wrong_n=friction.n)
     f.say(".1f", spring=spring.bias_pct)
     f.hold(
         friction_is_taken_for_damping=[friction.bias_pct > 20, friction.coverage_95 < 0.1],
         a_cubic_spring_for_stiffness=[spring.bias_pct > 2, spring.coverage_95 < 0.1],
         no_method_says_so=pd.concat([friction, spring]).said < 0.05,
-        residuals_show_friction_at_40_db_only=[seen.min() > 0.9, unseen.max() < 0.2],
+        residuals_show_friction_at_40_db_only=[visible.min() > 0.9, hidden.max() < 0.2],
         residuals_do_not_show_the_spring=spring.coloured < 0.2,
         a_wrong_prior_takes_the_mass=mass < 0.5,
     )
@@ -433,10 +433,10 @@ def online(r: Published, f: Facts) -> None:
 def measured(r: Published, f: Facts) -> None:
     """The Silverbox beside published recurrent networks."""
     parts = r.study("silverbox.md", "Free simulation of the test parts").iloc[:, :3].astype(float)
-    ours, lines = (parts[parts.index.str.endswith(f"{kind} input")].iloc[0] for kind in ("cubic", "linear"))
+    project, lines = (parts[parts.index.str.endswith(f"{kind} input")].iloc[0] for kind in ("cubic", "linear"))
     networks = parts.loc[["GRU", "LSTM", "OLSTM", "RNN"]]
-    f.say(".2f", silverbox=ours, networks=networks)
-    f.hold(below_every_recurrent_network=ours < networks, a_linear_input_is_worse=lines > ours)
+    f.say(".2f", silverbox=project, networks=networks)
+    f.hold(below_every_recurrent_network=project < networks, a_linear_input_is_worse=lines > project)
 
 
 def audits(r: Published, f: Facts) -> None:

@@ -113,11 +113,13 @@ def with_truth(name: str, kind: str, scenario: Scenario, key: int, largest_bound
     secret = SecretScenario.of(scenario)
     system, bound = secret.make_system(), compute_bound(secret, key)
     quantities = [system.quantity(parameter) for parameter in system.names] if scenario.force else system.groups
-    asked = [quantity for quantity in quantities if bound.identifiable[quantity.name]]
-    if not asked or not all(bound.relative_sd[quantity.name] <= largest_bound for quantity in asked):  # NaN, too
+    identifiable = [quantity for quantity in quantities if bound.identifiable[quantity.name]]
+    if not identifiable or not all(
+        bound.relative_sd[quantity.name] <= largest_bound for quantity in identifiable
+    ):  # NaN, too
         raise InputError("scenario", name, "data that determine every quantity")
     problem, truth = secret.maker(key)(0)
-    values = {quantity.name: float(quantity.value(truth.parameters)) for quantity in asked}
+    values = {quantity.name: float(quantity.value(truth.parameters)) for quantity in identifiable}
     return DrawnProblem(name, kind, problem, {q: (value, value * bound.relative_sd[q]) for q, value in values.items()})
 
 

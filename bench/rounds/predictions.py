@@ -37,13 +37,13 @@ def read_template(folder: Path) -> Asked:
     """Return the quantities that a round asks for, by scenario; raises InputError where the folder is no round."""
     if not (folder / TEMPLATE).is_file():
         raise InputError("round", folder, f"no {TEMPLATE} is there; {KNOWLEDGE}")
-    asked: dict[str, list[str]] = {}
+    requested: dict[str, list[str]] = {}
     for row in _read_rows(folder / TEMPLATE)[0].values():
-        asked.setdefault(row["scenario"], []).append(row["quantity"])
-    return asked
+        requested.setdefault(row["scenario"], []).append(row["quantity"])
+    return requested
 
 
-def read_predictions(path: Path, asked: Asked) -> tuple[pd.DataFrame, bool, list[InputError]]:
+def read_predictions(path: Path, requested: Asked) -> tuple[pd.DataFrame, bool, list[InputError]]:
     """Read a file of predictions.
 
     Returns:
@@ -61,13 +61,13 @@ def read_predictions(path: Path, asked: Asked) -> tuple[pd.DataFrame, bool, list
     values = {}
     for line, row in rows.items():
         try:
-            key = _key(row, asked)
+            key = _key(row, requested)
             if lines.setdefault(key, line) != line:
                 raise InputError("quantity", key[1], f"line {lines[key]} answers it already; keep one of them")
             values[key] = _numbers(row, decimal_comma)
         except InputError as error:
             errors[line] = InputError(f"{path.name} line {line}, {error.field}", error.value, error.remedy)
-    questions = [(scenario, quantity) for scenario, quantities in asked.items() for quantity in quantities]
+    questions = [(scenario, quantity) for scenario, quantities in requested.items() for quantity in quantities]
     remedy = "no row; every row of the template is needed, its value empty where there is no answer"
     missing = [InputError(f"{path.name}, {key[0]}", key[1], remedy) for key in questions if key not in lines]
     table = pd.DataFrame([(*key, *values.get(key, [math.nan] * 4)) for key in questions], columns=COLUMNS)
@@ -139,12 +139,12 @@ def _has_decimal_commas(texts: Sequence[str]) -> bool:
     return any(not THOUSANDS.fullmatch(text) for text in commas) and not any("." in text for text in texts)
 
 
-def _key(row: Row, asked: Asked) -> tuple[str, str]:
-    scenario, names = row["scenario"], list(asked)
-    if scenario not in asked:
+def _key(row: Row, requested: Asked) -> tuple[str, str]:
+    scenario, names = row["scenario"], list(requested)
+    if scenario not in requested:
         near = did_you_mean(scenario, names)
         raise InputError("scenario", scenario, f"{near}scenarios of this round are {names[0]} to {names[-1]}")
-    check_name("quantity", row["quantity"], asked[scenario], f": what this round asks for in {scenario}")
+    check_name("quantity", row["quantity"], requested[scenario], f": what this round asks for in {scenario}")
     return scenario, row["quantity"]
 
 

@@ -46,7 +46,7 @@ def short_name(quantity: str) -> str:
     return quantity.replace("_over_", "/")
 
 
-def problem_files(name: str, problem: Problem, asked: Sequence[str]) -> dict[str, str]:
+def problem_files(name: str, problem: Problem, requested: Sequence[str]) -> dict[str, str]:
     """Return the files of a problem by name; raises InputError for one that two files do not hold."""
     record, system, prior = problem.records[0], problem.system, problem.prior
     if len(problem.records) > 1 or record.added_mass is not None or len(record.forces) > 1:
@@ -66,7 +66,7 @@ def problem_files(name: str, problem: Problem, asked: Sequence[str]) -> dict[str
         "equations": equations(system, [push.dof for push in record.forces]),
         "system": {"kind": system.name, "options": asdict(system) if is_dataclass(system) else {}},
         "parameters": {parameter.name: parameter.unit for parameter in system.parameters},
-        "asked": {short_name(quantity): system.quantity(quantity).unit for quantity in asked},
+        "asked": {short_name(quantity): system.quantity(quantity).unit for quantity in requested},
         "initial_state": "unknown" if record.initial_state is None else {
             part: [float(word) for word in _words(getattr(record.initial_state, part))]
             for part in ("displacement", "velocity")
@@ -95,8 +95,8 @@ def read_problem(folder: Path, name: str) -> tuple[Problem, list[str]]:
         start = None if known["initial_state"] == "unknown" else InitialState(**known["initial_state"])
         parts = ({key: known["prior"][key][part] for key in system.names} for part in ("nominal", "log_sd"))
         prior = Prior(*parts) if known["prior"] else None
-        asked = [quantity.name for quantity in system.quantities if short_name(quantity.name) in known["asked"]]
-        return Problem(system, (Record(tuple(channels), tuple(forces), start),), prior, name), asked
+        requested = [quantity.name for quantity in system.quantities if short_name(quantity.name) in known["asked"]]
+        return Problem(system, (Record(tuple(channels), tuple(forces), start),), prior, name), requested
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError("round", folder / name, f"its files are damaged ({error})") from None
 

@@ -26,13 +26,13 @@ def solve(
     folder: Path, names: Sequence[str], method: Identifier, timeout_s: float, memory_mb: float
 ) -> Iterator[tuple[Rows, str]]:
     """Yield the rows of each problem, and the reason where there is no answer; each within the limits of a fit."""
-    asked = [read_problem(folder, name)[1] for name in names]
+    requested = [read_problem(folder, name)[1] for name in names]
     with Workers((__name__,)) as workers:
         answers = [
             workers.submit(timeout_s, solve_problem, folder, name, method, number, memory_mb=memory_mb)
             for number, name in enumerate(names)
         ]
-        for name, quantities, future in zip(names, asked, answers, strict=True):
+        for name, quantities, future in zip(names, requested, answers, strict=True):
             try:
                 yield future.result()
             except Died as died:
@@ -42,11 +42,11 @@ def solve(
 
 def solve_problem(folder: Path, name: str, method: Identifier, seed: int) -> tuple[Rows, str]:
     """Return the rows of one problem, and the reason where there is no answer."""
-    problem, asked = read_problem(folder, name)
+    problem, requested = read_problem(folder, name)
     began = time.perf_counter()
     estimate = answer(method, problem, seed)
     seconds = f"{time.perf_counter() - began:.3g}"
-    rows: Rows = [(name, short_name(quantity), *_numbers(estimate, quantity), seconds) for quantity in asked]
+    rows: Rows = [(name, short_name(quantity), *_numbers(estimate, quantity), seconds) for quantity in requested]
     return rows, "" if estimate.status is Status.OK else f"{name}: {estimate.status}, {estimate.message}"
 
 

@@ -1,1 +1,1 @@
-"""Pictures as specifications in Altair: what is drawn of a tidy table, for print and for a browser."""
+"""Figures as specifications in Altair from tidy tables, for print and for a browser."""

@@ -33,10 +33,10 @@ def log_log(x: alt.X, y: alt.Y, across: pd.Series, up: pd.Series) -> tuple[alt.X
 
 
 def draw_noise(gallery: Gallery) -> Picture:
-    """A panel a quantity: error over noise of every method, in colour those of the paper, and the bound."""
+    """Draw the error of every method over the noise level, those of the paper in colour, and the bound."""
     cells = [cell for cell in gallery.main if cell.initial_state == "known"] or gallery.main
     cells = [cell for cell in cells if cell.label != "prior"]
-    found = pd.DataFrame(
+    errors = pd.DataFrame(
         [
             (
                 title(c.label),
@@ -52,25 +52,25 @@ def draw_noise(gallery: Gallery) -> Picture:
         ],
         columns=["method", "label", "SNR", "quantity", "error", "bound"],
     ).dropna()
-    found = found[found.error > 0]
-    if found.empty:
+    errors = errors[errors.error > 0]
+    if errors.empty:
         raise Nothing("no method with an error and a bound is stored")
-    excess = (found.error / found.bound)[found.label != "oracle"].groupby(found.method).max()
-    papers = [label for label, card in cards().items() if card.paper and label in set(found.label)]
-    own, diamonds = f"{title(own_method())} in the paper", ""
+    excess = (errors.error / errors.bound)[errors.label != "oracle"].groupby(errors.method).max()
+    papers = [label for label, card in cards().items() if card.paper and label in set(errors.label)]
+    published, diamonds = f"{title(own_method())} in the paper", ""
     if cells[0].parameters == PAPER_SYSTEM and cells[0].kind == "sdof" and own_method() in papers:
-        theirs = [(own, own, p.snr_db, QUANTITIES[MOTION], MILLI * p.value) for p in printed()
-                  if p.table == 5 and p.metric == "rmse"]  # fmt: skip
-        found = pd.concat([found, pd.DataFrame(theirs, columns=found.columns[:-1])])
-        diamonds = f" Diamonds: {own} (its Table 5, Figure 10)."
-    told = {label: title(label) for label in papers} | {own: own}
-    found["series"] = found.label.map(told).fillna(OTHERS)
-    chart = alt.Chart(table(found.drop(columns="label"))).encode(tooltip=["method", "SNR", "error", "bound"])
-    scale, axis = logarithmic(0.7 * found[["error", "bound"]].min().min(), 1.4 * found.error.max())
-    x = alt.X("SNR:Q").scale(reverse=True, zero=False, padding=6).axis(values=sorted(set(found.SNR))).title("SNR (dB)")
+        numbers = [(published, published, p.snr_db, QUANTITIES[MOTION], MILLI * p.value) for p in printed()
+                   if p.table == 5 and p.metric == "rmse"]  # fmt: skip
+        errors = pd.concat([errors, pd.DataFrame(numbers, columns=errors.columns[:-1])])
+        diamonds = f" Diamonds: {published} (its Table 5, Figure 10)."
+    series = {label: title(label) for label in papers} | {published: published}
+    errors["series"] = errors.label.map(series).fillna(OTHERS)
+    chart = alt.Chart(table(errors.drop(columns="label"))).encode(tooltip=["method", "SNR", "error", "bound"])
+    scale, axis = logarithmic(0.7 * errors[["error", "bound"]].min().min(), 1.4 * errors.error.max())
+    x = alt.X("SNR:Q").scale(reverse=True, zero=False, padding=6).axis(values=sorted(set(errors.SNR))).title("SNR (dB)")
     name = "root mean square error"
     y = alt.Y("error:Q").scale(scale).axis(axis).title(name)
-    named = [name for name in told.values() if name in set(found.series)]
+    named = [name for name in series.values() if name in set(errors.series)]
     hue = alt.Color("series:N").sort(named).legend(alt.Legend(columns=3) if named else None)
     drawn = chart.transform_filter(f"datum.series != '{OTHERS}'")
     layers = layered(
@@ -87,37 +87,37 @@ def draw_noise(gallery: Gallery) -> Picture:
         "error_against_noise",
         layers.facet(column=alt.Column("quantity:N").sort(list(QUANTITIES.values())), spacing=10),
         f"{(excess <= 2.0).sum()} of {len(excess)} methods stay within twice the bound at every noise level. Root mean "
-        f"square errors over the replicates ({cells[0].system}, initial state {cells[0].initial_state}; "
-        f"{replicates(cells)} a point), failures left out. In colour the methods of the paper, thin and grey all "
-        "others; the broad line is the Cramér-Rao bound, the least error of an unbiased method. A line that runs level "
-        f"has an error of its own, which no better sensor removes.{diamonds}",
+        f"square errors of the successful fits ({cells[0].system}, initial state {cells[0].initial_state}; "
+        f"{replicates(cells)} per point). In colour the methods of the paper, thin and grey all others; the broad line "
+        "is the Cramér-Rao bound, the smallest error of an unbiased method. A horizontal line is a bias, which less "
+        f"noise does not remove.{diamonds}",
     )
 
 
 def draw_training(gallery: Gallery) -> Picture:
-    """The loss and the mean square of two of its terms over evaluations, one line a method."""
-    found = gallery.recorded(gallery.scene(gallery.main), LOSS, EVALUATIONS)
+    """Draw the loss and the mean square of two of its terms over evaluations, one line per method."""
+    recorded = gallery.recorded(gallery.scene(gallery.main), LOSS, EVALUATIONS)
     parts = [
         training_curve(title(cell.label), panel, arrays[EVALUATIONS], arrays[name])
-        for name, panel in TERMS.items() for cell, arrays in found if name in arrays
+        for name, panel in TERMS.items() for cell, arrays in recorded if name in arrays
     ]  # fmt: skip
     frame = table(pd.concat(parts))
     x, y = alt.X("evaluations:Q").title("evaluations of all residuals"), alt.Y("value:Q").title("loss (−)")
-    hue = alt.Color("method:N").sort([title(cell.label) for cell, _ in found]).legend(columns=3)
+    hue = alt.Color("method:N").sort([title(cell.label) for cell, _ in recorded]).legend(columns=3)
     chart = alt.Chart(frame).mark_line().encode(*log_log(x, y, frame.evaluations, frame.value), hue, tooltip=["value"])
     facet = alt.Column("term:N").sort(list(TERMS.values()))
-    last = {title(cell.label): (a[EVALUATIONS].max(), a[LOSS][-1]) for cell, a in found}
+    last = {title(cell.label): (a[EVALUATIONS].max(), a[LOSS][-1]) for cell, a in recorded}
     ends = ", ".join(f"{name} {n:.0f} (loss {loss:.3g})" for name, (n, loss) in last.items())
     soonest, latest = (choose(last, key=lambda name: last[name][0]) for choose in (min, max))
     lead = f"{soonest} ends its training after {last[soonest][0]:.0f} evaluations"
     lead += f", {latest} after {last[latest][0]:.0f}" if latest != soonest else ""
-    same = " and ".join(title(cell.label) for cell, _ in found if cell.label in counterparts(own_method()))
+    same = " and ".join(title(cell.label) for cell, _ in recorded if cell.label in counterparts(own_method()))
     return Picture(
         "training_loss",
         chart.properties(width=120, height=110).facet(column=facet, spacing=8),
-        f"{lead}. On the same record ({where(found[0][0])}; replicate 0): the whole loss, each term with the weight it "
-        f"has at the end, and the mean square of two terms, in natural units. At the end: {ends}. {same} minimise the "
-        "same loss of the same network. The paper's Figure 6 shows the whole loss alone.",
+        f"{lead}. On the same record ({where(recorded[0][0])}; replicate 0): the whole loss, each term with its final "
+        f"weight, and the mean square of two terms, in natural units. Final values: {ends}. {same} minimise the same "
+        "loss of the same network. The paper's Figure 6 shows the whole loss alone.",
     )
 
 
@@ -130,20 +130,20 @@ def training_curve(method: str, term: str, evaluations: np.ndarray, values: np.n
     return pd.DataFrame({"method": method, "term": term, "evaluations": evaluations[kept], "value": values[kept]})
 
 
-def draw_profiles(name: str, found: Sequence[Profile], truth: dict[str, float], prior: Prior | None) -> Picture:
-    """A panel a quantity: profile, the prior, where a 95 % interval ends, and the true value."""
+def draw_profiles(name: str, profiles: Sequence[Profile], truth: dict[str, float], prior: Prior | None) -> Picture:
+    """Draw profile likelihood, prior, threshold of the 95 % interval, and true value, one panel per quantity."""
     parts = []
-    for profile in found:
+    for profile in profiles:
         q, ends = profile.quantity, (profile.values[0], profile.values[-1])
         panel = q.name.replace("_over_", "/") + (f" ({q.unit})" if q.unit != "-" else "")
         curves = {DATA: (profile.values, profile.drop)}
         if prior is not None:
-            w, at = np.array(q.vector(prior.names)), np.geomspace(*ends, 400)
-            off = (np.log(at) - math.log(q.coefficient) - w @ prior.log_mean) / np.linalg.norm(w * prior.log_sds)
-            curves[PRIOR] = (at, off**2 / 2)
+            w, sizes = np.array(q.vector(prior.names)), np.geomspace(*ends, 400)
+            off = (np.log(sizes) - math.log(q.coefficient) - w @ prior.log_mean) / np.linalg.norm(w * prior.log_sds)
+            curves[PRIOR] = (sizes, off**2 / 2)
         for curve, (values, drop) in curves.items():
-            own = pd.DataFrame({"panel": panel, "curve": curve, "value": values, "fall": drop})
-            parts.append(own.assign(true=q.value(truth), threshold=THRESHOLD))
+            points = pd.DataFrame({"panel": panel, "curve": curve, "value": values, "fall": drop})
+            parts.append(points.assign(true=q.value(truth), threshold=THRESHOLD))
     frame = table(pd.concat(parts).query(f"fall <= {3.0 * THRESHOLD}"))
     chart, x = alt.Chart(frame), alt.X("value:Q").scale(zero=False, nice=False).axis(tickCount=4).title(None)
     name_up, hue = "fall of log-likelihood (−)", alt.Color("curve:N").sort([DATA, PRIOR])
@@ -158,8 +158,8 @@ def draw_profiles(name: str, found: Sequence[Profile], truth: dict[str, float], 
     facet = alt.Facet("panel:N").sort(list(dict.fromkeys(frame.panel)))
     return Picture(
         f"profile_{name}",
-        layers.facet(facet, columns=min(4, len(found)), spacing=8).resolve_scale(x="independent"),
-        "A curve that rises on both sides of its lowest point is a quantity that the data tell. Profile likelihoods on "
+        layers.facet(facet, columns=min(4, len(profiles)), spacing=8).resolve_scale(x="independent"),
+        "A quantity is identifiable if its curve rises on both sides of the minimum. Profile likelihoods on "
         "one replicate: each quantity is held and the rest fitted again, the noise level too, without a prior. Orange: "
         "half the squared distance from the prior's nominal value, in its standard deviations. Dashed: where a 95 % "
         "interval ends. Dotted: the true value.",

@@ -91,13 +91,13 @@ class Gallery:
         return wanted if 2 * len(wanted) >= len(others) else others
 
     def recorded(self, cells: Iterable[Result], *names: str) -> list[tuple[Result, Arrays]]:
-        """Return those of the cells of which a record and arrays of these names are stored, with the arrays."""
+        """Return the cells with a stored record and stored arrays of these names, with their arrays."""
         with_arrays: list[tuple[Result, Arrays]] = [(cell, cell.arrays()) for cell in cells if cell.label != "prior"]
         wanted = {"true_displacement", "sample_values", *names}
-        found = [(cell, arrays) for cell, arrays in with_arrays if wanted <= arrays.keys()]
-        if not found:
+        complete = [(cell, arrays) for cell, arrays in with_arrays if wanted <= arrays.keys()]
+        if not complete:
             raise Nothing(f"no {names[0].replace('_', ' ') if names else 'record'} is stored")
-        return found
+        return complete
 
 
 def where(cell: Result) -> str:

@@ -13,7 +13,7 @@ from bench.reporting.labels import cards, title
 from bench.reporting.paper import own_method
 from bench.reporting.pictures.gallery import Arrays, C, Gallery, K, where
 from bench.reporting.pictures.responses import curves, over_time, samples
-from bench.reporting.pictures.rows import NAMES, beside, excesses, rows, tiers_of
+from bench.reporting.pictures.rows import NAMES, excesses, rows, tiers_of, time_and_error
 from bench.reporting.pictures.style import Picture, table
 from bench.scoring.statistics import Z95
 
@@ -46,16 +46,17 @@ def draw_hero(gallery: Gallery) -> Picture:
 
     def axis(column: str) -> alt.X:
         scale = alt.Scale(domain=[-reach, reach], clamp=True, nice=False)
-        return alt.X(f"{column}:Q").scale(scale).title("estimate and 95 % interval, off the truth (%)")
+        return alt.X(f"{column}:Q").scale(scale).title("relative error with 95 % interval (%)")
 
     below = rows(table(off), [NAMES[K], NAMES[C]], axis, ("off", "low", "high"))
-    of_paper = [one.label for one in scene if (card := cards().get(one.label)) and card.paper]
+    of_paper = [result.label for result in scene if (card := cards().get(result.label)) and card.paper]
     best = [label for label in gallery.tiers if label not in of_paper and gallery.tiers[label]]
     chosen = [*of_paper, *best][:METHODS]
-    frame = excesses((one for one in scene if one.label in chosen), (K,)).drop(columns=["SNR", "quantity", "start"])
+    selected = (result for result in scene if result.label in chosen)
+    frame = excesses(selected, (K,)).drop(columns=["SNR", "quantity", "start"])
     tiers = tiers_of(gallery)
-    order = frame.sort_values("seconds").sort_values("method", key=lambda own: own.map(tiers), kind="stable").method
-    right = beside(frame, order.tolist(), 17, tiers=tiers, width=80)
+    order = frame.sort_values("seconds").sort_values("method", key=lambda name: name.map(tiers), kind="stable").method
+    right = time_and_error(frame, order.tolist(), 17, tiers=tiers, width=80)
     first = frame[frame.method.map(tiers) == 1]
     right = right.properties(title=alt.Title(f"{len(frame)} methods by tier", frame="group"))
     left = alt.vconcat(
@@ -66,9 +67,9 @@ def draw_hero(gallery: Gallery) -> Picture:
     return Picture(
         "hero",
         alt.hconcat(left, right, spacing=12),
-        f"{title(cell.label)} fits the record and says how sure it is; {len(first)} of these {len(frame)} methods are "
-        f"in the first tier, and {order.iloc[0]} is the fastest of them. Left: one record ({where(cell)}), the fit "
-        "with its 95 % band, and below it k/m and c/m with their intervals; the true response and values are not told "
-        "to any method. Right: processor time of a fit, and the error of k/m over the Cramér-Rao bound with its 95 % "
-        "interval, of the paper's methods and the best others by tier of the ranking.",
+        f"{title(cell.label)} fits the record and states the uncertainty; {len(first)} of these {len(frame)} methods "
+        f"are in the first tier, and {order.iloc[0]} is the fastest of them. Left: one record ({where(cell)}), the fit "
+        "with its 95 % band, and the errors of k/m and c/m with their intervals; true response and values are hidden "
+        "from the methods. Right: processor time per fit, and the error of k/m over the Cramér-Rao bound with its 95 % "
+        "interval, for the methods of the paper and the best others, by tier of the ranking.",
     )

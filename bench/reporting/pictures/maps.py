@@ -1,4 +1,4 @@
-"""Pictures that are maps: estimates about the truth, the basin of the likelihood, what failed where, the atlas."""
+"""Figures in two dimensions: scatter of estimates, the basin of the likelihood, failures, and the atlas."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from bench.reporting.rounding import readable
 LEVEL = 5.991
 """The 95 % quantile of chi-squared with two degrees of freedom."""
 REACH = 4.5
-"""Half the width of a panel of estimates, in standard deviations of the bound."""
+"""Half the width of a panel of the scatter, in standard deviations of the bound."""
 
 
 def bound_covariance(cell: Result) -> np.ndarray:
     """Return the bound on the covariance of (log k/m, log c/m), (2, 2).
 
-    All is in the stored bounds: with ``ζ = (c/m) / 2 (k/m)^(1/2)``, ``var log ζ = var log c/m + var log k/m / 4 -
+    It follows from the stored bounds: with ``ζ = (c/m) / 2 (k/m)^(1/2)``, ``var log ζ = var log c/m + var log k/m / 4 -
     cov(log k/m, log c/m)``.
     """
     k, c, zeta = (cell.bound(f"{name}_error_pct") / 100.0 for name in (K, C, "damping_ratio"))
@@ -43,16 +43,16 @@ def bound_covariance(cell: Result) -> np.ndarray:
 
 
 def ellipse(covariance: np.ndarray, points: int = 61) -> np.ndarray:
-    """Return errors (%) on the 95 % ellipse of a normal pair of logarithms around no error, shape (2, points)."""
+    """Return errors (%) on the 95 % ellipse of two normal log-errors of mean zero, shape (2, points)."""
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.sqrt(LEVEL) * np.stack([np.cos(angle), np.sin(angle)])
     return np.asarray(100.0 * np.expm1(np.linalg.cholesky(covariance + 1e-18 * np.eye(2)) @ circle))
 
 
 def draw_scatter(gallery: Gallery) -> Picture:
-    """One panel a method: every replicate's errors of both groups, and the bound's 95 % ellipse."""
-    there = (cell for cell in gallery.scene(gallery.main) if cell.label != "prior")
-    cells = [cell for cell in there if cell.successful(f"{K}_ratio").size and cell.bound(METRICS[C]) > 0]
+    """Draw the errors of k/m and c/m of every replicate, one panel per method, and the 95 % ellipse of the bound."""
+    scene = (cell for cell in gallery.scene(gallery.main) if cell.label != "prior")
+    cells = [cell for cell in scene if cell.successful(f"{K}_ratio").size and cell.bound(METRICS[C]) > 0]
     if not cells:
         raise Nothing("no estimates of k/m and c/m with a bound are stored")
     covariance, parts = bound_covariance(cells[0]), []
@@ -83,31 +83,31 @@ def draw_scatter(gallery: Gallery) -> Picture:
         truth.encode(x=alt.datum(0), y=alt.datum(0)),
     ).properties(width=70, height=58)
     facet = alt.Facet("method:N").sort(list(dict.fromkeys(frame.method)))
-    beyond = frame.groupby("method").place.apply(lambda own: (own == "beyond the edge").mean())
+    beyond = frame.groupby("method").place.apply(lambda place: (place == "beyond the edge").mean())
     return Picture(
         "scatter",
         layers.facet(facet, columns=min(6, len(cells)), spacing={"row": 4, "column": 8}),
-        f"{(beyond < 0.05).sum()} of {len(cells)} methods have fewer than one estimate in twenty beyond {REACH:g} "
-        f"standard deviations of the bound. One point is a replicate ({where(cells[0])}; {replicates(cells)} a method)."
-        " The ellipse is the Cramér-Rao bound's: 95 % of the estimates of an unbiased method that reaches it lie in it;"
-        " a cloud beside it is a bias, a wider one is information lost. Estimates beyond a panel's edge stand on it, "
-        "and are counted. The paper's Figure 7 shows one estimate of each group.",
+        f"{(beyond < 0.05).sum()} of {len(cells)} methods have fewer than 5 % of their estimates beyond {REACH:g} "
+        f"standard deviations of the bound. Each point is one replicate ({where(cells[0])}; {replicates(cells)} per "
+        "method). The ellipse contains 95 % of the estimates of an unbiased method at the Cramér-Rao bound; a shifted "
+        "cloud is biased, a larger one loses information. Estimates outside of a panel are drawn at its edge and "
+        "counted. The paper's Figure 7 shows one estimate of each group.",
     )
 
 
 # ------------------------------------------------------------------------------------------------ the basin
 
 FAR = np.array([8.0, 30.0])
-"""How many times more and less than the truth the wide panel shows of k/m and c/m."""
+"""Range of the wide panel: factors about the true k/m and c/m."""
 FLOOR = 5.0
-"""Standard deviations of the bound that the narrow one shows."""
+"""Range of the narrow panel, in standard deviations of the bound."""
 POINTS, LINES, APART = 81, 12, 0.2
 
 
 def misfit(cell: Result, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return the root mean square (m) of the samples' residuals over k/m (nk,) and c/m (nc,), shape (nc, nk).
+    """Return the root mean square residual (m) of the samples over k/m (nk,) and c/m (nc,), shape (nc, nk).
 
-    From the start that was told, else from the best one for each pair: the response is linear in it.
+    An unknown initial state is fitted for each pair; the response is linear in it.
     """
     times, values = samples_of(arrays, 0)
     p = {"m": np.ones((c.size, k.size)), "k": np.tile(k, (c.size, 1)), "c": np.tile(c[:, None], (1, k.size))}
@@ -125,7 +125,7 @@ def misfit(cell: Result, arrays: Arrays, k: np.ndarray, c: np.ndarray) -> np.nda
 
 
 def contours(k: np.ndarray, c: np.ndarray, surface: np.ndarray, levels: Iterable[float]) -> pd.DataFrame:
-    """Return the lines of equal height of a surface (nc, nk), each point with its level and the line it is on."""
+    """Return the contour lines of a surface (nc, nk): points with level and number of the line."""
     from contourpy import contour_generator
 
     lines = [(level, line) for level in levels for line in contour_generator(k, c, surface).lines(level)]
@@ -137,20 +137,20 @@ def contours(k: np.ndarray, c: np.ndarray, surface: np.ndarray, levels: Iterable
 
 
 def draw_basin(gallery: Gallery) -> Picture:
-    """The whole basin with the other minima on the left, its floor with the 95 % region on the right."""
+    """Draw the basin with other minima on the left, and its floor with the 95 % region on the right."""
     cells = [cell for cell in gallery.main if cell.kind == "sdof" and not cell.forced]
     if not cells:
         raise Nothing("no record of one mass in free vibration is stored")
-    found = gallery.recorded(gallery.scene(cells))
-    cell, arrays = found[0]
+    recorded = gallery.recorded(gallery.scene(cells))
+    cell, arrays = recorded[0]
     centre = np.array([float(cell.parameters[name]) / float(cell.parameters["m"]) for name in "kc"])
     frame = np.exp(FLOOR * np.array([cell.bound(METRICS[name]) / 100.0 for name in (K, C)]))
-    ends = [(one.label, *centre * (one.first(f"{K}_ratio"), one.first(f"{C}_ratio"))) for one, _ in found]
+    ends = [(fit.label, *centre * (fit.first(f"{K}_ratio"), fit.first(f"{C}_ratio"))) for fit, _ in recorded]
     points = pd.DataFrame(ends, columns=["label", "k/m", "c/m"]).query("`k/m` > 0 and `c/m` > 0")
     points["method"] = points.label.map(title)
     best = misfit(cell, arrays, *np.geomspace(centre / frame, centre * frame, POINTS).T).min()
-    limit = best * math.exp(0.5 * LEVEL / arrays["sample_values"].size)  # of the likelihood's 95 % region
-    heights = [misfit(cell, arrays, at[:1], at[1:]).item() for at in points[["k/m", "c/m"]].to_numpy()]
+    limit = best * math.exp(0.5 * LEVEL / arrays["sample_values"].size)  # edge of the likelihood's 95 % region
+    heights = [misfit(cell, arrays, pair[:1], pair[1:]).item() for pair in points[["k/m", "c/m"]].to_numpy()]
     points["outside"] = np.array(heights) > limit
     sides = [
         _basin(cell, arrays, points, centre, factors, limit).properties(width=150, height=190, title=heading)
@@ -159,25 +159,25 @@ def draw_basin(gallery: Gallery) -> Picture:
     return Picture(
         "basin",
         alt.hconcat(*sides, spacing=14).resolve_scale(color="independent"),
-        f"{(~points.outside).sum()} of {len(points)} methods end inside the 95 % region of one basin. Lines of "
-        f"equal misfit of the samples over k/m and c/m ({where(cell)}; replicate 0). Left: away from the basin the "
-        "surface is flat and rippled, and a descent from there need not end in it. Right: its floor; dashed, where the "
-        "likelihood's 95 % region ends. Dots: what methods found, named outside the region; the cross is the truth. "
-        "The paper's Figure 8 shows estimates from several initialisations and calls their closeness stability; it "
-        "says nothing of their error.",
+        f"The estimates of {(~points.outside).sum()} of {len(points)} methods lie inside the 95 % region of one basin. "
+        f"Contours of the root mean square residual over k/m and c/m ({where(cell)}; replicate 0). Left: away from the "
+        "basin the surface is flat with local minima, so a descent from there may not reach the basin. Right: its "
+        "floor; dashed: 95 % region of the likelihood. Dots: estimates of the methods, with names outside of the "
+        "region; cross: true values. The paper's Figure 8 shows estimates from several initial guesses and calls their "
+        "closeness stability, which is not their error.",
     )
 
 
 def _basin(
     cell: Result, arrays: Arrays, points: pd.DataFrame, centre: np.ndarray, factors: np.ndarray, limit: float
 ) -> Any:
-    """Lines of equal misfit so many times around the truth, with the region, and what methods found there."""
+    """Draw contours of the residual within factors about the true values, the 95 % region, and the estimates."""
     k, c = np.geomspace(centre / factors, centre * factors, POINTS).T
     surface = misfit(cell, arrays, k, c)
-    (across, at_k), (up, at_c) = (logarithmic(values[0], values[-1]) for values in (k, c))
+    (across, axis_k), (up, axis_c) = (logarithmic(values[0], values[-1]) for values in (k, c))
     x, y = (
-        alt.X("k/m:Q").scale(across).axis(at_k).title("k/m (1/s²)"),
-        alt.Y("c/m:Q").scale(up).axis(at_c).title("c/m (1/s)"),
+        alt.X("k/m:Q").scale(across).axis(axis_k).title("k/m (1/s²)"),
+        alt.Y("c/m:Q").scale(up).axis(axis_c).title("c/m (1/s)"),
     )
     hue = alt.Color("misfit:Q").scale(range=["#0072B2", "#c0c0c0"])
     legend = hue.legend(title="root mean square misfit (m)", gradientLength=90, gradientThickness=5)
@@ -188,12 +188,12 @@ def _basin(
     outside = points[points.outside & on_floor].sort_values("y")
     groups = outside.groupby(((outside.y.diff() > APART) | (abs(outside.x.diff()) > 5.5 * APART)).cumsum())
     named = groups.agg({"k/m": "max", "c/m": "mean", "x": "max", "method": list})
-    named["method"] = [own if len(own) < 3 else f"{len(own)} methods" for own in named.method]
-    side, away = (alt.expr(f"datum.x > 0.5 ? {own}") for own in ("'right' : 'left'", "-6 : 6"))
-    dots, names = (alt.Chart(table(own)).encode(x, y, tooltip=["method", "k/m", "c/m"]) for own in (points, named))
+    named["method"] = [names if len(names) < 3 else f"{len(names)} methods" for names in named.method]
+    side, away = (alt.expr(f"datum.x > 0.5 ? {choice}") for choice in ("'right' : 'left'", "-6 : 6"))
+    dots, names = (alt.Chart(table(data)).encode(x, y, tooltip=["method", "k/m", "c/m"]) for data in (points, named))
     truth = alt.Chart(table(pd.DataFrame([centre], columns=["k/m", "c/m"])))
-    lines = [alt.Chart(contours(k, c, surface, own)).encode(x, y, detail="line:N", order="order:Q")
-             for own in (levels, [limit])]  # fmt: skip
+    lines = [alt.Chart(contours(k, c, surface, heights)).encode(x, y, detail="line:N", order="order:Q")
+             for heights in (levels, [limit])]  # fmt: skip
     return alt.layer(
         lines[0].mark_line(strokeWidth=0.8).encode(legend, tooltip=["misfit"]),
         *([lines[1].mark_line(style="truth", strokeDash=[4, 2])] if on_floor else []),
@@ -203,14 +203,14 @@ def _basin(
     )
 
 
-# ------------------------------------------------------------------------------------------------ what failed
+# ------------------------------------------------------------------------------------------------ failures
 
 ABSENT = frozenset({Status.UNSUPPORTED, Status.MISSING_DEPENDENCY})
 FAILURES = frozenset(Status) - ABSENT - {Status.OK}
 
 
 def heat(frame: pd.DataFrame, rows: Sequence[str], columns: Sequence[str], value: str, **scale: Any) -> Any:
-    """Return a table in colours: ``row``, ``column``, a value from pale to dark, and the text ``shown``."""
+    """Draw a heat map from the columns ``row``, ``column``, a value, and the text ``shown``."""
     grid: dict[str, Any] = {"ticks": False, "domain": False, "grid": True, "bandPosition": 0}
     chart = alt.Chart(table(frame)).encode(
         alt.X("column:N").sort(list(columns)).title(None).axis(orient="top", labelAngle=-90, **grid),
@@ -225,7 +225,7 @@ def heat(frame: pd.DataFrame, rows: Sequence[str], columns: Sequence[str], value
 
 
 def draw_failures(gallery: Gallery) -> Picture:
-    """A row a system with what disturbs it and a column a method, of those in which something failed."""
+    """Draw the shares of failed fits, one row per system and disturbance, one column per method."""
     lines = [
         (readable(cell.system) + (f", {readable(cell.disturbance)}" if cell.disturbance else ""), cell.label,
          100.0 * float(np.mean([status in FAILURES for status in cell.statuses])), bool({*cell.statuses} - ABSENT))
@@ -237,7 +237,7 @@ def draw_failures(gallery: Gallery) -> Picture:
         raise Nothing("no replicate of any cell failed")
     rows, labels = sorted(bad.index.unique("row")), in_order(bad.index.unique("label"))
     frame = worst.reindex(pd.MultiIndex.from_product([rows, labels], names=["row", "label"])).reset_index()
-    share = frame.failed.map(lambda own: f"{own:.0f}" if own >= 1.0 else "<1")
+    share = frame.failed.map(lambda failed: f"{failed:.0f}" if failed >= 1.0 else "<1")
     cases = [frame.failed.isna(), frame.tried == False, frame.failed == 0.0]  # noqa: E712 - or not there
     frame["shown"] = np.select(cases, ["·", "–", ""], share)
     frame["column"], frame["failed"] = frame.label.map(title), frame.failed.where(frame.failed > 0.0)
@@ -247,10 +247,10 @@ def draw_failures(gallery: Gallery) -> Picture:
     return Picture(
         "failures",
         heat(frame, rows, list(map(title, labels)), "failed", domain=[0, 100]),
-        f"Fits failed in {len(rows)} of {len(tests)} kinds of test. In a row, a system with what "
-        "disturbs its record: the share (%) of the replicates that failed, at the noise level and start where it is "
-        "largest. A stroke: the method says that it cannot do this; a point: not run. Tests and methods without "
-        f"any failure are left out. Of all {sum(used.values())} replicates: {kinds}.",
+        f"Fits failed in {len(rows)} of {len(tests)} kinds of test. One row per system and disturbance: share (%) of "
+        "failed fits, at the noise level and initial state where it is largest. Dash: data that the method does not "
+        "support; dot: not run. Tests and methods without any failure are left out. Of all "
+        f"{sum(used.values())} replicates: {kinds}.",
     )
 
 
@@ -262,46 +262,46 @@ BOUNDS = {
 }  # fmt: skip
 LEVELS = {"below 0.1 %": 0.1, "below 1 %": 1.0, "below 10 %": 10.0, "below 100 %": 100.0, "above": math.inf}
 BLUES = ("#eff3ff", "#bdd7e7", "#6baed6", "#3182bd", "#08519c")
-GOOD, FARTHER = f"within {NEAR:g} times the bound", "farther"
-SOME, MOSTLY, ABOVE = f"gross errors over {100 * RARE:g} %", "over 50 %", "above Nyquist"
+GOOD, FARTHER = f"error ≤ {NEAR:g} × bound", "larger error"
+SOME, MOSTLY, ABOVE = f"outliers over {100 * RARE:g} %", "over 50 %", "above Nyquist"
 STATES = {GOOD: "#1a9850", FARTHER: "#a6d96a", SOME: "#fdae61", MOSTLY: "#d73027", ABOVE: "#9e9e9e"}
-"""How a method does at a point of the atlas, from best to worst, and its colour."""
+"""States of a method at a point of the atlas, from best to worst, with their colours."""
 
 
-def draw_atlas(own: Slice, frame: pd.DataFrame) -> Picture:
-    """A slice: the bounds, and how each method does at each point."""
-    axes = own.axes()
+def draw_atlas(plane: Slice, frame: pd.DataFrame) -> Picture:
+    """Draw the bounds and the state of each method over a slice of the atlas."""
+    axes = plane.axes()
     names = [axis.name for axis in axes]
     first = frame[frame.method == frame.method.iloc[0]]
     bounds = first.melt(names, [name for name in BOUNDS if name in first], "panel").dropna()
     cuts = [0.0, *LEVELS.values()]
     bounds["state"] = pd.cut(100.0 * bounds.value, cuts, labels=list(LEVELS), include_lowest=True).astype(str)
-    gross = frame[f"{K}_gross"]
-    cases = [frame.aliased.astype(bool), gross > 0.5, gross > RARE, near(frame)]
+    outliers = frame[f"{K}_gross"]
+    cases = [frame.aliased.astype(bool), outliers > 0.5, outliers > RARE, near(frame)]
     state = np.select(cases, [ABOVE, MOSTLY, SOME, GOOD], FARTHER)
     panel = [load_method(name).card.title for name in frame.method]
     states = frame[names].assign(panel=panel, state=state)
-    told = states[states.state != ABOVE]
-    shares = (told.state == GOOD).groupby(told.panel, sort=False).mean().sort_values(ascending=False, kind="stable")
+    below = states[states.state != ABOVE]
+    shares = (below.state == GOOD).groupby(below.panel, sort=False).mean().sort_values(ascending=False, kind="stable")
     parts = [
         _map(bounds.assign(panel=bounds.panel.map(BOUNDS)), axes, list(BOUNDS.values()), list(LEVELS), BLUES),
         _map(states, axes, list(shares.index), list(STATES), list(STATES.values())),
     ]
     return Picture(
-        f"atlas_{own.name}",
+        f"atlas_{plane.name}",
         alt.vconcat(*parts, spacing=6).resolve_scale(color="independent"),
         f"{shares.index[0]} is within {NEAR:g} times the bound on the largest part of this map, "
-        f"{100 * shares.max():.0f} %. Above: the Cramér-Rao bounds, and how often the likelihood itself has its "
-        "highest peak at another frequency. Below, a map a method: how its error of k/m stands to the bound. Above "
-        "Nyquist several frequencies fit the samples equally. A point has "
-        f"{int(frame.fits.max())} data sets, so that neighbours differ by chance.",
+        f"{100 * shares.max():.0f} %. Above: the Cramér-Rao bounds, and the probability that the likelihood has its "
+        "maximum at a wrong frequency. Below: error of k/m relative to the bound, one map per method. Above Nyquist "
+        f"several frequencies fit the samples equally well. Each point has {int(frame.fits.max())} data sets, so "
+        "neighbours differ by chance.",
     )
 
 
 def _map(
     frame: pd.DataFrame, axes: tuple[Axis, Axis], panels: Sequence[str], states: Sequence[str], colours: Sequence[str]
 ) -> Any:
-    """Rectangles coloured by state, a panel each, between the edges half way to the next points."""
+    """Draw rectangles coloured by state, whose edges are half way between the points, one panel per method."""
     frame, sides = frame.copy(), []
     for axis, kind, name in zip(axes, (alt.X, alt.Y), "xy", strict=True):
         log = axis.spacing == "logarithmic"

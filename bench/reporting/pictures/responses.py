@@ -1,4 +1,4 @@
-"""Pictures over time: the paper's Figures 4, 5, 9 and 11, and the online track."""
+"""Figures over time: the paper's Figures 4, 5, 9 and 11, and the online track."""
 
 from __future__ import annotations
 
@@ -26,19 +26,22 @@ from bench.scoring.statistics import Z95
 
 MILLI = 1000.0
 POINTS = 200
-"""Of a curve, drawn at most."""
+"""Largest number of points of a curve."""
 LINES = ("true response", "estimate", "samples")
-"""What is drawn in grey, blue and black."""
+"""Entries of the legend, in grey, blue and black."""
 
 
 def over_time(frame: pd.DataFrame, up: str | None) -> Any:
-    """Return what the frame has of true response, bound about it, estimate with its interval, and samples.
+    """Draw true response, bound, estimate with its interval, and samples, as far as the table has them.
 
-    Columns: ``time``; ``true``, ``least`` and ``most`` about it; ``estimate``, ``low`` and ``high``; ``sample``.
+    Args:
+        frame: Columns ``time``; ``true`` with the bounds ``least`` and ``most``; ``estimate`` with ``low`` and
+            ``high``; ``sample``.
+        up: Title of the ordinate.
     """
     chart, x = alt.Chart(frame), alt.X("time:Q").title("time (s)").scale(nice=False)
-    told = [name for name, column in zip(LINES, ("true", "estimate", "sample"), strict=True) if column in frame]
-    legend = alt.Legend(values=told) if len(told) > 1 else None
+    entries = [name for name, column in zip(LINES, ("true", "estimate", "sample"), strict=True) if column in frame]
+    legend = alt.Legend(values=entries) if len(entries) > 1 else None
     hue = alt.Color("what:N").scale(domain=list(LINES), range="ordinal").legend(legend)
 
     def y(column: str) -> alt.Y:
@@ -59,12 +62,12 @@ def over_time(frame: pd.DataFrame, up: str | None) -> Any:
 
 
 def panels(frame: pd.DataFrame, up: str | None, columns: int, height: float) -> Any:
-    """Return a panel for each value of the column ``panel``, in the order in which they come, each with its limits."""
+    """Draw a panel for each value of the column ``panel``, in order of occurrence, each with its own limits."""
     facet = alt.Facet("panel:N").sort(list(dict.fromkeys(frame.panel)))
     layers = over_time(table(frame), up).properties(width=100, height=height)
-    alike = frame.groupby("panel").time.max().nunique() == 1
+    equal_lengths = frame.groupby("panel").time.max().nunique() == 1
     faceted = layers.facet(facet, columns=columns, spacing=8)
-    return faceted.resolve_scale(x="shared" if alike else "independent", y="independent")
+    return faceted.resolve_scale(x="shared" if equal_lengths else "independent", y="independent")
 
 
 def curves(panel: str, times: np.ndarray, **values: np.ndarray) -> pd.DataFrame:
@@ -79,13 +82,13 @@ def samples(panel: str, arrays: Arrays, dof: int) -> pd.DataFrame:
 
 
 def samples_of(arrays: Arrays, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (s) and values (m) of one DOF's samples in the first record."""
-    own = arrays["sample_dof"] == dof
-    return arrays["sample_times"][own], arrays["sample_values"][own]
+    """Return the times (s) and values (m) of the samples of a DOF in the first record."""
+    selected = arrays["sample_dof"] == dof
+    return arrays["sample_times"][selected], arrays["sample_values"][selected]
 
 
 def draw_record(gallery: Gallery) -> Picture:
-    """The samples of one replicate and the true response, a panel for each DOF with a sensor."""
+    """Draw the samples of one replicate and the true response, one panel per sensor."""
     cell, arrays = gallery.recorded(gallery.scene(gallery.main))[0]
     dofs = sorted(set(arrays["sample_dof"].tolist()))
     frame = pd.concat(
@@ -98,17 +101,17 @@ def draw_record(gallery: Gallery) -> Picture:
     return Picture(
         "record",
         panels(frame, "displacement (m)", 1, 110),
-        f"The methods are given {np.sum(arrays['sample_dof'] == dofs[0])} noisy samples over {cell.duration:g} s. The "
-        f"grey line is the true response, which no method sees ({where(cell)}; replicate 0). The noise level is the "
-        "same over the whole record, so the decayed part tells less. The paper's Figure 4 shows the same.",
+        f"The methods are given {np.sum(arrays['sample_dof'] == dofs[0])} noisy samples over {cell.duration:g} s. "
+        f"Grey: true response, hidden from the methods ({where(cell)}; replicate 0). The noise level is constant, so "
+        "the decayed part contains less information. The paper's Figure 4 shows the same.",
         HALF,
     )
 
 
 def simulated(cell: Result, arrays: Arrays) -> np.ndarray | None:
-    """Return the free response of the parameters found, (n_dof, n_dense): what is scored without a reconstruction.
+    """Return the free response of the estimates, (n_dof, n_dense), which is scored without a reconstruction.
 
-    From the start that was told, or the one that fits the samples best. None with a force, which is not stored.
+    The initial state is the known one, or fitted to the samples. None with a force, which is not stored.
     """
     ratios = {name: cell.first(f"{name}_ratio") for name in cell.parameters}
     if cell.forced or cell.added_mass or not all(map(math.isfinite, ratios.values())):
@@ -120,7 +123,7 @@ def simulated(cell: Result, arrays: Arrays) -> np.ndarray | None:
 
 
 def draw_reconstruction(gallery: Gallery) -> Picture:
-    """The displacement of the paper's own method, of the one in the middle and of the one farthest from the truth."""
+    """Draw the displacement by the method of the paper, by the median method, and by the least accurate one."""
     drawn = list[tuple[Result, Arrays, np.ndarray]]()
     for cell, arrays in gallery.recorded(gallery.scene(gallery.main)):
         curve = arrays["displacement"] if "displacement" in arrays else simulated(cell, arrays)
@@ -128,9 +131,9 @@ def draw_reconstruction(gallery: Gallery) -> Picture:
             drawn.append((cell, arrays, curve))
     if not drawn:
         raise Nothing("no reconstruction is stored")
-    drawn.sort(key=lambda one: one[0].first("rmse"))
-    first = next((one for one in drawn if one[0].label == own_method()), drawn[0])
-    shown = {one[0].label: one for one in (first, drawn[len(drawn) // 2], drawn[-1])}
+    drawn.sort(key=lambda entry: entry[0].first("rmse"))
+    first = next((entry for entry in drawn if entry[0].label == own_method()), drawn[0])
+    shown = {entry[0].label: entry for entry in (first, drawn[len(drawn) // 2], drawn[-1])}
     dof, parts = int(first[1]["sample_dof"][0]), []
     for cell, arrays, curve in shown.values():
         name = f"{in_lines(title(cell.label), 30)}\nRMSE {MILLI * cell.first('rmse'):.3g} mm"
@@ -140,68 +143,68 @@ def draw_reconstruction(gallery: Gallery) -> Picture:
     return Picture(
         "reconstruction",
         panels(pd.concat(parts), "displacement (m)", 3, 90),
-        f"{len(drawn) - far} of {len(drawn)} methods are nearer to the true response than a sample is. What methods "
-        f"make of the same record ({where(first[0])}; replicate 0): the paper's own, the middle one, and the one "
-        "farthest from the truth, with the root mean square error over the whole record; of a method without a "
-        "reconstruction, the response of its parameters. A wrong k/m runs ahead or behind, more with every cycle. The "
-        "paper's Figure 5 shows this for its PINN alone.",
+        f"{len(drawn) - far} of {len(drawn)} methods have errors smaller than the noise of a sample. Responses from "
+        f"the same record ({where(first[0])}; replicate 0): by the method of the paper, the median method, and the "
+        "least accurate one, with the root mean square error over the record; for a method without a reconstruction, "
+        "the response of its estimates. An error of k/m gives a phase error that grows with every cycle. The paper's "
+        "Figure 5 shows this for its PINN alone.",
     )
 
 
 def error_band(panel: str, arrays: Arrays, dof: int) -> pd.DataFrame:
-    """Return estimate minus truth (mm) with the method's own 95 % band, where it states one."""
+    """Return estimate minus true response (mm), with the 95 % band of the method, if it states one."""
     error = MILLI * (arrays["displacement"][dof] - arrays["true_displacement"][dof])
     half = MILLI * Z95 * arrays["displacement_sd"][dof] if "displacement_sd" in arrays else np.full_like(error, np.nan)
     return curves(panel, arrays["dense_times"], estimate=error, low=error - half, high=error + half).assign(zero=0)
 
 
 def draw_band(gallery: Gallery) -> Picture:
-    """The error of each reconstruction with its band: where the band holds zero, it holds the truth."""
-    found = gallery.recorded(gallery.scene(gallery.main), "displacement_sd", "displacement")
+    """Draw the error of each reconstruction with its band, which should contain zero."""
+    recorded = gallery.recorded(gallery.scene(gallery.main), "displacement_sd", "displacement")
     parts, shares = [], []
-    for cell, arrays in found:
+    for cell, arrays in recorded:
         inside, name = cell.successful("band_inside_95"), in_lines(title(cell.label), 30)
         if inside.size:
             shares.append(100.0 * float(inside.mean()))
             name += f"\n{shares[-1]:.0f} % inside (n = {inside.size})"
         parts.append(error_band(name, arrays, int(arrays["sample_dof"][0])))
     low, high = (f"{edge:.0f}" for edge in (min(shares, default=0.0), max(shares, default=0.0)))
-    lead = f"95 % bands hold the truth over {low if low == high else f'{low} to {high}'} % of the record."
+    lead = f"95 % bands cover {low if low == high else f'{low} to {high}'} % of the true response."
     return Picture(
         "band",
-        panels(pd.concat(parts), "estimate − truth (mm)", 3, 90),
-        f"{lead if shares else 'A band says how far a reconstruction may be off.'} Each panel is a method that states "
-        f"a band ({where(found[0][0])}; replicate 0): its reconstruction minus the true response, and 1.96 of its "
-        "standard deviations to either side. The percentage is the mean share of the record inside the band over "
-        f"{replicates(cell for cell, _ in found)} replicates. The paper's Figure 9 draws such a band without saying "
-        "how often it holds.",
+        panels(pd.concat(parts), "estimate − true (mm)", 3, 90),
+        f"{lead if shares else 'A band states the uncertainty of a reconstruction.'} One panel per method with a band "
+        f"({where(recorded[0][0])}; replicate 0): its reconstruction minus the true response, and ±1.96 of its "
+        "standard deviations. The percentage is the mean share of the record inside the band over "
+        f"{replicates(cell for cell, _ in recorded)} replicates. The paper's Figure 9 shows such a band without its "
+        "coverage.",
     )
 
 
 def draw_two_masses(gallery: Gallery) -> Picture:
-    """Response of every DOF, identified and true, and beside it the error with its band."""
+    """Draw identified and true response of every DOF, and the error with its band."""
     cells = gallery.scene(gallery.largest(cell for cell in gallery.cells if cell.n_dof > 1))
-    found = gallery.recorded((cell for cell in cells if not cell.is_reference), "displacement")
-    papers = counterparts(own_method())  # the paper's own, else the first of all
-    cell, arrays = next((pair for label in papers for pair in found if pair[0].label == label), found[0])
+    recorded = gallery.recorded((cell for cell in cells if not cell.is_reference), "displacement")
+    papers = counterparts(own_method())  # the method of the paper, else the first one
+    cell, arrays = next((pair for label in papers for pair in recorded if pair[0].label == label), recorded[0])
     off, parts = arrays["displacement"] - arrays["true_displacement"], []
     for dof, (true, estimate) in enumerate(zip(arrays["true_displacement"], arrays["displacement"], strict=True)):
         name = f"mass {dof + 1}: displacement (m)"
         parts += [curves(name, arrays["dense_times"], true=true, estimate=estimate), samples(name, arrays, dof)]
-        parts.append(error_band(f"mass {dof + 1}: estimate − truth (mm)", arrays, dof))
+        parts.append(error_band(f"mass {dof + 1}: estimate − true (mm)", arrays, dof))
     return Picture(
         "two_masses",
         panels(pd.concat(parts), None, 2, 80),
-        f"{title(cell.label)} finds the motion of {len(off)} masses to {MILLI * math.sqrt(np.mean(off**2)):.2g} mm, "
-        f"root mean square. Left: response, grey the true one, with the samples ({where(cell)}; replicate 0). Right: "
-        "estimate minus truth, with the method's own 95 % band. The paper's Figure 11 shows a simulated response of "
-        "two masses, of which nothing is identified.",
+        f"{title(cell.label)} reconstructs the motion of {len(off)} masses with a root mean square error of "
+        f"{MILLI * math.sqrt(np.mean(off**2)):.2g} mm. Left: estimated response, true response (grey) and samples "
+        f"({where(cell)}; replicate 0). Right: estimate minus true response, with the 95 % band of the method. The "
+        "paper's Figure 11 shows a simulated response of two masses without any identification.",
     )
 
 
 @dataclass(frozen=True, eq=False)
 class ShownTrack:
-    """A scenario's first replicate: stream, bound, quantity, and by title each tracker's path with its excess."""
+    """First replicate of a scenario: stream, bound, quantity, and the path and excess of each tracker by title."""
 
     scenario: str
     stream: Stream
@@ -211,12 +214,12 @@ class ShownTrack:
 
     @property
     def nearest(self) -> str:
-        """The tracker that is drawn, which is nearest to the bound."""
+        """Title of the tracker nearest to the bound, which is drawn."""
         return min(self.paths, key=lambda title: self.paths[title][1])
 
 
 def draw_online(shown: Sequence[ShownTrack]) -> Picture:
-    """A panel a scenario: what changes, the bound about it, and the tracker nearest to the bound."""
+    """Draw the changing quantity, the bound, and the tracker nearest to the bound, one panel per scenario."""
     first = [track.nearest for track in shown]
     leaders = [name for name in dict.fromkeys(first) if first.count(name) == max(map(first.count, first))]
     several = len(leaders) > 1
@@ -224,16 +227,15 @@ def draw_online(shown: Sequence[ShownTrack]) -> Picture:
         "online",
         panels(pd.concat(map(track_lines, shown)), None, 4, 60),
         f"{' and '.join(leaders)} {'are' if several else 'is'} most often nearest to the bound, in "
-        f"{first.count(leaders[0])} of {len(shown)} scenarios{' each' if several else ''}. One record of each "
-        "scenario: in broad grey the ratio that is to be followed (SI units), about it 95 % of an unbiased estimate's "
-        "errors at the bound, and in blue the tracker nearest to the bound over all records, with its own 95 % "
-        "interval and its error over the bound. A curve begins where a tracker gives its first estimate; what is "
-        "beyond a panel runs along its edge.",
+        f"{first.count(leaders[0])} of {len(shown)} scenarios{' each' if several else ''}. One record per scenario. "
+        "Grey line: true ratio (SI units); grey region: 95 % range of an unbiased estimate at the bound; blue: the "
+        "tracker nearest to the bound over all records, with its 95 % interval and its error over the bound. A curve "
+        "begins with the first estimate of the tracker, and is clipped at the edges of the panel.",
     )
 
 
 def track_lines(track: ShownTrack) -> pd.DataFrame:
-    """Return the lines of a scenario's panel, within limits that show the truth and the late part of the rest."""
+    """Return the lines of a scenario's panel, clipped to limits from the true value and the later estimates."""
     quantities, times = track.stream.layout.quantities, track.stream.times
     i = [quantity.name for quantity in quantities].index(track.quantity)
     true = quantities[i].value(track.stream.truth.parameters) * np.ones(len(times))

@@ -79,9 +79,9 @@ def test_good_methods_pass_whatever_they_do_besides(third_party: dict[str, Modul
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_seen_by_its_check_and_has_a_remedy(fault: str, third_party: dict[str, ModuleType]) -> None:
     (failed,) = failures(third_party["sloppy"].Sloppy(fault=fault), FAULTS[fault]).values()
-    assert len(failed.found.split()) >= 3
+    assert len(failed.message.split()) >= 3
     assert len(failed.remedy.split()) >= 4
-    assert "\n" not in failed.found + failed.remedy
+    assert "\n" not in failed.message + failed.remedy
 
 
 @pytest.mark.parametrize("way", WAYS)

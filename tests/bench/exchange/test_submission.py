@@ -23,7 +23,7 @@ from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.registry import load_method
 from bench.errors import InputError
-from bench.exchange import fresh, merging
+from bench.exchange import merging, secret_problems
 from bench.exchange.merging import draw
 from bench.exchange.submission import MANIFEST, pack, unpack
 from bench.scenario.scenario import Scenario
@@ -304,8 +304,8 @@ def test_a_method_that_knows_public_data_is_found_on_fresh_ones(
 
 def test_fresh_errors_are_compared_by_ranks() -> None:
     """A failure is an infinite error; the mean logarithm of 10 and 0.1 bounds is that of one."""
-    assert fresh._mean_log([(0.1, 0.01), (-0.001, 0.01)]) == pytest.approx(0.0, abs=1e-12)
-    assert fresh._mean_log([(math.nan, 0.01)]) == math.inf
+    assert secret_problems._mean_log([(0.1, 0.01), (-0.001, 0.01)]) == pytest.approx(0.0, abs=1e-12)
+    assert secret_problems._mean_log([(math.nan, 0.01)]) == math.inf
 
 
 def filled(folder: Path, *labels: str) -> Store:

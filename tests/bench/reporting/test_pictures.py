@@ -62,7 +62,7 @@ from bench.reporting.pictures.responses import (
     draw_two_masses,
     simulated,
 )  # fmt: skip
-from bench.reporting.pictures.rows import draw_coverage, draw_time, excess_interval, held
+from bench.reporting.pictures.rows import coverage, draw_coverage, draw_time, excess_interval
 from bench.reporting.pictures.style import Nothing, Picture, specification
 from bench.reporting.pictures.theme import theme
 
@@ -267,13 +267,13 @@ def test_the_coverage_of_uniform_levels_is_the_nominal_one_on_the_seed_with_most
     picture = draw_coverage(Gallery(store))
     assert "in 1 of 1 methods" in picture.caption
     assert "seed 4711" in picture.caption
-    shown = drawn(picture, "held").set_index(["quantity", "rule"])
+    shown = drawn(picture, "coverage").set_index(["quantity", "rule"])
     for level in (50, 80, 95):
-        assert shown.loc[("k/m", level), "held"] == pytest.approx(level, abs=100 / n)
-        assert shown.loc[("c/m", level), "held"] == 0.0
+        assert shown.loc[("k/m", level), "coverage"] == pytest.approx(level, abs=100 / n)
+        assert shown.loc[("c/m", level), "coverage"] == 0.0
     cell = next(cell for cell in Gallery(store).cells if cell.seed == 4711)
     want = stats.binomtest(190, n).proportion_ci(method="wilson")
-    assert held(cell, "k_over_m", 95)[1:] == pytest.approx((want.low, want.high), abs=1e-3)
+    assert coverage(cell, "k_over_m", 95)[1:] == pytest.approx((want.low, want.high), abs=1e-3)
 
 
 def test_time_is_the_median_fit_and_rows_stand_by_tier(store: Store) -> None:
