@@ -34,9 +34,9 @@ def merge(
     Exit status: 0, 1 where a submission does not agree, 2 for bad input.
     """
     from bench.engine.runner import compute_bounds
-    from bench.exchange.secret_problems import compare_fresh
     from bench.exchange.merging import add_cells, add_store, summarised, understood, verified
     from bench.exchange.recomputing import widest_limits
+    from bench.exchange.secret_problems import compare_fresh
     from bench.exchange.submission import unpack
     from bench.isolation.machine import usable_cores
     from bench.reporting.terminal import wrapped

@@ -1,7 +1,7 @@
-"""A fit among decoys: a method that uses one answers otherwise than without it, and looks into files are noted.
+"""Run a fit among decoys: a method that uses one of them changes its estimate, and access to files is recorded.
 
-The decoys are a truth with wrong parameters on the problem and in the frame of its caller, a store, a file and a
-variable with them, and a random stream with a wrong seed. In a sweep there is nothing of the kind to be found.
+The decoys are wrong true values on the problem and in the frame of its caller, in a store, in a file and in a variable,
+and a random stream with a wrong seed. In a sweep, methods have no access to any of these.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ PARAMETERS = {"m": 1.7, "c": 0.9, "k": 19.0}
 ATTRIBUTES = ("truth", "_truth", "scenario", "parameters_true")
 WRONG_SEED, WRONG_KEY = 7, (3, 1, 2, 0)
 LOOKS = ("open", "os.listdir", "os.scandir")
-"""Audit events (PEP 578) of a look at files."""
+"""Audit events (PEP 578) of access to files."""
 
 _watched: list[tuple[tuple[str, ...], list[str]]] = []
-"""Folders that are watched, and the looks into them; empty but during a fit among decoys."""
+"""Watched folders with the recorded accesses; empty except during a fit among decoys."""
 
 
 def fit_among_decoys(method: Identifier, problem: Problem, seed: int) -> tuple[Estimate, list[str]]:
-    """Return the estimate, and the looks into stores and scenarios and the connections that the method tried."""
+    """Return the estimate, and the method's accesses to stores and scenarios and attempts to connect."""
     parameters, looks = dict(PARAMETERS), list[str]()
     times, start = np.linspace(0.0, 8.0, 50), InitialState(np.array([0.5]), np.array([-0.2]))
     motion = np.cos(times)[None]
@@ -67,14 +67,14 @@ def fit_among_decoys(method: Identifier, problem: Problem, seed: int) -> tuple[E
                 return method.identify(problem, rng), looks
         finally:
             _watched.clear()
-            parameters.clear()  # a truth that is still found holds nothing
+            parameters.clear()  # references that a method has kept become empty
             for attribute in ATTRIBUTES:
                 object.__delattr__(problem, attribute)
 
 
 @cache
 def _watch_files() -> None:
-    """Install the audit hook once: it cannot be removed, and is idle where nothing is watched."""
+    """Install the audit hook once; it cannot be removed, and does nothing unless a folder is watched."""
     sys.addaudithook(_note)
 
 

@@ -1,4 +1,4 @@
-"""What the source of a method imports of the harness: the names of ``bench`` are its contract."""
+"""Check the imports of a method: only public names of ``bench`` are part of the contract."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from bench.conformance.check import Refusal
 
 HARNESS = "bench"
 MODULE = re.compile(r"bench(\.\w+)+")
-"""A module of the harness, written as a word: whoever imports it by its name alone."""
+"""Name of a module of the harness as a string, for dynamic imports."""
 
 
 @cache
 def foreign_imports(path: Path, allowed: Sequence[str] = (HARNESS,)) -> tuple[str, ...]:
-    """Say where a file imports more of the harness than public names of the ``allowed`` modules, a line each."""
+    """List the imports of a file that are not public names of the ``allowed`` modules of the harness."""
     names = import_module(HARNESS).__all__
     lines = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -39,7 +39,7 @@ def foreign_imports(path: Path, allowed: Sequence[str] = (HARNESS,)) -> tuple[st
 
 
 def check_imports(cls: type, allowed: Sequence[str] = (HARNESS,)) -> None:
-    """Raise Refusal where the package of a class, tests apart, or its module where it is in none, imports more."""
+    """Raise Refusal if the package of a class (without tests), or its module, imports other names of the harness."""
     root = sys.modules[cls.__module__.partition(".")[0]]
     paths = [Path(str(sys.modules[cls.__module__].__file__))]
     if root.__file__ is not None and hasattr(root, "__path__"):

@@ -1,4 +1,4 @@
-"""The requirements on any method, ours or anybody's, in the order in which they are worth reading."""
+"""Requirements on methods, of this project and of others, in order of importance."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ SEED = 11
 REPLICATES = (5, 2, 3)
 """Seeds of the problems that are solved again in another process, the ordinary one first."""
 TIMES = np.linspace(0.0, 8.0, 9)
-"""Where reconstructions are compared (s)."""
+"""Times at which reconstructions are compared (s)."""
 SAME_IN_BATCH = 1e-12
-"""Relative difference: on some processors a matrix product sums in another order with more rows."""
+"""Largest relative difference in a batch: the order of sums in a matrix product may depend on the number of rows."""
 SAME_IN_PROCESS = 1e-9
-"""Relative difference: sums may be ordered by where arrays lie in memory."""
+"""Largest relative difference between processes: the order of sums may depend on the alignment of arrays."""
 SAME_IN_UNITS = 1e-3
-"""Difference over the standard error."""
+"""Largest difference between units, over the standard error."""
 WITHOUT_ERROR = 0.01
 """Relative standard error assumed of a method that states none."""
 MASS_WITHIN = 2.5
@@ -49,7 +49,7 @@ STATE = "keep nothing on the class, in the module or in a file from one call of 
 
 
 class Candidate:
-    """A method under check, with the answers that several checks need, each computed once."""
+    """A method under check, with the estimates that several checks need, each computed once."""
 
     def __init__(self, method: Identifier) -> None:
         self.method = method
@@ -57,12 +57,12 @@ class Candidate:
         self.threads = set(threading.enumerate())
 
     def fit(self, problem: Problem | None = None) -> Estimate:
-        """Answer a problem, by default the ordinary one."""
+        """Fit a problem, by default the ordinary one."""
         return self.method.identify(problem or free_problem(), anonymous_stream(SEED))
 
     @cached_property
     def first(self) -> Estimate:
-        """The first answer to the ordinary problem."""
+        """First estimate of the ordinary problem."""
         began = time.perf_counter()
         estimate = self.fit()
         self.seconds = time.perf_counter() - began
@@ -70,7 +70,7 @@ class Candidate:
 
     @cached_property
     def second(self) -> tuple[Estimate, list[str], bool]:
-        """The answer after another problem and among decoys, looks into files, and whether the data are unchanged."""
+        """Estimate after another problem and among decoys, accesses to files, and whether the data are unchanged."""
         _ = self.first, self.fit(free_problem(seed=2))
         problem = free_problem()
         digest = data_digest(problem)
@@ -78,7 +78,7 @@ class Candidate:
 
 
 def valid(estimate: Estimate) -> Estimate:
-    """Return the estimate, if it is an answer of the form of the contract; raises Refusal."""
+    """Return the estimate if it has the form of the contract; else raises Refusal."""
     if not isinstance(estimate, Estimate):
         raise Refusal(f"estimate returned a {type(estimate).__name__}", "return a bench.Estimate")
     if estimate.status is not Status.OK:
@@ -97,7 +97,7 @@ def valid(estimate: Estimate) -> Estimate:
 
 
 def summary(estimate: Estimate, prior: Prior | None) -> np.ndarray:
-    """Return k/m and c/m, then their standard errors (half the 68 % interval); NaN where there is no answer."""
+    """Return k/m and c/m, then their standard errors (half the 68 % interval); NaNs for a failed fit."""
     if estimate.status is not Status.OK:
         return np.full(4, math.nan)
     combined = combine_with_prior(estimate, prior)

@@ -1,4 +1,4 @@
-"""The problems that methods are checked on: a system that is in no table, ordinary data of it, and difficult ones."""
+"""Problems for the checks of methods: ordinary and difficult data of a system that is in no table."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def free_problem(
         noise: Standard deviation of the noise (m).
         seed: Seed of the noise.
         known: Whether the initial state is known.
-        dead: Whether the sensor shows nothing.
+        dead: Whether the sensor reads zero throughout.
         prior: The prior, if any.
     """
     rng = np.random.default_rng(seed)

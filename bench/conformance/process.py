@@ -1,4 +1,4 @@
-"""The process in which somebody else's code is imported and checked; where it hangs or dies, one check is lost."""
+"""Run the checks in a separate process; if the checked code hangs or crashes, only one check fails."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Settings = Mapping[str, Mapping[str, Any]]
 
 
 def checked(text: str, settings: Settings, timeout_s: float) -> Iterator[tuple[Subject, CheckOutcome]]:
-    """Run the checks of all that a text names, each within a time limit (s), up to a gate that fails.
+    """Run the checks of all subjects that a text names, each with a time limit (s), up to a gate that fails.
 
     Raises:
-        InputError: Where nothing is named, or it cannot be imported or made.
+        InputError: If the text names no subject, or one that cannot be imported or created.
     """
     with Children() as children:
         child, subjects = _opened(children, text, settings, timeout_s)
@@ -60,7 +60,7 @@ def _opened(children: Children, text: str, settings: Settings, timeout_s: float)
 
 
 def serve(connection: Connection, text: str, settings: Settings, folder: str) -> None:
-    """Import what a text names in a folder, and run one check after another until nobody asks any more."""
+    """Import the subjects that a text names, and run the requested checks until the connection closes."""
     limit_files()
     connection.send_bytes(b"ready")
     os.chdir(folder)

@@ -1,6 +1,6 @@
-"""The subjects of a check: a file, a folder with a ``pyproject.toml``, an installed package or a registered name.
+"""Find the subjects of a check: a file, a folder with a ``pyproject.toml``, an installed package or a registered name.
 
-They are found, imported and made in a process of their own (:mod:`bench.conformance.process`).
+They are imported and created in a separate process (:mod:`bench.conformance.process`).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from bench.systems import GROUP, System, make_system, registered_systems
 
 Kind = Literal["method", "system"]
 KINDS: Mapping[str, Kind] = {registry.GROUP: "method", GROUP: "system"}
-"""The kind of subject that is registered in each group of entry points."""
+"""Kind of the subjects of each group of entry points."""
 
 
 class Subject(NamedTuple):
-    """A method or a system: the name that it is, or would be, registered by, and where its class stands."""
+    """A method or a system: kind, registered name, and location of its class."""
 
     kind: Kind
     name: str
@@ -41,7 +41,7 @@ class Subject(NamedTuple):
 
 
 def subjects_of(text: str) -> list[Subject]:
-    """Return the subjects that a text names, which can then be imported here; raises InputError where it names none."""
+    """Return the subjects that a text names, and make them importable; raises InputError if it names none."""
     path, place = Path(text), os.path.abspath(text)
     if os.path.isdir(path):
         sys.path[:0] = [os.path.join(place, "src"), place]
@@ -79,7 +79,7 @@ def _declared(folder: Path) -> list[Subject]:
 
 
 def _defined(path: Path) -> list[Subject]:
-    """Return the methods and systems whose classes stand in a file; raises InputError."""
+    """Return the methods and systems that a file defines; raises InputError if there are none."""
     try:
         module = importlib.import_module(path.stem)
     except Exception as error:
@@ -99,7 +99,7 @@ def _defined(path: Path) -> list[Subject]:
 
 
 def made(subject: Subject, settings: dict[str, Any]) -> Candidate | Specimen:
-    """Register a subject in this process, as an installed package has it, and make it with its settings."""
+    """Register a subject in this process, as if it were installed, and create it with its settings."""
     kind, name, value = subject
     points = registry.registered() if kind == "method" else registered_systems()
     if (name in points and points[name].value != value) or name in registry.REFERENCES:

@@ -1,4 +1,4 @@
-"""The requirements on any system, ours or anybody's: its equation does what it declares."""
+"""Requirements on systems, of this project and of others: the equation agrees with its declaration."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from bench.systems import FORCE, MEASURED, Kind, Ops, System
 
 SYSTEM_CHECKS = Checks()
 NEAR = 1e-9
-"""Relative to the largest number beside it: the same but for rounding."""
+"""Largest difference due to rounding, relative to the largest number of the same row."""
 SAME_PATH = 1e-5
-"""Difference over the largest displacement: a fixed step against an integrator with tight tolerance."""
+"""Largest difference of paths, over the largest displacement, between a fixed step and a tight tolerance."""
 OTHER_UNITS = Units(mass=3.0, length=5.0, time=7.0)
 ALLOWED = ("bench", "bench.systems")
 POINTS = 5
@@ -47,12 +47,12 @@ class Specimen:
 
     @cached_property
     def parameters(self) -> dict[str, float]:
-        """Typical parameters, no two of a kind alike."""
+        """Typical parameters, different for each parameter of a kind."""
         return {p.name: TYPICAL[p.kind] * 1.1**i for i, p in enumerate(self.system.parameters)}
 
     @property
     def motion(self) -> list[np.ndarray]:
-        """Random motion at ``POINTS`` instants, the same each time."""
+        """Random motion at ``POINTS`` instants, the same at every access."""
         rng, n = np.random.default_rng(7), self.system.n_dof
         return [rng.standard_normal((size, POINTS)) for size in (n, n, n, n, self.system.n_hidden)]
 

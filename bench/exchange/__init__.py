@@ -1,1 +1,1 @@
-"""What is handed on: submissions of stored rows, merged stores, and exports for other tools."""
+"""Exchange of results: submissions of stored cells, merged stores, and exports for other tools."""

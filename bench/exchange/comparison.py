@@ -1,4 +1,4 @@
-"""Rows of a cell that were computed again, compared with the stored ones."""
+"""Compare recomputed rows of a cell with the stored ones."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from bench.scoring.traces import depends_on_clock
 SAME_DIGITS = 1e-5
 """Relative difference below which two scores are the same: the archive keeps five significant digits."""
 SAME = 5e-5
-"""Largest relative difference of a verified score: a tenth of what rounding to the three digits of a table takes."""
+"""Largest relative difference of a verified score: a tenth of the rounding to the three digits of a table."""
 TOLERANCE = 1e-3
-"""Relative difference of a score that no table shows."""
+"""Largest relative difference of a score that is in no table."""
 HIT_ONE_IN = 20
-"""The change that a comparison may miss alters one replicate in so many: 5 %."""
+"""The probability of a missed change is stated for a change of one replicate in this number (5 %)."""
 
 
 def score_differences(before: Sequence[Row], again: Sequence[Row], cell: Sequence[Row]) -> dict[str, float]:

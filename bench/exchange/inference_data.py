@@ -1,4 +1,4 @@
-"""The posterior draws of a stored cell as ArviZ has them, with the record that they are of."""
+"""Convert the posterior draws of a stored cell to ArviZ, with their record."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from bench.systems import make_system
 
 
 def inference_data(stored: StoredCell) -> Any:
-    """Return the draws of the replicate whose arrays are kept, as ``arviz.InferenceData``.
+    """Return the draws of replicate 0 as ``arviz.InferenceData``.
 
-    ``posterior``: a variable a parameter, of one chain (draws are thinned, and those of several walkers lie together:
-    diagnostics of chains are no use on them). ``observed_data``: the displacements (m) by sample, with ``time`` (s) and
-    ``dof`` as coordinates. Raises InputError where the cell keeps no draws.
+    ``posterior`` has a variable per parameter, in one chain: the draws are thinned and those of several walkers merged,
+    so diagnostics of chains do not apply. ``observed_data`` has the displacements (m) by sample, with the coordinates
+    ``time`` (s) and ``dof``. Raises InputError for a cell without draws.
     """
     arrays = stored.arrays
     if "draws" not in arrays:

@@ -1,4 +1,4 @@
-"""Cells of a submission, or of another store, brought into a store."""
+"""Merge the cells of a submission, or of another store, into a store."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from bench.store.stored_cell import StoredCell
 
 LEAST_ROWS = 5
 OF_MACHINE = (Status.TIMEOUT, Status.KILLED, Status.OOM)
-"""What becomes of a fit on a slower or smaller machine: rows that are not compared."""
+"""Statuses that depend on the machine; their rows are not compared."""
 MOST_NAMED = 5
 Pair = tuple[StoredCell, Cell]
 
 
 def understood(stored: StoredCell, manifest: Mapping[str, Any], path: Path) -> Cell:
-    """Return the cell that a submitted one answers.
+    """Return the cell of a submitted result.
 
-    Raises InputError where the submission is of another method, or this installation could not compute it again.
+    Raises InputError if the submission is of another method, or cannot be recomputed by this installation.
     """
 
     def refused(reason: str) -> InputError:
@@ -59,7 +59,7 @@ def understood(stored: StoredCell, manifest: Mapping[str, Any], path: Path) -> C
 
 @dataclass(frozen=True)
 class Verification:
-    """Which rows were computed again, by cell; the largest relative difference; the cells that came out otherwise."""
+    """Result of a verification: recomputed rows by cell, largest relative difference, and cells that differ."""
 
     compared: Mapping[str, tuple[int, ...]]
     of: int
@@ -68,11 +68,11 @@ class Verification:
 
     @property
     def n(self) -> int:
-        """The number of rows that were computed again."""
+        """Number of recomputed rows."""
         return sum(map(len, self.compared.values()))
 
     def facts(self) -> dict[str, Any]:
-        """Return what a merged cell states of its verification."""
+        """Return the facts that a merged cell stores on its verification."""
         return {
             "rows_compared": self.n, "of_rows": self.of, "largest_difference": float(f"{self.largest:.2g}"),
             "missed_5_percent": miss_probability(self.of, self.n),
@@ -89,7 +89,7 @@ class Verification:
 
 
 def draw(pairs: Sequence[Pair], share: float, seed: int) -> dict[str, tuple[int, ...]]:
-    """Draw rows that are computed again, by cell: so large a share of all, five at least, each equally likely."""
+    """Draw the rows to recompute, by cell: a share of all rows, at least five, each with equal probability."""
     rows = [(stored.identity, row.replicate) for stored, _ in pairs for row in stored.rows
             if row.status not in OF_MACHINE]  # fmt: skip
     n = min(len(rows), max(LEAST_ROWS, math.ceil(share * len(rows))))
@@ -101,7 +101,7 @@ def draw(pairs: Sequence[Pair], share: float, seed: int) -> dict[str, tuple[int,
 
 
 def verified(pairs: Sequence[Pair], share: float, seed: int, limits: Limits) -> Verification:
-    """Compute some of the rows again, and compare every score that does not depend on the machine's speed."""
+    """Recompute some of the rows, and compare every score that does not depend on the speed of the machine."""
     chosen = draw(pairs, share, seed)
     rows = recompute([(cell, chosen[cell.identity]) for _, cell in pairs if cell.identity in chosen], limits)
     differences = {
@@ -122,17 +122,17 @@ def _named(stored: StoredCell) -> str:
 
 
 def summarised(stored: StoredCell, bound: Bound) -> StoredCell:
-    """Return the cell with its summary and bound computed from its rows."""
+    """Return the cell with summary and bound recomputed from its rows."""
     summary = summarise(stored.rows, bound)
     return replace(stored, summary=summary, prior_share=bound.prior_share, identifiable=bound.identifiable)
 
 
 def add_cells(cells: Iterable[StoredCell], into: Store) -> str:
-    """Bring cells into a store; returns how many were added, replaced and kept.
+    """Merge cells into a store; returns how many were added, replaced and kept.
 
-    Of two answers to one question the better is kept: one's own rather than a submitted one, the present code's rather
-    than a stale one, the one with more successful fits; of two that are alike, the one that was there. Raises
-    InputError for a damaged cell, or where the store cannot be written.
+    Of two results for the same cell one is kept: a result that was not submitted, then a current one, then the one with
+    more successful fits, then the one already stored. Raises InputError for a damaged cell, or a store that cannot be
+    written.
     """
     added = replaced = kept = 0
     try:
@@ -149,9 +149,9 @@ def add_cells(cells: Iterable[StoredCell], into: Store) -> str:
 
 
 def add_store(source: Path, into: Store) -> str:
-    """Bring all cells of another store into a store; returns what :func:`add_cells` does."""
+    """Merge all cells of another store into a store; returns the text of :func:`add_cells`."""
     if source.resolve() == into.folder.resolve():
-        raise InputError("store", into.folder, "a store is not merged with itself; name another")
+        raise InputError("store", into.folder, "a store cannot be merged with itself; name another")
     cells = list(Store(source))
     if not cells:
         raise InputError("submission", source, "no cell is stored there")
@@ -160,7 +160,7 @@ def add_store(source: Path, into: Store) -> str:
 
 
 def _rank(stored: StoredCell) -> tuple[bool, bool, int]:
-    """Rate an answer: whether it is one's own, whether it is of the present code, and its successful fits."""
+    """Rank a result: not submitted, computed by the present code, number of successful fits."""
     try:
         current = stored_as_cell(stored).version.matches(stored.version)
     except InputError:  # its method is not installed, or its configuration means something else now

@@ -1,4 +1,4 @@
-"""A cell as a notebook: the same computation from Python, its scores, and a picture of its first record."""
+"""Export a cell as a notebook: the same computation in Python, its scores, and a figure of its first record."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bench.errors import InputError
 from bench.store.cell import Cell
 
 NAMED = ("method", "system", "snr", "initial_state", "prior", "disturbance", "replicates", "seed")
-"""Fields that :func:`bench.run` takes by their names; others are its ``settings``."""
+"""Fields that are arguments of :func:`bench.run`; others are its ``settings``."""
 PICTURE = """import altair as alt
 import pandas as pd
 
@@ -39,12 +39,12 @@ def notebook(cell: Cell, overrides: Mapping[str, Sequence[Any]]) -> str:
         v4.new_markdown_cell(
             f"# {cell.label} on {scenario.label}, {scenario.snr_db:g} dB\n\n"
             f"{cell.replicates} replicates of seed {cell.seed}, initial state {scenario.initial_state}. "
-            "What is stored already is not computed again."
+            "Stored results are not recomputed."
         ),
         v4.new_code_cell(f"import bench\n\nresults = bench.run(\n{call})\nresults"),
         v4.new_markdown_cell("Every metric: median over the replicates with its interval, the bound, and the excess."),
         v4.new_code_cell("results.frame()"),
-        v4.new_markdown_cell("The first record, the true motion, and what the method makes of it."),
+        v4.new_markdown_cell("The first record with the true and the identified motion."),
         v4.new_code_cell(PICTURE),
     ]
     for number, part in enumerate(cells):

@@ -1,7 +1,7 @@
-"""A scenario's data as a PEtab problem: what a method is given, for whatever fits systems of equations elsewhere.
+"""Export the data of a scenario as a PEtab problem, for other programs that fit differential equations.
 
-PEtab (Schmiester et al., PLOS Comput. Biol. 17:e1008646, 2021; version 1 of the format): the model in SBML, and tables
-of parameters, observables, conditions and measurements. The truth stands apart, in a table of its own.
+PEtab (Schmiester et al., PLOS Comput. Biol. 17:e1008646, 2021; version 1 of the format) consists of the model in SBML,
+and of tables of parameters, observables, conditions and measurements. The true values are in a separate table.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bench.scenario.truth import Truth
 from bench.systems import System
 
 LEAST, MOST = 1e-9, 1e9
-"""Bounds of positive parameters, wide enough for any scenario; a start value may be negative."""
+"""Bounds of positive parameters, wide enough for any scenario; an initial state may be negative."""
 CONDITION = "record"
 DESCRIPTION = """format_version: 1
 parameter_file: parameters.tsv
@@ -101,7 +101,7 @@ def formula(expression: Any) -> str:
 
 
 def sbml(system: System) -> str:
-    """Return the model: a parameter for each of the system's, for each state (with a rate rule), and for its start."""
+    """Return the model, with a parameter for each parameter, each state (with a rate rule) and each initial value."""
     try:
         import libsbml
     except ImportError:

@@ -1,9 +1,9 @@
-"""The published archive, written anew from a store and what it holds already.
+"""Write the published archive from a store and the present archive.
 
-A cell of the store takes the place of the archive's, and a cell of an experiment that of one that asked the same with
-another number of replicates. A file of the archive holds the cells of one experiment (those of several stand with the
-first: tables by number, then the others by name; those of none, in ``other``). The files are replaced together once all
-of them are written; where that is interrupted, restore the folder (``git restore results/archive``) and run it again.
+A cell of the store replaces that of the archive, and a cell of an experiment replaces one that differs in the number of
+replicates alone. A file of the archive has the cells of one experiment; a cell of several experiments is in the file of
+the first (tables by number, then the others by name), and a cell of none in ``other``. All files are replaced together
+at the end; if that is interrupted, restore the folder (``git restore results/archive``) and run it again.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ OTHER = "other"
 
 @dataclass(frozen=True)
 class Described:
-    """What the experiments describe.
+    """Cells that the experiments describe.
 
-    ``places``: the file of each cell by identity. ``questions``: those identities by the cell's question, whatever its
-    replicates. ``bounds``: the identities of all their bounds. ``drawn``: the experiments that draw their scenarios, of
-    which no curve is shown, and none is published.
+    Attributes:
+        places: File of each cell, by identity.
+        questions: Identities by the cells' questions, which do not depend on the number of replicates.
+        bounds: Identities of all bounds.
+        drawn: Experiments with random scenarios, whose arrays are not published.
     """
 
     places: Mapping[str, str] = field(default_factory=dict)
@@ -56,7 +58,7 @@ def described() -> Described:
 
 
 def superseded(stored: StoredCell, experiments_described: Described, both: Store) -> bool:
-    """Return whether a cell of no experiment asks what one of an experiment does, of other replicates."""
+    """Return whether a cell of no experiment differs from one of an experiment in the number of replicates alone."""
     try:
         cell = stored_as_cell(stored)
     except InputError:
@@ -66,7 +68,7 @@ def superseded(stored: StoredCell, experiments_described: Described, both: Store
 
 
 def write_published(store: Store, archive: Archive, experiments_described: Described) -> list[Path]:
-    """Write an archive anew, with the cells of a store; returns the files that have changed.
+    """Write an archive with the cells of a store added; returns the files that have changed.
 
     Raises InputError for a damaged cell, OSError without room.
     """
@@ -84,7 +86,7 @@ def write_published(store: Store, archive: Archive, experiments_described: Descr
 
 
 def _bounds(both: Store, archive: Archive, used: Collection[str]) -> dict[str, str]:
-    """Return the texts of bounds by identity, but for files that are not whole: who needs these computes them anew."""
+    """Return the texts of bounds by identity, without damaged files, which are recomputed when needed."""
     texts = archive.bounds()
     for path in both.bounds.glob("*.bound"):
         with contextlib.suppress(OSError, Unsealed):

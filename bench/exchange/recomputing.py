@@ -1,4 +1,4 @@
-"""Replicates of stored cells, computed again."""
+"""Recompute replicates of stored cells."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bench.store.stored_cell import StoredCell
 
 
 def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) -> dict[str, Rows]:
-    """Compute some replicates of each cell; returns their rows in order, by the cell's identity."""
+    """Compute some replicates of each cell; returns their rows in order, by identity of the cell."""
     with tempfile.TemporaryDirectory() as folder, progress_bar() as on_progress:
         store = Store(Path(folder))
         planned = [(Planned(cell, CellState.MISSING, "", True), replicates) for cell, replicates in chosen]
@@ -27,10 +27,10 @@ def recompute(chosen: Sequence[tuple[Cell, Collection[int]]], limits: Limits) ->
 
 
 def widest_limits(cells: Sequence[StoredCell], workers: int) -> Limits:
-    """Return so many workers, and the widest limits that any of the cells states and a run accepts."""
+    """Return the widest limits that any of the cells states and a run accepts, with a number of workers."""
     stated = [stored.provenance.get("limits", {}) for stored in cells]
     widest = {
-        name: max([getattr(Limits(), name), *(own for limits in stated if (own := float(limits.get(name, 0))) <= most)])
+        name: max([getattr(Limits(), name), *(limit for part in stated if (limit := float(part.get(name, 0))) <= most)])
         for name, most in (("timeout_s", MOST_TIMEOUT_S), ("memory_mb", MOST_MEMORY_MB))
     }
     return Limits(workers, **widest, preload=preloaded())

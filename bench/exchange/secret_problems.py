@@ -1,8 +1,8 @@
-"""A submitted method tried on data that nobody can have seen, which it is given by file.
+"""Test a submitted method on problems of a secret seed, which it reads from files.
 
-Recomputed rows show that a submission is what the method answers, not that the answer comes from the data: a method
-can draw the truth of a public scenario from its public seed. So scenarios of the submission are varied by a secret seed
-and its errors there, over their bounds, must be distributed like those that were submitted.
+Recomputed rows prove that the method gives the submitted estimates, but not that these come from the data: a method
+could draw the true values of a public scenario from its public seed. Therefore scenarios of the submission are varied
+by a secret seed, and the errors over their bounds must have the distribution of the submitted errors.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from bench.store.cell import Cell
 from bench.store.stored_cell import StoredCell
 
 VARIED = 0.25
-"""Each parameter of a varied scenario is off by a factor of up to exp(0.25): as difficult, and another truth."""
+"""Largest change of the logarithm of a parameter in a varied scenario, which stays as difficult as the original."""
 SIGNIFICANT = 1e-3
 """Probability below which two samples of errors count as different: one honest submission in a thousand is refused."""
 LEAST_ERROR = 1e-6
-"""Relative error below which errors are alike: what files keep of a number."""
+"""Smallest relative error that is distinguished: the rounding of numbers in files."""
 Submitted = tuple[StoredCell, Cell, Bound]
 
 
@@ -62,7 +62,7 @@ class FreshComparison:
 
 
 def compare_fresh(submitted: Sequence[Submitted], problems: int, limits: Limits) -> FreshComparison | None:
-    """Solve varied scenarios of a submission; None where none is asked for, or files cannot hold any of them.
+    """Solve varied scenarios of a submission; None if none is requested, or files cannot represent them.
 
     The test is that of Mann and Whitney (Ann. Math. Stat. 18:50, 1947), of one number a data set: the mean over its
     quantities of the logarithm of error over bound. A failure counts as an infinite error.
@@ -71,7 +71,7 @@ def compare_fresh(submitted: Sequence[Submitted], problems: int, limits: Limits)
 
     if not problems:
         return None
-    close_memory()  # which holds the truth
+    close_memory()  # this process holds the true values
     rng = SecretStream(secrets.randbits(8 * SEED_BYTES))
     order = sorted(submitted, key=lambda _: rng.random())
     before: dict[str, list[float]] = {}
@@ -105,9 +105,9 @@ def _varied(name: str, cell: Cell, rng: SecretStream) -> DrawnProblem:
 
 
 def _solved(cell: Cell, drawn: Sequence[DrawnProblem], limits: Limits) -> list[float]:
-    """Return the errors of a method in a process that gets files alone, infinite where it has no answer.
+    """Return the errors of a method in a process that reads files alone, infinite for failed fits.
 
-    Raises InputError where that process cannot work at all.
+    Raises InputError if the process itself fails.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

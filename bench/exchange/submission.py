@@ -1,8 +1,7 @@
-"""A submission: stored cells of one method in one file, with what is needed to verify them.
+"""Submissions: stored cells of one method in one file, with the facts needed to verify them.
 
-It is a zip of the files of cells, beside ``manifest.json``: which method, class and benchmark, and the cells. Every
-file has its own checksum; recomputing some of a cell shows how far it can be believed
-(``python -m bench share action=merge``).
+A submission is a zip archive of the files of cells and ``manifest.json`` (method, class, benchmark, cells). Every file
+has a checksum; merging recomputes some of the rows (``python -m bench share action=merge``).
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ FORMAT = 2
 ENDING = ".submission"
 MANIFEST = "manifest.json"
 LARGEST, LARGEST_PACKED_TIGHT, TIGHT = 2**29, 2**26, 100
-"""Bytes that a submission may unpack to, and those where it is packed to less than one in so many."""
+"""Largest size of an unpacked submission (bytes), and the limit for one compressed by more than the third factor."""
 STATED = ("method", "class", "benchmark", "by", "made")
-"""What a manifest says in words."""
+"""Fields of a manifest that are texts."""
 LINE = f"a text of at most {LONGEST_VALUE} letters in one line"
 DAMAGED = "not a whole submission; have it sent again"
 
 
 def pack(path: Path, cells: Sequence[StoredCell], facts: Mapping[str, Any]) -> None:
-    """Write cells into a file; raises InputError where it cannot be written."""
+    """Write cells into a file; raises InputError if it cannot be written."""
     manifest = {"format": FORMAT, **facts, "cells": [_line(stored) for stored in cells]}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -50,7 +49,7 @@ def _name(identity: str) -> str:
 
 
 def _line(stored: StoredCell) -> dict[str, Any]:
-    """Describe a cell: which question, which data, and what answered it."""
+    """Describe a cell in the manifest: its scenario, data, versions and packages."""
     return {
         "identity": stored.identity,
         **{name: stored.cell[name] for name in ("system", "snr_db", "seed", "replicates")},

@@ -1,4 +1,4 @@
-"""What plans of tests say: a table of tests, times, forces or methods with their errors, and what it means."""
+"""Pages of test plans: a table of tests, sampling times, forces or methods with their errors, and its meaning."""
 
 from __future__ import annotations
 
@@ -30,22 +30,28 @@ from bench.reporting.atlas import RARE, point_frame
 from bench.reporting.terminal import table, wrapped
 
 Simulation = Callable[[Identifier, int, Callable[[], object]], np.ndarray]
-"""Errors of a test that is simulated: called with a method, a number of tests, and what to call after each."""
+"""Function of a method, a number of tests, and a callback after each test; returns the errors of simulated tests."""
 Row = dict[str, str]
-"""By heading, what stands in a row."""
+"""Texts of a row, by heading."""
 TITLES = {"k_over_m": "k/m", "c_over_m": "c/m", "natural_frequency": "frequency", "damping_ratio": "damping ratio"}
 AMPLITUDES = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
-"""Initial displacements that are proposed where none is given, in units of the noise."""
+"""Initial displacements that are proposed if none is given, in units of the noise."""
 FACTORS, REPEATS = (1.25, 1.5, 2.0, 3.0), (2, 4)
-"""Multiples of a record's duration, and numbers of records alike, that are shown."""
+"""Multiples of a record's duration, and numbers of repeated records, in the table."""
 WRITTEN = "a file that python -m bench -m experiment=atlas has written"
 
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """A quantity wanted to an ``error`` (of its logarithm), of a likely oscillator, from samples with ``noise`` (m).
+    """A request for a test.
 
-    Each proposed test is simulated ``simulations`` times and fitted by ``method``.
+    Attributes:
+        quantity: Requested quantity.
+        error: Requested standard deviation of its logarithm.
+        likely: Likely oscillators.
+        noise: Standard deviation of the noise (m).
+        method: Method that fits simulated tests.
+        simulations: Number of simulations of each proposed test.
     """
 
     quantity: str
@@ -57,18 +63,18 @@ class PlanRequest:
 
     @property
     def title(self) -> str:
-        """Name the wanted quantity."""
+        """Name of the requested quantity."""
         return TITLES[self.quantity]
 
     @property
     def median(self) -> str:
-        """Say what a percentage is, where more than one oscillator is likely."""
+        """Remark on percentages, if more than one oscillator is likely."""
         return ", median over the likely oscillators" if self.likely.uncertain else ""
 
     def simulate(
         self, rows: Sequence[Row], heading: str, tests: Sequence[Simulation], text: Callable[[np.ndarray], str]
     ) -> None:
-        """Add a column with what simulated tests have, where simulations are wanted."""
+        """Add a column with results of simulated tests, if simulations are requested."""
         from bench.engine.progress import counter
         from bench.entrants.registry import make_method
 
@@ -81,7 +87,7 @@ class PlanRequest:
     def simulate_decays(
         self, rows: Sequence[Row], decays: Sequence[Decay], times: Sequence[np.ndarray | None] = ()
     ) -> None:
-        """Add the share of simulated decays, sampled at ``times`` if any, that reach the wanted error."""
+        """Add the share of simulated decays, sampled at ``times`` if given, that reach the requested error."""
 
         def simulation(decay: Decay, sampled: np.ndarray | None) -> Simulation:
             return partial(simulate_decays, self.likely, decay, self.quantity, times=sampled)
@@ -91,18 +97,18 @@ class PlanRequest:
 
 
 def percent(value: float) -> str:
-    """Write an error in percent; a dash where there is none."""
+    """Format an error in percent; a dash if it is not finite."""
     shown = 100 * value
     return "-" if not math.isfinite(value) else f"{shown:.0f}" if shown >= 10 else f"{shown:.2g}"
 
 
 def _errors(errors: Mapping[str, float], names: Iterable[str] = QUANTITIES) -> Row:
-    """Errors (%) by heading."""
+    """Return errors (%) by heading."""
     return {f"{TITLES.get(name, name)}, %": percent(errors[name]) for name in names}
 
 
 def _page(rows: Sequence[Row], *notes: str, words: Collection[int] = (0,)) -> str:
-    """Rows as a table, and below it what they mean."""
+    """Return a table with notes below it."""
     shown = table([list(row.values()) for row in rows], list(rows[0]), words)
     return "\n".join([shown, "", *(wrapped(note, "") for note in notes)])
 
@@ -111,20 +117,20 @@ def _page(rows: Sequence[Row], *notes: str, words: Collection[int] = (0,)) -> st
 
 
 def proposals(request: PlanRequest, amplitude: float | None, rate: float) -> list[ProposedTest]:
-    """Return the free decay of fewest samples for each initial displacement (in units of the noise) that has one."""
+    """Return the free decay with the fewest samples for each initial displacement (in units of the noise)."""
     amplitudes = AMPLITUDES if amplitude is None else (amplitude,)
     tests = [cheapest(request.likely, request.quantity, request.error, start, rate) for start in amplitudes]
     return [test for test in tests if test is not None]
 
 
 def errors_of(request: PlanRequest, amplitude: float | None, samples: int, duration: float) -> list[ProposedTest]:
-    """Return what a given test reaches from each initial displacement."""
+    """Return the expected errors of a given test for each initial displacement."""
     amplitudes = AMPLITUDES if amplitude is None else (amplitude,)
     return [proposal(request.likely, Decay(samples, duration, start)) for start in amplitudes]
 
 
 def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
-    """Return a table of tests with their errors, and what it means."""
+    """Return a table of tests with their errors, and its meaning."""
     rows = []
     for test in tests:
         decay, rest = test.decay, {}
@@ -133,28 +139,29 @@ def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
             rest[f"{TITLES[name]}, %"] = percent(test.median[name]) + ("" if same else f" ({percent(share)})")
         rows.append(
             {
-                "initial, mm": f"{1e3 * request.noise * decay.amplitude:.3g}", "samples": f"{decay.samples}",
-                "duration, s": f"{decay.duration:.3g}", "rate, 1/s": f"{(decay.samples - 1) / decay.duration:.3g}",
-                **rest, "wrong frequency, %": f"{100 * test.wrong_basin:.1g}",
+                "initial displacement, mm": f"{1e3 * request.noise * decay.amplitude:.3g}",
+                "samples": f"{decay.samples}", "duration, s": f"{decay.duration:.3g}",
+                "sampling rate, 1/s": f"{(decay.samples - 1) / decay.duration:.3g}",
+                **rest, "frequency error, %": f"{100 * test.wrong_basin:.1g}",
             }
         )  # fmt: skip
     request.simulate_decays(rows, [test.decay for test in tests])
     doubt = f" (median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)"
     text = (
-        "Each line is the test of fewest samples for its initial displacement, released from rest; percentages are "
-        f"standard deviations by the Cramér-Rao bound{doubt if request.likely.uncertain else ''}. "
-        f"Methods that reach it: {', '.join(efficient_methods())}."
+        "Each row is the test with the fewest samples for its initial displacement, released from rest. Percentages "
+        f"are standard deviations by the Cramér-Rao bound{doubt if request.likely.uncertain else ''}; frequency error: "
+        f"probability of a wrong frequency. Methods that reach the bound: {', '.join(efficient_methods())}."
     )
     if request.simulations:
         text += (
-            f" simulated: of {request.simulations} tests, fitted by {request.method}, those whose error of "
-            f"{request.title} is within {WITHIN:g} times the wanted one; 95 % where it is just reached."
+            f" Simulated: share of {request.simulations} tests, fitted by {request.method}, with an error of "
+            f"{request.title} within {WITHIN:g} times the requested one; 95 % if it is just reached."
         )
     return _page(rows, text, words=())
 
 
 def times_page(request: PlanRequest, decay: Decay) -> tuple[str, np.ndarray]:
-    """Return a table that compares even sampling times with the best ones, and the best for the wanted quantity (s)."""
+    """Return a table of uniform and optimal sampling times, and the optimal ones for the requested quantity (s)."""
     best = f"best for {request.title}"
     compared = {
         "even": evaluate_times(request.likely, decay.times, decay.amplitude),
@@ -169,36 +176,36 @@ def times_page(request: PlanRequest, decay: Decay) -> tuple[str, np.ndarray]:
 
 
 def _bursts(times: np.ndarray, decay: Decay) -> str:
-    """Write consecutive sampling times as one burst."""
+    """Format sampling times, consecutive ones as bursts."""
     gap = 0.5 * decay.duration / (decay.samples - 1)
     bursts = np.split(times, 1 + np.flatnonzero(np.diff(times) > gap))
     return ", ".join(f"{b[0]:.3g}" if b.size == 1 else f"{b.size} from {b[0]:.3g} to {b[-1]:.3g}" for b in bursts)
 
 
 def longer_page(record: MeasuredDecay, quantity: str | None, error: float) -> str:
-    """Return a table of longer and repeated records, and what it takes to reach a wanted error, if one is wanted."""
-    lines = [("as it is", record.duration, record.supported)]
+    """Return a table of longer and repeated records, and the record needed for a requested error, if there is one."""
+    lines = [("this record", record.duration, record.supported)]
     lines += [(f"{factor:g} times as long", factor * record.duration, record.expected(factor)) for factor in FACTORS]
-    lines += [(f"{n} records alike", n * record.duration, record.repeated(n)) for n in REPEATS]
+    lines += [(f"{n} repeated records", n * record.duration, record.repeated(n)) for n in REPEATS]
     rows = [{"record": title, "seconds": f"{seconds:.3g}", **_errors(errors)} for title, seconds, errors in lines]
     meaning = (
-        "Percentages are standard errors; those of the record are what it supports, the others follow by ratios of "
-        "Cramér-Rao bounds. A longer record continues at the same sampling rate."
+        "Percentages are standard errors: those of the record as estimated, the others by ratios of Cramér-Rao bounds. "
+        "A longer record continues at the same sampling rate."
     )
     return _page(rows, meaning, *([_until(record, quantity, error)] if quantity else []))
 
 
 def _until(record: MeasuredDecay, quantity: str, error: float) -> str:
-    """Say what it takes to reach a wanted error."""
+    """Describe the record needed for a requested error."""
     title, factor = TITLES[quantity], record.factor_for(quantity, error)
     now = percent(record.supported[quantity])
     if factor == 1.0:
         return f"The record determines {title} to {now} %, which is enough."
-    again = f"{record.number_for(quantity, error)} records like it do"
+    repeats = f"{record.number_for(quantity, error)} repeated records do"
     if factor is None:
-        return f"No longer record determines {title} to {100 * error:g} %: the motion has died away; {again}."
-    more = f"{(factor - 1.0) * record.duration:.2g} s more bring {title} from {now} to {100 * error:g} %"
-    return f"{more}; {again} as well."
+        return f"No longer record determines {title} to {100 * error:g} %: the motion has decayed; {repeats}."
+    more = f"{(factor - 1.0) * record.duration:.2g} s more reduce the error of {title} from {now} to {100 * error:g} %"
+    return f"{more}; {repeats} as well."
 
 
 # ---- tests under a measured force
@@ -207,12 +214,12 @@ def _until(record: MeasuredDecay, quantity: str, error: float) -> str:
 def forced_test(
     request: PlanRequest, samples: int, duration: float, energy: float, mass: float
 ) -> tuple[ForcedTest, float]:
-    """Return a test, and the force (N) of one unit of the plan; raises InputError for a test that is too short."""
+    """Return a test and its unit of force (N); raises InputError for a test that is too short."""
     size = mass * request.noise
     test = ForcedTest(samples, duration, energy / size**2)
     least = math.ceil(LEAST_RATE * request.likely.fastest * duration) + 1
     if samples < least:
-        fastest = f"{LEAST_RATE:g} a cycle of {request.likely.fastest:.3g} Hz"
+        fastest = f"{LEAST_RATE:g} per cycle of {request.likely.fastest:.3g} Hz"
         raise InputError("samples", samples, f"at least {least}: {fastest}")
     if line_frequencies(request.likely, test).size < LEAST_LINES:
         raise InputError("duration", f"{duration:g}", f"longer: at least {LEAST_LINES} lines below the band's end")
@@ -220,7 +227,7 @@ def forced_test(
 
 
 def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: float) -> tuple[str, np.ndarray]:
-    """Return a table of forces with their errors, and the best force (N) for the wanted quantity."""
+    """Return a table of forces with their errors, and the best force (N) for the requested quantity."""
     forces, quantity, title = Forces(request.likely, test), request.quantity, request.title
     compared = {
         "hammer blow": forces.hammer_blow(),
@@ -248,23 +255,23 @@ def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: flo
     tests = [simulation(force.force) for force in errors_by_force.values()]
     request.simulate(rows, "counted, %", tests, lambda errors: percent(robust_deviation(errors)))
     notes = [
-        f"Each force has the energy {energy:g} N² s and starts from an unknown state of rest; it is measured with the "
-        "motion. Percentages are standard deviations by the Cramér-Rao bound of the finite record, with its "
+        f"Each force has the energy {energy:g} N² s and is measured with the motion, which starts from rest (not given "
+        "to the method). Percentages are standard deviations by the Cramér-Rao bound of the finite record, with its "
         f"transient{request.median}. Over the best: ratio of the errors of {title}."
     ]
     if request.simulations:
         notes.append(
-            f"Counted: the standard deviation of {title} in {request.simulations} simulated tests, fitted by "
-            f"{request.method}, by the median size of their errors."
+            f"Counted: standard deviation of {title} in {request.simulations} simulated tests, fitted by "
+            f"{request.method}, from the median absolute error."
         )
     return _page(rows, *notes), size * best.force
 
 
-# ---- what each method is expected to do at a free decay, from the atlas and its model
+# ---- expected errors of methods, from the atlas and its model
 
 
 def read_atlas(path: Path, quantity: str) -> pd.DataFrame:
-    """Read the atlas; raises InputError for a file that is none, or is not of this quantity."""
+    """Read the atlas; raises InputError for another file, or an atlas without this quantity."""
     try:
         atlas = pd.read_csv(path)
     except (OSError, ValueError, EOFError, zlib.error):
@@ -289,13 +296,13 @@ def expected_page(point: FreeDecay, atlas: pd.DataFrame, quantity: str) -> str:
         spread = "-" if math.isnan(middle) else f"{middle:.2f} ({low:.2f} to {high:.2f})"
         order = (answer.gross > RARE, middle if math.isfinite(middle) else math.inf)
         row = {"method": load_method(str(name)).card.title, "error over the bound (range)": spread}
-        rows.append((order, {**row, "gross errors, %": f"{100 * answer.gross:.1f}"}))
+        rows.append((order, {**row, "outlier fits, %": f"{100 * answer.gross:.1f}"}))
     if not rows:
         raise InputError("atlas", "", "an atlas with more points of some method")
     bound, wrong = float(frame[f"bound_{quantity}"].iloc[0]), float(frame.wrong_basin.iloc[0])
     meaning = (
         f"The bound on the standard deviation of {TITLES[quantity]} is {100 * bound:.2g} %; in {100 * wrong:.2g} % of "
-        "such records the likelihood is largest at a wrong frequency. Errors are those of fits without a gross error, "
-        "with the range of eight in ten tests like this; a gross error is beyond five times the bound."
+        "such records the likelihood is largest at a wrong frequency. Errors without outlier fits (beyond five times "
+        "the bound), with the 80 % range of tests like this."
     )
     return _page([row for _, row in sorted(rows, key=lambda pair: pair[0])], meaning)

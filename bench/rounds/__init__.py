@@ -1,1 +1,1 @@
-"""Rounds: problems whose truth is drawn by a secret seed, solved and answered through files alone."""
+"""Rounds: problems with true values drawn by a secret seed, solved through files alone."""

@@ -1,4 +1,4 @@
-"""The problems of a round, drawn from stated ranges by its secret seed."""
+"""Draw the problems of a round from stated ranges by its secret seed."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from bench.rounds.secret import SecretScenario, SecretStream, derived_key
 from bench.scenario.scenario import Scenario
 
 KINDS = ("free decay", "forced", "several masses", "nonlinear", "coloured noise", "drift")
-"""Kinds of problem, equally many of each; the last two are linear with one mass, like the first two."""
+"""Kinds of problem, in equal numbers; the last two are linear with one mass, like the first two."""
 DISTURBANCES = {"coloured noise": ("coloured", 0.3, 0.9), "drift": ("drift", 0.02, 0.2)}
-"""Disturbance of a kind, and the two ends of its size."""
+"""Disturbance of a kind, with the range of its size."""
 DIGITS = 9
-"""Significant digits of what is drawn: no true value lies on a grid to which an estimate could be rounded."""
+"""Significant digits of drawn values; rounding an estimate to fewer digits does not recover the true value."""
 MISJUDGED = 0.4
-"""A force is made for a natural frequency that is off by a factor of up to exp(0.4): its band says no more."""
+"""Largest error of the log frequency for which a force is designed, so that its band does not reveal more."""
 LARGEST_BOUND = 0.3
-"""Bound on the relative error up to which a quantity counts as determined; a problem beyond it is drawn again."""
+"""Largest bound on the relative error of an identifiable quantity; problems beyond it are drawn again."""
 PER_CYCLE, PER_CYCLE_FORCED = 4, 10
-"""Least number of samples in a natural period; where a force acts, it is sampled with the motion."""
+"""Smallest number of samples per natural period, without and with a force, which is sampled with the motion."""
 SPREAD = 0.5
-"""Mass, damping and stiffness of each link of a chain are off those of one mass by a factor of up to exp(0.5)."""
+"""Largest change of the log mass, damping and stiffness of the links of a chain from those of one mass."""
 
 Ranges = Mapping[str, tuple[float, float]]
 Content = dict[str, Any]
@@ -39,7 +39,7 @@ Content = dict[str, Any]
 
 @dataclass(frozen=True)
 class DrawnProblem:
-    """A problem of a round with its truth: value and bound (one standard deviation) of each quantity asked for."""
+    """A problem of a round with its true values, and the bound (standard deviation) of each requested quantity."""
 
     name: str
     kind: str
@@ -48,19 +48,19 @@ class DrawnProblem:
 
 
 def draw_round(seed: int, scenarios: int, ranges: Ranges) -> list[DrawnProblem]:
-    """Draw so many problems, their kinds in random order.
+    """Draw the problems of a round, with their kinds in random order.
 
     Args:
         seed: Secret, of 256 bits.
         scenarios: Number of problems.
-        ranges: The two ends of each of :data:`bench.config.random_scenarios.RANGES`.
+        ranges: Range of each of :data:`bench.config.random_scenarios.RANGES`.
     """
     order = sorted(range(scenarios), key=lambda i: derived_key(seed, "order", i))
     return [_draw(seed, f"P{number:03d}", KINDS[i % len(KINDS)], ranges) for number, i in enumerate(order, 1)]
 
 
 def _draw(seed: int, name: str, kind: str, ranges: Ranges) -> DrawnProblem:
-    """Draw one problem, as often as it takes until the data determine every quantity asked for."""
+    """Draw a problem repeatedly until the data determine every requested quantity."""
     attempt = 0
     while True:
         attempt += 1
@@ -69,12 +69,12 @@ def _draw(seed: int, name: str, kind: str, ranges: Ranges) -> DrawnProblem:
             scenario = draw_scenario(name, kind, ranges, rng)
             with np.errstate(all="ignore"):
                 return with_truth(name, kind, scenario, derived_key(seed, name, attempt, "data"), LARGEST_BOUND)
-        except (InputError, np.linalg.LinAlgError):  # the second of a motion that ran away
+        except (InputError, np.linalg.LinAlgError):  # LinAlgError for a motion that diverges
             continue
 
 
 def draw_scenario(name: str, kind: str, ranges: Ranges, rng: SecretStream) -> Scenario:
-    """Draw a scenario of a kind; raises InputError where the one that was drawn does not suit it."""
+    """Draw a scenario of a kind; raises InputError if the drawn scenario does not suit the kind."""
     drawn = one_mass(name, ranges, rng, DIGITS, MISJUDGED)
     system, p = dict(drawn.system), drawn.system["parameters"]
     rate, force, start = math.sqrt(p["k"] / p["m"]), system["force"], system["initial"]
@@ -105,9 +105,9 @@ def draw_scenario(name: str, kind: str, ranges: Ranges, rng: SecretStream) -> Sc
 
 
 def with_truth(name: str, kind: str, scenario: Scenario, key: int, largest_bound: float = math.inf) -> DrawnProblem:
-    """Make the data of a scenario by a secret key, and the truth of what is identifiable.
+    """Generate the data of a scenario from a secret key, with the true values of the identifiable quantities.
 
-    That is parameters where a force gives the scale, else groups. Raises InputError where a bound is too large, or
+    These are the parameters if a force gives the scale, else the groups. Raises InputError if a bound is too large, or
     nothing is identifiable.
     """
     secret = SecretScenario.of(scenario)
@@ -124,7 +124,7 @@ def with_truth(name: str, kind: str, scenario: Scenario, key: int, largest_bound
 
 
 def _chain(system: Content, amplitude: float, rng: SecretStream) -> Content:
-    """Return what two or three masses change: released from any shape, or driven at the last mass."""
+    """Return the changes for two or three masses, released from a random shape or driven at the last mass."""
     n, p = rng.choice((2, 3)), system["parameters"]
     rate = math.sqrt(p["k"] / p["m"])
     links = [(key, i) for key in "mck" for i in range(1, n + 1)]
@@ -137,7 +137,7 @@ def _chain(system: Content, amplitude: float, rng: SecretStream) -> Content:
 
 
 def _nonlinear(p: Mapping[str, float], amplitude: float, rng: SecretStream) -> Content:
-    """Return what a cubic spring, quadratic damping or a pendulum changes, some tenths of the linear force in size."""
+    """Return the changes for a cubic spring, quadratic damping or a pendulum, about 0.1 to 1 of the linear force."""
     size = math.exp(rng.uniform(math.log(0.1), 0.0))
     kind, name, value = rng.choice((
         ("duffing", "k3", size * p["k"] / amplitude**2),

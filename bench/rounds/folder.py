@@ -1,7 +1,7 @@
-"""The folder of a round and that of its secret: written, opened when the round is over, and verified by its readers.
+"""Write the folder of a round and that of its secret, open a round, and verify it.
 
 The commitment is the SHA-256 of the secret seed, ``round.json`` (ranges and version of the code) and ``truth.csv``:
-neither seed nor truth can be exchanged later, and without the seed, of 256 bits, no guess of the truth can be tested.
+neither the seed nor the true values can be changed later, and without the seed (256 bits) no guess can be verified.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COLUMNS = ("scenario", "quantity", "value", "low", "high", "seconds")
 TRUTH_COLUMNS = ("scenario", "quantity", "value", "bound", "kind")
 RULE = "SHA-256 of three lines in hexadecimal: seed, SHA-256 of round.json, SHA-256 of truth.csv; each ends with \\n"
 SAME = 2e-6
-"""Relative difference up to which numbers are the same: another processor may round the seventh digit otherwise."""
+"""Largest relative difference of equal numbers: the seventh digit may be rounded differently by another processor."""
 KNOWLEDGE = "a folder that python -m bench round new has written"
 NUMBER = re.compile(r"([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)")
 
@@ -61,7 +61,7 @@ def write_round(out: Path, secret: Path, seed: int, scenarios: int) -> None:
 
 
 def _public_files(drawn: Iterable[DrawnProblem]) -> dict[str, str]:
-    """Return problems and template by their place in the folder of the round."""
+    """Return the files of the problems and the template, by path in the folder of the round."""
     contents: dict[str, str] = {}
     for problem in drawn:
         pair = problem_files(problem.name, problem.problem, list(problem.truth))
@@ -71,7 +71,7 @@ def _public_files(drawn: Iterable[DrawnProblem]) -> dict[str, str]:
 
 
 def _truth_file(drawn: Iterable[DrawnProblem]) -> str:
-    """Return the truth as CSV: the value of each quantity and its bound, a standard deviation in the same unit."""
+    """Return the true values as CSV, with their bounds (standard deviations in the same unit)."""
     return table(TRUTH_COLUMNS, [
         (problem.name, short_name(quantity), f"{value:.10g}", f"{bound:.7g}", problem.kind)
         for problem in drawn for quantity, (value, bound) in problem.truth.items()
@@ -92,7 +92,7 @@ def commitment(seed: int, round_file: str, truth: str) -> str:
 
 @dataclass(frozen=True)
 class OpenedRound:
-    """A round with its secret: what ``round.json`` states, the seed and the text of the truth."""
+    """A round with its secret: the content of ``round.json``, the seed, and the text of ``truth.csv``."""
 
     stated: Mapping[str, Any]
     seed: int
@@ -100,9 +100,9 @@ class OpenedRound:
 
 
 def read_secret(folder: Path, secret: Path | None = None) -> OpenedRound:
-    """Return a round with the secret of another folder, or with its own once it is opened.
+    """Return a round with the secret of another folder, or, once it is opened, of the same folder.
 
-    Raises InputError where the folders hold no round, or the secret is not the one that the round is committed to.
+    Raises InputError if the folders contain no round, or the secret does not match the commitment.
     """
     if not secret and not (folder / OPENED).is_file() and (folder / ROUND).is_file():
         raise InputError("secret", "", f"needed while {folder} is not opened: the folder of its seed and truth")
@@ -128,9 +128,9 @@ def open_round(folder: Path, secret: Path) -> None:
 
 
 def verify_round(folder: Path, secret: Path | None = None) -> list[str]:
-    """Draw the round of its seed again; returns a sentence for each file that differs or is not the round's.
+    """Draw the round again from its seed; returns a sentence for each file that differs.
 
-    Raises InputError where seed and truth are not those of the commitment, or no round is there.
+    Raises InputError if seed and true values do not match the commitment, or there is no round.
     """
     opened = read_secret(folder, secret)
     drawn = draw_round(opened.seed, opened.stated["scenarios"], opened.stated["ranges"])
@@ -147,7 +147,7 @@ def verify_round(folder: Path, secret: Path | None = None) -> list[str]:
 
 
 def problem_names(folder: Path) -> list[str]:
-    """Return the names of the problems of a round; raises InputError where there is none."""
+    """Return the names of the problems of a round; raises InputError if there are none."""
     names = sorted(path.stem for path in (folder / PROBLEMS).glob("*.json"))
     if not names:
         raise InputError("round", folder, f"no {PROBLEMS} are there; name {KNOWLEDGE}")
@@ -162,7 +162,7 @@ def _read(folder: Path | None, name: str, field: str) -> str:
 
 
 def read_json(folder: Path, name: str) -> Any:
-    """Return the content of a JSON file of a round; raises InputError where it is none."""
+    """Return the content of a JSON file of a round; raises InputError for a damaged file."""
     try:
         return json.loads(_read(folder, name, "round"))
     except ValueError:

@@ -1,6 +1,6 @@
-"""Predictions of a round, read from a CSV file that any program or hand may have written.
+"""Read predictions of a round from a CSV file.
 
-Every row is checked before anything is scored: an error names line, column and value, and what would be right.
+Every row is checked before anything is scored; an error names the line, the column, the value, and a remedy.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 HEADER, NUMBERS = ",".join(COLUMNS), COLUMNS[2:]
 LARGEST_FILE_MB = 10
-"""A row has some fifty bytes: enough for any round."""
+"""Largest size of a file of predictions; a row has about fifty bytes."""
 PACKED = {b"\x1f\x8b": "a gzip file; unpack it", b"PK\x03\x04": "a spreadsheet or zip archive; save it as CSV"}
-"""First bytes of files that are given in place of a CSV."""
+"""First bytes of files that are mistaken for CSV."""
 
 Asked = Mapping[str, Sequence[str]]
-"""The quantities asked for, by scenario."""
+"""Requested quantities, by scenario."""
 Row = dict[str, str]
 Errors = dict[int, InputError]
 """Errors of a file, by line."""
 
 
 def read_template(folder: Path) -> Asked:
-    """Return the quantities that a round asks for, by scenario; raises InputError where the folder is no round."""
+    """Return the requested quantities of a round, by scenario; raises InputError if the folder is no round."""
     if not (folder / TEMPLATE).is_file():
         raise InputError("round", folder, f"no {TEMPLATE} is there; {KNOWLEDGE}")
     requested: dict[str, list[str]] = {}
@@ -47,8 +47,8 @@ def read_predictions(path: Path, requested: Asked) -> tuple[pd.DataFrame, bool, 
     """Read a file of predictions.
 
     Returns:
-        The predictions, a row for each quantity asked for, in that order, NaN where a number is not given; whether
-        commas were read as decimal marks; and the errors of the file, without which alone the predictions hold.
+        The predictions, one row per requested quantity in order, with NaN for missing numbers; whether commas were read
+        as decimal marks; and the errors of the file. The predictions are valid only without errors.
 
     Raises:
         InputError: the file is no table with the columns of the template.
@@ -114,7 +114,7 @@ def _text(path: Path) -> str:
 
 
 def _header(line: str, separator: str, where: str) -> list[str]:
-    """Return the names of the columns; raises InputError where one is not known, stands twice, or is missing."""
+    """Return the names of the columns; raises InputError for unknown, repeated or missing ones."""
     names = [name.strip().strip('"').lower() for name in line.split(separator)]
     if not set(names) & set(COLUMNS):
         raise InputError(where, line, f"no names of columns; the first line is {HEADER}")
@@ -125,7 +125,7 @@ def _header(line: str, separator: str, where: str) -> list[str]:
     for name in filter(None, names):  # a spreadsheet may write empty columns at the end
         check_name(where, name, COLUMNS)
         if names.count(name) > 1:
-            raise InputError(where, name, "it stands twice; keep one of the two")
+            raise InputError(where, name, "it occurs twice; keep one of the two")
     ends = ("low", "high") if {"low", "high"} & set(names) else ()
     for name in ("scenario", "quantity", "value", *ends):
         if name not in names:

@@ -1,6 +1,6 @@
-"""A problem as files that any program reads: ``P001.csv``, the samples, and ``P001.json``, what is known.
+"""Write and read problems as files: ``P001.csv`` with the samples, and ``P001.json`` with the known quantities.
 
-Samples have seven significant digits, which changes them by far less than their noise; times and forces have nine.
+Samples have seven significant digits, a change far below their noise; times and forces have nine.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ def equations(system: System, driven: Collection[int] = ()) -> list[str]:
 
 
 def short_name(quantity: str) -> str:
-    """Return how files name a quantity: ``k/m`` for ``k_over_m``."""
+    """Return the name of a quantity in files: ``k/m`` for ``k_over_m``."""
     return quantity.replace("_over_", "/")
 
 
 def problem_files(name: str, problem: Problem, requested: Sequence[str]) -> dict[str, str]:
-    """Return the files of a problem by name; raises InputError for one that two files do not hold."""
+    """Return the files of a problem by name; raises InputError for a problem that files cannot represent."""
     record, system, prior = problem.records[0], problem.system, problem.prior
     if len(problem.records) > 1 or record.added_mass is not None or len(record.forces) > 1:
         raise InputError("problem", name, "one record, at most one force, no added mass")
@@ -82,7 +82,7 @@ def problem_files(name: str, problem: Problem, requested: Sequence[str]) -> dict
 
 
 def read_problem(folder: Path, name: str) -> tuple[Problem, list[str]]:
-    """Return a problem and the quantities that are asked for; raises InputError for files that are none."""
+    """Return a problem and its requested quantities; raises InputError for damaged files."""
     try:
         known = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
         system = make_system(known["system"]["kind"], known["system"]["options"])

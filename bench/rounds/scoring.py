@@ -1,4 +1,4 @@
-"""Scores of predictions against the truth of a round, each error over its Cramér-Rao bound."""
+"""Score predictions against the true values of a round, with errors over the Cramér-Rao bound."""
 
 from __future__ import annotations
 
@@ -15,22 +15,28 @@ if TYPE_CHECKING:
     import pandas as pd
 
 IDEAL = 4.0 / (1.0 - LEVELS[-1]) * math.exp(-(Z95**2) / 2.0) / math.sqrt(2.0 * math.pi)
-"""Mean interval score of value ± 1.96 bound where the value is normal about the truth, over the bound: 4 φ(z) / α.
+"""Mean interval score over the bound of the interval value ± 1.96 bound of a normal, efficient estimate: 4 φ(z) / α.
 
 Width 2 z, and 2 / α times the mean miss on either side, φ(z) - z α / 2 (integrated by parts).
 """
 DISTURBED = ("coloured noise", "drift")
-"""Kinds whose bound is that of white noise alone: an efficient estimator may be within it, or far from it."""
+"""Kinds whose bound assumes white noise; the errors of an efficient estimator may be below or far above it."""
 MOST_SCORE = 100.0
-"""Largest interval score that counts, over the ideal: an ideal interval of an outlier fit has 27 at least."""
+"""Upper limit of the interval score over the ideal; an ideal interval about an outlier fit scores at least 27."""
 
 
 class RoundScores(NamedTuple):
     """Scores of some problems of a round.
 
-    ``answered``: problems with a value for every quantity asked for; ``outliers``: those of them with an error beyond
-    five bounds. ``excess``: root mean square of error over bound, of the values given. ``intervals`` are given,
-    ``covered`` of them contain the true value; ``interval_score``: their mean (95 %) over the ideal.
+    Attributes:
+        problems: Number of problems.
+        answered: Problems with a value for every requested quantity.
+        outliers: Answered problems with an error beyond five times the bound.
+        excess: Root mean square of error over bound, of the given values.
+        intervals: Number of given intervals.
+        covered: Intervals that contain the true value.
+        interval_score: Mean interval score (95 %) over the ideal.
+        seconds: Median stated time (s).
     """
 
     problems: int
@@ -44,10 +50,10 @@ class RoundScores(NamedTuple):
 
 
 def score_rows(predictions: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of ``truth.csv`` (its value as ``true``) with predictions and their scores.
+    """Return the rows of ``truth.csv`` (with ``value`` renamed to ``true``) with predictions and their scores.
 
-    ``error``: over the bound, infinite where no value is given; ``covered``: 1 or 0, and ``interval_score``: over that
-    of an ideal interval, at most 100, both NaN where no interval is given.
+    The scores are ``error`` over the bound, infinite without a value; ``covered``, 1 or 0; and ``interval_score`` over
+    that of an ideal interval, at most 100. The last two are NaN without an interval.
     """
     rows = truth.rename(columns={"value": "true"}).merge(predictions, on=["scenario", "quantity"], validate="1:1")
     value, low, high, true, bound = (rows[name].to_numpy(float) for name in ("value", "low", "high", "true", "bound"))
@@ -58,7 +64,7 @@ def score_rows(predictions: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarise_rows(rows: pd.DataFrame) -> RoundScores:
-    """Sum up rows of :func:`score_rows`."""
+    """Summarise rows of :func:`score_rows`."""
     problems = rows.groupby("scenario")
     answered = problems["value"].count() == problems.size()
     outliers = int((answered & (problems["error"].max() > OUTLIER_FACTOR)).sum())

@@ -1,11 +1,11 @@
-"""Random streams of a secret seed: from the numbers of some, no other number of the seed can be computed.
+"""Random streams of a secret seed; the numbers of some streams do not reveal those of others.
 
 A round publishes what was drawn: samples, times, forces. From enough output of numpy's generators their state can be
 computed (C. Bouillaguet et al., Practical seed-recovery for the PCG pseudo-random number generator, IACR Trans.
-Symmetric Cryptol. 2020(3):175), and from that state the seed sequence. Here every stream has a key of its own, the
-HMAC-SHA256 of the seed and of what the stream is for, and its numbers are bits of SHAKE-256 of that key (FIPS 202).
-Whoever knew the noise of a problem exactly would learn nothing of its parameters, its nominal values or another
-problem, short of inverting these functions or trying 2^256 seeds.
+Symmetric Cryptol. 2020(3):175), and from that state the seed sequence. Here every stream has its own key, the
+HMAC-SHA256 of the seed and the purpose of the stream, and its numbers are bits of SHAKE-256 of that key (FIPS 202).
+Even the exact noise of a problem reveals neither its parameters, nor its nominal values, nor another problem, except by
+inverting these functions or trying 2^256 seeds.
 """
 
 from __future__ import annotations

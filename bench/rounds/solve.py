@@ -1,4 +1,4 @@
-"""The problems of a round solved by a method of this project, from their files alone."""
+"""Solve the problems of a round by a method of this project, from their files alone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Rows = list[tuple[str, ...]]
 def solve(
     folder: Path, names: Sequence[str], method: Identifier, timeout_s: float, memory_mb: float
 ) -> Iterator[tuple[Rows, str]]:
-    """Yield the rows of each problem, and the reason where there is no answer; each within the limits of a fit."""
+    """Yield the rows of each problem with the reason of a failure, if any; each fit has limits of time and memory."""
     requested = [read_problem(folder, name)[1] for name in names]
     with Workers((__name__,)) as workers:
         answers = [
@@ -41,7 +41,7 @@ def solve(
 
 
 def solve_problem(folder: Path, name: str, method: Identifier, seed: int) -> tuple[Rows, str]:
-    """Return the rows of one problem, and the reason where there is no answer."""
+    """Return the rows of a problem, and the reason of a failure, if any."""
     problem, requested = read_problem(folder, name)
     began = time.perf_counter()
     estimate = answer(method, problem, seed)
@@ -51,9 +51,9 @@ def solve_problem(folder: Path, name: str, method: Identifier, seed: int) -> tup
 
 
 def answer(method: Identifier, problem: Problem, seed: int) -> Estimate:
-    """Return what a method answers, combined with the prior; whatever it raises is a failure of this problem.
+    """Return the estimate of a method, combined with the prior; an exception becomes a failed estimate.
 
-    Its random stream is that of a public seed, which has nothing in common with those of the data.
+    The random stream comes from a public seed, independent of the streams of the data.
     """
     try:
         return combine_with_prior(method.identify(problem, anonymous_stream(seed)).checked(), problem.prior)
@@ -62,7 +62,7 @@ def answer(method: Identifier, problem: Problem, seed: int) -> Estimate:
 
 
 def _numbers(estimate: Estimate, quantity: str) -> tuple[str, str, str]:
-    """Return value and 95 % interval as text; empty where the estimate has none."""
+    """Return value and 95 % interval as text; empty if the estimate has none."""
     marginal = estimate.marginal(estimate.system.quantity(quantity)) if estimate.status is Status.OK else None
     if marginal is None or not np.isfinite(marginal.value):
         return "", "", ""
