@@ -15,7 +15,7 @@ from bench.isolation.machine import usable_cores
 USAGE = """usage: python -m bench method=<name> [field=value ...]        one cell
        python -m bench -m method=a,b snr=40,20 [...]        a sweep of all of these
        python -m bench -m experiment=table3                 the cells of a table
-       python -m bench method=<name> data=record.csv        a measured record
+       python -m bench data=record.csv [method=<name>]      a measured record
        python -m bench <verb> [field=value ...]             --help for each
 
 {verbs}

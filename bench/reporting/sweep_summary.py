@@ -122,7 +122,8 @@ class SweepSummary:
         for method in [*tiers, *(method for method in by_method if method not in tiers)]:
             cells = by_method[method]
             excess = [row["summaries"][0].get("excess", math.nan) for row in cells]
-            logs = [row["log_errors"] for row in cells if row["log_errors"] is not None]
+            served = [row for row in cells if row["competes"] or row["n_ok"]]  # not: not applicable, not installed
+            logs = [row["log_errors"] for row in served if row["log_errors"] is not None]
             covered = np.concatenate([row["covered"] for row in cells])
             rows.append(
                 [

@@ -183,6 +183,9 @@ def test_few_cells_are_listed_and_many_are_summarised_by_method(terminal: int) -
     errors = {"ls": at_bound, "rls": outliers, "prior": at_bound}
     cells = [cell_of(f"method={name}", f"seed={seed}") for name in errors for seed in range(20)]
     results = [(cell, stored_of(cell, errors[cell.label], 1.5)) for cell in cells]
+    not_installed = tuple(Row(i, Status.MISSING_DEPENDENCY, "needs jinns") for i in range(20))
+    rival = cell_of("method=rival_jinns")
+    results.append((rival, replace(stored_of(rival, at_bound), rows=not_installed)))
     few = summary_of(*results[:4]).text()
     assert [line.split()[:2] for line in few.splitlines() if "20/20" in line] == [["ls", str(i)] for i in range(4)]
     summary = summary_of(*results, *results)  # a cell may stand in several tables
@@ -193,6 +196,8 @@ def test_few_cells_are_listed_and_many_are_summarised_by_method(terminal: int) -
         ["rls", "20", "400/400", "1.50", "20.0", "-", "100", "ms", "2"],
         ["prior", "20", "400/400", "1.50", "0.0", "-", "100", "ms", "-"],
     ] * (terminal >= 80)
+    outliers = [line.split()[4] for line in text.splitlines() if line.startswith("rival_jinns") and terminal >= 80]
+    assert outliers == ["-"] * (terminal >= 80), "a method that is not installed has no outlier fits"
     assert sum("20/20" in line for line in summary.text(every_cell=True).splitlines()) == 60
     assert summary.report_failures() == 0
     summary.add(cell_of("method=pinn"), None)
