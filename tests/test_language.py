@@ -28,7 +28,6 @@ PENDING = {
     "bench/audit",
     "bench/config",
     "bench/conformance",
-    "bench/dynamics",
     "bench/engine",
     "bench/entrants",
     "bench/exchange",

@@ -1,10 +1,9 @@
-"""A system between two samples, with parameters and forces held: one discrete model, which jax differentiates.
+"""Discrete-time state-space model of a system with constant parameters and forces between samples, in JAX.
 
 The joint state is ``[motion, ambient force, sensor offset, log-parameters]``: displacements, velocities and hidden
-states; the force (N) that nobody measures, one a DOF; an offset a sensor; the logarithms of the layout's free
-parameters. Over an interval the motion follows the residual by Runge-Kutta steps of order four; offsets and
-log-parameters stay. With five samples a cycle the steps bend a frequency by a part in 10 000, with twenty by less than
-one in a million.
+states; unmeasured forces (N), one per ambient DOF; one offset per sensor; the logarithms of the free parameters of the
+layout. Between samples the motion is integrated by Runge-Kutta steps of order four; offsets and log-parameters are
+constant. The relative error of a frequency is 1e-4 at five samples per cycle and below 1e-6 at twenty.
 """
 
 from __future__ import annotations
@@ -19,15 +18,12 @@ from bench.dynamics.ops import array_ops
 from bench.dynamics.stepper import rk4_step
 
 SUBSTEPS = 4
-"""Runge-Kutta steps in an interval, a power of two."""
+"""Number of Runge-Kutta steps per sampling interval, a power of two."""
 
 
 @dataclass(frozen=True)
 class DiscreteModel:
-    """The discrete model of a layout; its functions are of jax, and take and give jax arrays.
-
-    ``ambient``, ``offsets`` and ``logs`` are the places of forces, offsets and log-parameters in the joint state.
-    """
+    """Discrete-time model of a layout; its functions take and return JAX arrays."""
 
     layout: Layout
 
@@ -38,34 +34,41 @@ class DiscreteModel:
 
     @property
     def n_ambient(self) -> int:
+        """Number of unmeasured forces."""
         return len(self.layout.ambient)
 
     @property
     def n_sensors(self) -> int:
+        """Number of sensors."""
         return len(self.layout.sensors)
 
     @property
     def n_free(self) -> int:
+        """Number of free parameters."""
         return len(self.layout.free)
 
     @property
     def size(self) -> int:
+        """Length of the joint state."""
         return self.n_motion + self.n_ambient + self.n_sensors + self.n_free
 
     @property
     def ambient(self) -> slice:
+        """Unmeasured forces in the joint state."""
         return slice(self.n_motion, self.n_motion + self.n_ambient)
 
     @property
     def offsets(self) -> slice:
+        """Sensor offsets in the joint state."""
         return slice(self.ambient.stop, self.ambient.stop + self.n_sensors)
 
     @property
     def logs(self) -> slice:
+        """Log-parameters in the joint state."""
         return slice(self.offsets.stop, self.size)
 
     def parameters(self, logs: Any) -> dict[str, Any]:
-        """Return all parameters, the gauge one unit where the scale is not determined."""
+        """Return all parameters by name; the gauge mass is 1 if the scale is not identifiable."""
         import jax.numpy as jnp
 
         return dict.fromkeys(self.layout.system.names, 1.0) | dict(zip(self.layout.free, jnp.exp(logs), strict=True))
@@ -78,10 +81,10 @@ class DiscreteModel:
         return force
 
     def _moved(self, p: Mapping[str, Any], motion: Any, force: list[Any], interval: Any) -> Any:
-        """Return the motion after an interval (s) under held forces (N).
+        """Return the motion after an interval (s) under constant forces (N).
 
-        The steps of a linear system are powers of one matrix over motion and force, which acts as a constant 1: a step
-        of order four is there the Taylor polynomial of degree four, and steps are joined by squaring.
+        For a linear system a step of order four is the Taylor polynomial of degree four of the matrix exponential of
+        the motion augmented by a constant 1 for the force; steps are combined by squaring.
         """
         import jax
         import jax.numpy as jnp
@@ -106,9 +109,16 @@ class DiscreteModel:
         return power[:n, :n] @ motion + power[:n, n]
 
     def advance(self, joint: Any, known: Any, interval: Any, memory: Any) -> Any:
-        """Return the joint state after an interval (s) under known forces (N).
+        """Propagate the joint state over an interval.
 
-        ``memory``: the part of an ambient force that is left after it, 0 for a white one.
+        Args:
+            joint: Joint state, shape (size,).
+            known: Known forces (N) on the forced DOFs, shape (n_forced,).
+            interval: Length (s).
+            memory: Factor by which an ambient force decays over the interval; 0 for white noise.
+
+        Returns:
+            Joint state after the interval, shape (size,).
         """
         import jax.numpy as jnp
 
@@ -118,7 +128,15 @@ class DiscreteModel:
         return jnp.concatenate([motion, memory * ambient, joint[self.offsets.start :]])
 
     def observe(self, joint: Any, known: Any) -> Any:
-        """Return what the sensors show of a joint state without noise, shape (n_sensors,)."""
+        """Predict the noise-free sensor values.
+
+        Args:
+            joint: Joint state, shape (size,).
+            known: Known forces (N) on the forced DOFs, shape (n_forced,).
+
+        Returns:
+            Sensor values, shape (n_sensors,).
+        """
         import jax.numpy as jnp
 
         system, motion = self.layout.system, joint[: self.n_motion]

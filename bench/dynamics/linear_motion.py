@@ -28,13 +28,13 @@ TERMS = 20
 NEAR = 1e-2
 """Of ``|d| t²``, below which the derivative of ``sinh(√d t)/√d`` by d is summed as a series: it cancels otherwise."""
 MOST_AT_ONCE = 2**21
-"""Numbers of the derivatives of exponentials that are formed together."""
+"""Number of values of derivatives of exponentials that are computed together, which limits memory."""
 LONG_RUN = 16
-"""Equal intervals in a row from which on few sets are carried in blocks, for speed alone,"""
+"""Number of consecutive equal intervals from which the block algorithm is used, for speed,"""
 FEW = 512
-"""and how many numbers of a state of all sets are few."""
+"""if the states of all sets together have at most this many values."""
 FASTEST = 1e7
-"""Radians that a motion may turn in an interval; one that is faster is not finite."""
+"""Largest product of rate and interval (radians); faster motions are returned as NaN."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,17 +72,17 @@ def linear_motion(
     """Compute the states of a linear system and their derivatives, at increasing times >= 0.
 
     Args:
-        system: one that is linear, of any residual that numpy can run on complex numbers.
-        p: the parameters, each of shape (sets,).
-        start: displacements, then velocities, at time 0, shape (sets, 2 n_dof).
-        times: where the motion is wanted, shape (n_times,).
-        forces: the known forces, the same for all sets; each is zero after its last sample.
-        slopes: whether the derivatives are wanted.
+        system: Linear system whose residual NumPy can evaluate with complex numbers.
+        p: Parameters by name, each of shape (sets,).
+        start: Displacements, then velocities, at time 0, shape (sets, 2 n_dof).
+        times: Times (s), shape (n_times,).
+        forces: Known forces, the same for all sets.
+        slopes: True to compute derivatives.
 
     Returns:
-        Displacements and velocities, shape (sets, n_times, 2 n_dof), and their derivatives, shape (sets, n_times,
-        2 n_dof, n_parameters + 2 n_dof): by the log-parameters, then by the initial state; of no length where they are
-        not wanted. Not finite for sets that are too fast to be followed.
+        Displacements and velocities, shape (sets, n_times, 2 n_dof), and their derivatives by the log-parameters and
+        the initial state, shape (sets, n_times, 2 n_dof, n_parameters + 2 n_dof), empty without ``slopes``. NaN for
+        sets whose rates are too fast (:data:`FASTEST`).
     """
     return _motion(state_matrices(system, p, slopes), start, times, forces, slopes)
 
@@ -98,9 +98,9 @@ def _motion(
 def linear_readings(
     system: System, p: Mapping[str, np.ndarray], start: np.ndarray, record: Record
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the sensors of a record would show, channel after channel, and its derivatives, (sets, N, ...).
+    """Return noise-free sensor values of a record, channel after channel, and derivatives, (sets, n_samples, ...).
 
-    As :func:`linear_motion`, without offsets; an accelerometer shows rows of ``A s + B f``.
+    Derivatives are those of :func:`linear_motion`; accelerations are rows of ``A s + B f``. Offsets are not included.
     """
     n, (times, places) = system.n_dof, sample_times(record)
     matrices = state_matrices(record.rig(system), p, slopes=True)
@@ -135,7 +135,7 @@ def _free_oscillator(
     """
     r, g = -matrices.a[:, 1, :1], -matrices.a[:, 1, 1:]
     d = 0.25 * g * g - r
-    # the floor moves d by less than rounding does, and spares the division by zero at critical damping
+    # the floor changes d by less than rounding and avoids a division by zero at critical damping
     w = np.maximum(np.sqrt(np.abs(d)), 1e-8 / max(float(np.max(times, initial=0.0)), 1e-300))
     angle, envelope = w * times, np.exp(-0.5 * g * times)
     c, s = np.cos(angle), np.sin(angle)
@@ -173,7 +173,7 @@ def _free_oscillator(
 
 
 def _two_decays(w: np.ndarray, rate: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``e^(rate t) cosh(w t)`` and ``e^(rate t) sinh(w t)/w``, where cosh by itself would overflow."""
+    """Compute ``e^(rate t) cosh(w t)`` and ``e^(rate t) sinh(w t)/w`` without overflow of the hyperbolic functions."""
     slow, fast = np.exp((rate + w) * times), np.exp((rate - w) * times)
     near = np.exp(rate * times) * np.sinh(np.minimum(w * times, 1.0))
     return 0.5 * (slow + fast), np.where(w * times < 1.0, near, 0.5 * (slow - fast)) / w

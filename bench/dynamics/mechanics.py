@@ -1,6 +1,6 @@
-"""What follows from a residual alone: regression columns, mass matrix, acceleration, state rate, matrices.
+"""Quantities derived from a residual: regression columns, mass matrix, acceleration, state rate, state matrices.
 
-Every function runs in whichever library its arguments come from; ``ops`` names that library's functions.
+Functions with an argument ``ops`` run in the library of their arguments, whose functions ``ops`` provides.
 """
 
 from __future__ import annotations
@@ -15,16 +15,28 @@ from bench.dynamics.ops import numpy_ops, solved_or_nan
 from bench.systems import Array, Components, Ops, System
 
 _analytic_ops = replace(numpy_ops, abs=lambda z: np.where(np.real(z) < 0, -z, z))
-"""The numpy functions that a residual may call, all of them analytic in an imaginary step."""
+"""NumPy functions for residuals that are differentiated by an imaginary step."""
 
 
 def mass_matrix(
     system: System, p: Mapping[str, Array], x: Components, v: Components, f: Components, z: Components, ops: Ops
 ) -> tuple[list[list[Array]], list[Array]]:
-    """Mass matrix rows M and the residual at rest of acceleration r0, so that ``r = M a + r0``.
+    """Compute the mass matrix M and the residual r0 without acceleration, so that ``r = M a + r0``.
 
-    By unit accelerations, since a residual is affine in them (architecture rule: the physics is written once). Those of
-    a linear system at rest, where no stiff spring takes digits of the difference.
+    The matrix follows from unit accelerations, since a residual is affine in them; for a linear system, at rest, where
+    a stiff spring causes no cancellation.
+
+    Args:
+        system: The system.
+        p: Parameters by name.
+        x: Displacement of each DOF (m).
+        v: Velocity of each DOF (m/s).
+        f: Force on each DOF (N).
+        z: Hidden states.
+        ops: Functions of the library of the arguments.
+
+    Returns:
+        Rows of M (n_dof by n_dof), and r0 (n_dof).
     """
     n = system.n_dof
     rest = system.residual(p, x, v, [0.0] * n, f, z, ops)
@@ -43,7 +55,20 @@ def mass_matrix(
 def acceleration(
     system: System, p: Mapping[str, Array], x: Components, v: Components, f: Components, z: Components, ops: Ops
 ) -> Components:
-    """The acceleration at a state: the solution of ``M a = -r0``, one component a DOF."""
+    """Compute the acceleration at a state, the solution of ``M a = -r0``.
+
+    Args:
+        system: The system.
+        p: Parameters by name.
+        x: Displacement of each DOF (m).
+        v: Velocity of each DOF (m/s).
+        f: Force on each DOF (N).
+        z: Hidden states.
+        ops: Functions of the library of the arguments.
+
+    Returns:
+        Acceleration of each DOF (m/s²).
+    """
     matrix, rest = mass_matrix(system, p, x, v, f, z, ops)
     if system.n_dof == 1:
         return [-rest[0] / matrix[0][0]]
@@ -51,7 +76,18 @@ def acceleration(
 
 
 def state_rate(system: System, p: Mapping[str, Array], state: Components, f: Components, ops: Ops) -> list[Array]:
-    """Time derivative of the state ``[x..., v..., z...]``, component by component."""
+    """Compute the time derivative of the state ``[x..., v..., z...]``.
+
+    Args:
+        system: The system.
+        p: Parameters by name.
+        state: Displacements (m), velocities (m/s) and hidden states.
+        f: Force on each DOF (N).
+        ops: Functions of the library of the arguments.
+
+    Returns:
+        Derivative of each component.
+    """
     n = system.n_dof
     x, v, z = state[:n], state[n : 2 * n], state[2 * n :]
     return [*v, *acceleration(system, p, x, v, f, z, ops), *system.hidden_rates(p, x, v, f, z, ops)]
@@ -60,10 +96,20 @@ def state_rate(system: System, p: Mapping[str, Array], state: Components, f: Com
 def regression_columns(
     system: System, x: Components, v: Components, a: Components, f: Components
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Columns A and offset b with ``residual = A @ p + b``, by unit parameter vectors.
+    """Compute A and b with ``residual = A @ p + b``, by unit parameter vectors.
 
-    ``x``, ``v``, ``a``, ``f`` hold one array of shape (n,) a DOF. Returns A of shape (n_dof * n, n_parameters) and
-    b of shape (n_dof * n,), rows DOF by DOF. Raises ValueError where the residual is not affine in the parameters.
+    Args:
+        system: System whose residual is affine in the parameters.
+        x: Displacement (m), one array of shape (n,) per DOF.
+        v: Velocity (m/s), likewise.
+        a: Acceleration (m/s²), likewise.
+        f: Force (N), likewise.
+
+    Returns:
+        A of shape (n_dof * n, n_parameters) and b of shape (n_dof * n,), with rows DOF by DOF.
+
+    Raises:
+        ValueError: If the residual is not affine in the parameters.
     """
     if not system.affine_in_parameters or system.n_hidden:
         raise ValueError(f"the residual of {system.name} has no regression columns: it is not affine in its parameters")
@@ -79,9 +125,9 @@ def regression_columns(
 
 
 def _unit_residuals(system: System, p: Mapping[str, Any]) -> np.ndarray:
-    """Compute the residual of a linear system at one unit of x, v, a or f and nothing else, shape (..., n, 4 n).
+    """Evaluate the residual of a linear system at unit vectors of (x, v, a, f), shape (..., n, 4 n).
 
-    So no entry is a small difference of large numbers. The parameters may have an imaginary step each.
+    No entry is a small difference of large numbers. Parameters may be complex, with an imaginary step.
     """
     if not system.linear:
         raise ValueError(f"{system.name} is not linear: it has no constant matrices")
@@ -99,16 +145,24 @@ def _unit_residuals(system: System, p: Mapping[str, Any]) -> np.ndarray:
 def linear_matrices(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return mass, damping and stiffness matrices of a linear system, each of shape (..., n_dof, n_dof).
 
-    Parameters may be arrays of one shape, which leads the result. Raises ValueError where the system is not linear.
+    Parameters may be arrays of one shape, which leads the result. Raises ValueError if the system is not linear.
     """
     stiffness, damping, mass, _ = np.split(_unit_residuals(system, p), 4, axis=-1)
     return mass, damping, stiffness
 
 
 def state_matrix(system: System, p: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``A`` and ``B`` of ``s' = A s + B f`` for the state ``s = [x, v]``, (..., 2n, 2n) and (..., 2n, n).
+    """Compute the matrices of ``s' = A s + B f`` for the state ``s = [x, v]`` of a linear system.
 
-    NaN where the mass matrix is singular. Raises ValueError where the system is not linear.
+    Args:
+        system: A linear system with n degrees of freedom.
+        p: Parameters by name, numbers or arrays of one shape ``sets``.
+
+    Returns:
+        ``A`` of shape (*sets, 2n, 2n) and ``B`` of shape (*sets, 2n, n); NaN if the mass matrix is singular.
+
+    Raises:
+        ValueError: If the system is not linear.
     """
     n = system.n_dof
     residuals = _unit_residuals(system, p)

@@ -18,7 +18,7 @@ from bench.dynamics.mechanics import state_matrix
 from bench.systems import System
 
 RESOLVED = 1e7
-"""How many times faster the fastest mode may be: the rounding of its eigenvalue is the digits of a slower one."""
+"""Largest ratio of two natural frequencies; beyond it, rounding of the largest eigenvalue spoils the smallest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ class Modes:
 def modes(system: System, parameters: Mapping[str, Any]) -> Modes:
     """Compute the modes of a linear system; masses, dampers and springs may all be over one mass.
 
-    NaNs where they are not finite. Raises ValueError where the system is not linear.
+    Values may be NaN. Raises ValueError if the system is not linear.
     """
-    found = modes_of_all(system, {name: np.array([float(value)]) for name, value in parameters.items()})
-    return Modes(found.frequencies[0], found.damping_ratios[0], found.shapes[0])
+    batch = modes_of_all(system, {name: np.array([float(value)]) for name, value in parameters.items()})
+    return Modes(batch.frequencies[0], batch.damping_ratios[0], batch.shapes[0])
 
 
 def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> Modes:
@@ -67,21 +67,21 @@ def modes_of_all(system: System, parameters: Mapping[str, np.ndarray]) -> Modes:
 
 
 def mac(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Modal assurance criterion of shapes (n_dof, n) and (n_dof, m), (n, m): 1 where they are the same but for scale.
+    """Return the modal assurance criterion (n, m) of shapes (n_dof, n) and (n_dof, m); 1 for proportional shapes.
 
     ``|a' b|² / ((a' a) (b' b))`` (R. J. Allemang, Sound and Vibration 37(8):14, 2003). Leading axes are kept.
     """
     crossed = np.abs(np.swapaxes(a.conj(), -1, -2) @ b) ** 2
-    own, others = (np.sum(np.abs(shapes) ** 2, axis=-2) for shapes in (a, b))
-    return np.asarray(crossed / (own[..., :, None] * others[..., None, :]))
+    squares_a, squares_b = (np.sum(np.abs(shapes) ** 2, axis=-2) for shapes in (a, b))
+    return np.asarray(crossed / (squares_a[..., :, None] * squares_b[..., None, :]))
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Identified modes against true ones, each matched to one by shape; numbers, or arrays by replicate.
+    """Errors of identified modes, matched to the true ones by shape; numbers, or arrays by replicate.
 
-    ``frequency_pct`` and ``damping_pct``: root mean square over the modes of the relative error (%); ``least_mac``: the
-    worst agreement in shape.
+    ``frequency_pct`` and ``damping_pct`` are the root mean square over the modes of the relative error (%),
+    ``least_mac`` is the smallest modal assurance criterion.
     """
 
     frequency_pct: np.ndarray
@@ -90,10 +90,10 @@ class Agreement:
 
 
 def agreement(identified: Modes, true: Modes) -> Agreement:
-    """How well modes, of one or several replicates, agree with true ones of one.
+    """Compare identified modes, of one or several replicates, with the true modes.
 
-    Infinite errors and a MAC of 0 where the identified ones are not finite, or so far apart that the slower ones are
-    rounding errors of the faster: of a fit that ran away.
+    Errors are infinite and the MAC is 0 if the identified modes are not finite, or their frequencies differ so much
+    that the lower ones are rounding errors, as after an outlier fit.
     """
     finite = np.isfinite(identified.shapes).all(axis=(-2, -1))
     for numbers in (identified.frequencies, identified.damping_ratios):
@@ -101,17 +101,17 @@ def agreement(identified: Modes, true: Modes) -> Agreement:
     with np.errstate(all="ignore"):
         finite &= identified.frequencies.max(axis=-1) < RESOLVED * identified.frequencies.min(axis=-1)
         likeness = mac(true.shapes, identified.shapes)
-        # where shapes do not tell (one DOF, or sensors alike), frequencies do
+        # frequencies decide the matching if shapes do not (one DOF, or equal shapes)
         near = np.abs(np.log(np.maximum(identified.frequencies, 1e-300)[..., None, :] / true.frequencies[:, None]))
     costs = np.where(finite[..., None, None], -likeness + 0.1 * np.minimum(near, 1.0), 0.0)
-    each = [linear_sum_assignment(own)[1] for own in costs.reshape(-1, *costs.shape[-2:])]
-    theirs = np.array(each, int).reshape(costs.shape[:-1])
+    assignments = [linear_sum_assignment(cost)[1] for cost in costs.reshape(-1, *costs.shape[-2:])]
+    matching = np.array(assignments, int).reshape(costs.shape[:-1])
 
-    def rms(found: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        errors = np.take_along_axis(found, theirs, axis=-1) / wanted - 1.0
+    def rms(estimates: np.ndarray, values: np.ndarray) -> np.ndarray:
+        errors = np.take_along_axis(estimates, matching, axis=-1) / values - 1.0
         return np.where(finite, 100.0 * np.sqrt(np.mean(errors**2, axis=-1)), np.inf)
 
-    matched = np.take_along_axis(likeness, theirs[..., None], axis=-1)
+    matched = np.take_along_axis(likeness, matching[..., None], axis=-1)
     return Agreement(
         rms(identified.frequencies, true.frequencies),
         rms(identified.damping_ratios, true.damping_ratios),

@@ -1,7 +1,7 @@
-"""Tables of the functions that a residual may call, one for each library that runs it.
+"""Functions that a residual may call, for each library that evaluates it.
 
-A table for another library is made from the library that is handed in, by :func:`array_ops` where it works on arrays as
-numpy does (jax, torch), else by :func:`ops_from` (casadi): the harness imports none of them.
+:func:`array_ops` serves array libraries (NumPy, JAX, PyTorch), :func:`ops_from` others (CasADi). The library is passed
+as an argument, so that the benchmark does not import it.
 """
 
 from __future__ import annotations
@@ -21,21 +21,29 @@ NAMES = tuple(field.name for field in fields(Ops) if field.name != "solve")
 
 
 def ops_from(library: Any, solve: Solve, **others: Callable[..., Array]) -> Ops:
-    """Make the table of a library.
+    """Collect the functions of a library.
 
     Args:
-        library: what has the functions of :class:`bench.Ops` by their names there.
-        solve: solves a linear system given by rows of the matrix and components of the right-hand side.
-        others: functions that the library calls otherwise, e.g. ``abs=casadi.fabs``.
+        library: Module or object with the functions of :class:`bench.Ops`.
+        solve: Solver of a linear system, given rows of the matrix and components of the right-hand side.
+        others: Functions with other names in the library, e.g. ``abs=casadi.fabs``.
+
+    Returns:
+        The functions.
     """
     return Ops(solve=solve, **{name: others[name] if name in others else getattr(library, name) for name in NAMES})
 
 
 def array_ops(library: Any, broadcast: Callable[..., Sequence[Array]] | None = None, solved: Any = None) -> Ops:
-    """Make the table of a library of arrays, in whose linear systems every entry may be an array or a number.
+    """Collect the functions of an array library; entries of linear systems may be arrays or numbers.
 
-    ``broadcast`` brings arrays to one shape where the library has no ``broadcast_arrays``; ``solved`` replaces its
-    ``linalg.solve``.
+    Args:
+        library: Module with the functions of :class:`bench.Ops`, ``stack`` and ``linalg.solve``.
+        broadcast: Function that broadcasts arrays to one shape; by default ``library.broadcast_arrays``.
+        solved: Solver of linear systems; by default ``library.linalg.solve``.
+
+    Returns:
+        The functions.
     """
     broadcast, solved = broadcast or library.broadcast_arrays, solved or library.linalg.solve
 
@@ -49,7 +57,7 @@ def array_ops(library: Any, broadcast: Callable[..., Sequence[Array]] | None = N
 
 
 def solved_or_nan(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve linear systems (..., n, n), NaN where a matrix is singular: one of them does not stop the others."""
+    """Solve linear systems (..., n, n); the solution is NaN for singular matrices, without affecting the others."""
     if matrix.shape[-1] == 1:
         return np.asarray(right / matrix)
     try:
@@ -60,19 +68,19 @@ def solved_or_nan(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 numpy_ops = array_ops(np, solved=solved_or_nan)
-"""The numpy functions a residual may call; NaN where a mass matrix is singular."""
+"""NumPy functions for residuals; solutions are NaN if the mass matrix is singular."""
 float_ops = ops_from(
     math,
     lambda matrix, rhs: np.linalg.solve(matrix, rhs).tolist(),
     abs=abs,
     where=lambda condition, a, b: a if condition else b,
 )
-"""The functions that a residual may call, for plain numbers."""
+"""Functions for residuals of plain numbers."""
 
 
 @cache
 def sympy_ops() -> Ops:
-    """Make the table of sympy, which is loaded when it is first asked for: equations as formulas."""
+    """Return the functions of SymPy, which is imported on first use."""
     import sympy
 
     def solve(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:

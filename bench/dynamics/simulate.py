@@ -1,9 +1,9 @@
-"""The response of a system, vectorised over parameter sets, for methods and for scoring.
+"""Simulation of systems for methods and scoring, vectorised over parameter sets.
 
-Linear systems are exact in time (:mod:`bench.dynamics.linear_motion`). One motion of another system is integrated by
-LSODA to about 1e-9 of its largest value, even where rates have kinks; many at once by Runge-Kutta steps of order four,
-to about 1e-5 of it, alike for all sets, so that their differences are smooth. The truth is never made here (see
-:mod:`bench.scenario.truth`).
+Linear systems are solved exactly in time (:mod:`bench.dynamics.linear_motion`). A single motion of a nonlinear system
+is integrated by LSODA to a relative accuracy of about 1e-9, also for non-smooth equations; several sets at once by
+Runge-Kutta steps of order four to about 1e-5, with the same steps for all sets, so that their differences are smooth.
+True motions are integrated separately (:mod:`bench.scenario.truth`).
 """
 
 from __future__ import annotations
@@ -27,28 +27,41 @@ from bench.dynamics.stepper import rk4_path
 from bench.systems import System
 
 MAX_STEPS = 200_000
+"""Largest number of Runge-Kutta steps; a motion that needs more is not finite."""
 LONG_GRID = 200
-"""Evenly spaced times from which on free motions of one mass are superposed rather than simulated at each time."""
+"""Number of evenly spaced times from which free motions of one mass are superposed, which is faster."""
 TOLERANCE = 1e-10
-"""Estimated local error of LSODA, relative to a component and to the largest component of the first state."""
+"""Local error tolerance of LSODA, relative to a component and to the largest component of the initial state."""
 START_STEPS, PART = 5, 1e-3
-"""Steps of Gauss and Newton to an initial state, and a finite difference of it over the size of the motion."""
+"""Gauss-Newton steps for an initial state, and its finite difference relative to the size of the motion."""
 MAX_RATES = 500_000
-"""Evaluations of the equation of motion after which LSODA gives a motion up: some seconds."""
+"""Evaluations of the equation of motion after which LSODA is stopped, after some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """Displacement and velocity of every DOF and the hidden states, each of shape (their number, *sets, n_times)."""
+    """Simulated motion.
+
+    Attributes:
+        displacement: Displacement (m), shape (n_dof, *sets, n_times).
+        velocity: Velocity (m/s), shape (n_dof, *sets, n_times).
+        hidden: Hidden states, shape (n_hidden, *sets, n_times).
+    """
 
     displacement: np.ndarray
     velocity: np.ndarray
     hidden: np.ndarray
 
     def readings(self, system: System, p: Mapping[str, Any], record: Record) -> np.ndarray:
-        """Return what ideal sensors would show, channel after channel, shape (*sets, n_samples), without offsets.
+        """Return noise-free sensor values without offsets.
 
-        ``record``: at whose :func:`sample_times` the motion is.
+        Args:
+            system: System of the motion.
+            p: Parameters by name, as for the simulation.
+            record: Record at whose :func:`sample_times` the motion was simulated.
+
+        Returns:
+            Values, channel after channel, shape (*sets, n_samples).
         """
         by_kind: dict[str, Any] = {"displacement": self.displacement, "velocity": self.velocity}
         times, places = sample_times(record)
@@ -68,10 +81,17 @@ def simulate(
     times: np.ndarray,
     forces: Sequence[Force] = (),
 ) -> SimulatedMotion:
-    """Simulate the response from a state at time 0, at increasing times >= 0 (s), shape (n_times,).
+    """Simulate the response from an initial state.
 
-    Parameters are floats or arrays of one shape ``sets``; ``start`` is an InitialState, or displacement and velocity
-    of shape (n_dof, *sets). A diverging response gives infinities or NaNs, never an error.
+    Args:
+        system: The system.
+        p: Parameters by name, floats or arrays of one shape ``sets``.
+        start: Initial state at time 0; or displacement and velocity, each of shape (n_dof, *sets).
+        times: Increasing times >= 0 (s), shape (n_times,).
+        forces: Known forces.
+
+    Returns:
+        The motion; not finite where it diverges.
     """
     x0, v0 = (start.displacement, start.velocity) if isinstance(start, InitialState) else start
     sets = np.broadcast_shapes(*(np.shape(v) for v in p.values()), np.shape(x0)[1:], np.shape(v0)[1:])
@@ -97,17 +117,17 @@ def displacements(
     grids: Sequence[np.ndarray],
     forces: Sequence[Sequence[Force]],
 ) -> list[np.ndarray]:
-    """Simulate many motions of one system, each as accurate as :func:`simulate` makes it alone.
+    """Simulate n motions of one system, each with the accuracy of a single :func:`simulate`.
 
     Args:
-        system: The system of all of them.
-        p: Its parameters, each of shape (n,).
-        starts: Their states at time 0.
-        grids: Where they are wanted (s): times that increase from one grid to the next.
-        forces: The forces of each.
+        system: The system.
+        p: Parameters by name, each of shape (n,).
+        starts: Initial state of each motion.
+        grids: Grids of times (s), increasing also from one grid to the next.
+        forces: Known forces of each motion.
 
     Returns:
-        Displacements (m) on each grid, shape (n, n_dof, n_times). Those that diverge are not finite.
+        Displacements (m) on each grid, shape (n, n_dof, n_times); not finite where the motion diverges.
     """
     times, first = np.concatenate(grids), forces[0] if forces else ()
     state = np.array([s.displacement for s in starts]).T, np.array([s.velocity for s in starts]).T
@@ -118,7 +138,7 @@ def displacements(
     else:
         each = [{name: values[i] for name, values in p.items()} for i in range(len(starts))]
         motions = zip(each, starts, forces, strict=True)
-        paths = np.stack([simulate(system, one, start, times, acting).displacement for one, start, acting in motions])
+        paths = np.stack([simulate(system, q, start, times, acting).displacement for q, start, acting in motions])
     return np.split(paths, np.cumsum([grid.size for grid in grids])[:-1], axis=2)
 
 
@@ -134,8 +154,8 @@ def _free_motions(
 ) -> np.ndarray:
     """Compute displacements of a free linear system of one mass, shape (n, n_times).
 
-    The motion from a state is its displacement and velocity times the motions from a unit of each. So on a long, even
-    grid the states at one time in ``stride`` and these two motions in between give all of it, with few sines.
+    The motion from a state is a superposition of the motions from unit displacement and unit velocity. On a long
+    uniform grid states are computed at every ``stride``-th time and superposed in between, with fewer sines.
     """
     even = np.linspace(times[0], times[-1], times.size)
     if times.size < LONG_GRID or np.max(np.abs(times - even)) > 4.0 * np.finfo(float).eps * times[-1]:
@@ -159,7 +179,7 @@ def _spread(value: Any, shape: tuple[int, ...]) -> np.ndarray:
 def _many(
     system: System, p: Mapping[str, Any], state: list[np.ndarray], times: np.ndarray, forces: Sequence[Force]
 ) -> np.ndarray:
-    """Many sets at once, by steps of order four that are short enough for all of them."""
+    """Integrate several sets together by Runge-Kutta steps that resolve all of them."""
     grid = merged_grid(times, forces)
     counts = step_counts(grid, longest_step(system, p, state))
     if counts.sum() > MAX_STEPS:
@@ -171,12 +191,12 @@ def _many(
 def _alone(
     system: System, p: Mapping[str, Any], state: list[np.ndarray], times: np.ndarray, forces: Sequence[Force]
 ) -> np.ndarray:
-    """One set, by LSODA from one knot of a force to the next; not finite from where it diverges.
+    """Integrate one set by LSODA between the knots of the forces; not finite after the motion diverges.
 
-    LSODA (L. Petzold, SIAM J. Sci. Stat. Comput. 4:136, 1983) is a multistep method, unlike the truth's integrator, so
-    that no method fits by what made its data.
+    LSODA (L. Petzold, SIAM J. Sci. Stat. Comput. 4:136, 1983) is a multistep method, unlike the integrator of the true
+    motion, so that no method fits with the integrator that generated its data.
     """
-    from scipy.integrate import odeint  # slow to import, and linear systems do not need it
+    from scipy.integrate import odeint  # slow to import, not needed by linear systems
 
     values, left = {name: float(value) for name, value in p.items()}, MAX_RATES
     knots = merged_grid(times[-1:], forces)
@@ -202,7 +222,7 @@ def _alone(
         wanted = np.concatenate([[begin], times[inside], [end]])
         given = begin, end - begin, pushes[::-1, i].T.tolist()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what is not reached is not finite
+            warnings.simplefilter("ignore")  # times that are not reached become NaN
             states, report = odeint(rate, now, wanted, given, mxstep=MAX_RATES, full_output=True, **tolerances)
         states[1:][report["tcur"] < wanted[1:]] = np.nan
         path[:, inside], now = states[1:-1].T, states[-1]
@@ -213,7 +233,14 @@ def _alone(
 
 @dataclass(frozen=True, eq=False)
 class SimulatedResponse:
-    """The simulated displacement as a function of time: a reconstruction that can be pickled."""
+    """Simulated displacement as a function of time, a picklable reconstruction.
+
+    Attributes:
+        system: The system.
+        parameters: Parameters by name.
+        start: Initial state.
+        forces: Known forces.
+    """
 
     system: System
     parameters: Mapping[str, float]
@@ -221,15 +248,23 @@ class SimulatedResponse:
     forces: tuple[Force, ...] = ()
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
-        """Displacement (m), shape (n_dof, n_times), at increasing times (s)."""
+        """Simulate the displacement (m), shape (n_dof, n_times), at increasing times (s)."""
         return simulate(self.system, self.parameters, self.start, times, self.forces).displacement
 
 
 def fit_initial_state(system: System, p: Mapping[str, float], record: Record) -> InitialState:
-    """Return the initial state that fits a record best at given parameters, or the one that is known.
+    """Estimate the initial state of a record at given parameters by least squares.
 
-    Gauss-Newton on the simulated measurements by finite differences of the state, with the offsets of channels; one
-    step solves a linear system, whose response is affine in the state.
+    Gauss-Newton steps with finite differences of the state, together with unknown offsets; for a linear system, whose
+    response is affine in the state, one step is exact.
+
+    Args:
+        system: The system.
+        p: Parameters by name.
+        record: The record.
+
+    Returns:
+        The estimated initial state, or the known one.
     """
     if record.initial_state is not None:
         return record.initial_state
@@ -254,6 +289,16 @@ def fit_initial_state(system: System, p: Mapping[str, float], record: Record) ->
 def measurements(
     system: System, p: Mapping[str, Any], start: InitialState | tuple[np.ndarray, np.ndarray], record: Record
 ) -> np.ndarray:
-    """Simulate ideal measurements of all channels of a record, channel after channel, shape (*sets, n_samples)."""
+    """Simulate noise-free measurements of all channels of a record.
+
+    Args:
+        system: The system.
+        p: Parameters by name, floats or arrays of one shape ``sets``.
+        start: Initial state; or displacement and velocity, each of shape (n_dof, *sets).
+        record: Record with channels, known forces and added masses.
+
+    Returns:
+        Values, channel after channel, shape (*sets, n_samples).
+    """
     rig, (times, _) = record.rig(system), sample_times(record)
     return simulate(rig, p, start, times, record.forces).readings(rig, p, record)

@@ -1,4 +1,4 @@
-"""The Runge-Kutta stepper of order four: one step in any library, and paths of steps in numpy and in jax."""
+"""Runge-Kutta method of order four: single steps in any library, trajectories in NumPy and JAX."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.dynamics.ops import array_ops, numpy_ops
 from bench.systems import Array, Components, Ops, System
 
 MOST_STATES = 10_000_000
-"""Numbers in the states after all compiled steps, which are all kept; numpy keeps those that are wanted."""
+"""Largest number of values of a compiled trajectory, which stores all steps; NumPy stores requested states only."""
 
 
 def rk4(
@@ -24,10 +24,13 @@ def rk4(
     """Take one classical Runge-Kutta step of order four.
 
     Args:
-        rate: (components of the state, input) -> their time derivatives; a component may be an array of any library.
-        state: the components at the start.
-        step: the length.
-        inputs: what ``rate`` is given at the start, middle and end of the step.
+        rate: Function of state components and input that returns their time derivatives; arrays of any library.
+        state: Components of the state before the step.
+        step: Length of the step (s).
+        inputs: Second argument of ``rate`` at the beginning, middle and end of the step.
+
+    Returns:
+        Components of the state after the step.
     """
     start, middle, end = inputs
     k1 = rate(state, start)
@@ -45,24 +48,36 @@ def rk4_step(
     forces: tuple[Components, Components, Components],
     ops: Ops,
 ) -> list[Array]:
-    """Take one :func:`rk4` step of a system; ``forces`` at its start, middle and end."""
+    """Take one :func:`rk4` step of a system.
+
+    Args:
+        system: The system.
+        p: Parameters by name.
+        state: Displacements, velocities and hidden states.
+        step: Length of the step (s).
+        forces: Forces (N) on all DOFs at the beginning, middle and end of the step.
+        ops: Functions of the library of the arguments.
+
+    Returns:
+        Components of the state after the step.
+    """
     return rk4(lambda moved, force: state_rate(system, p, moved, force, ops), state, step, forces)
 
 
 def rk4_path(
     system: System, p: Mapping[str, Any], state: Sequence[np.ndarray], steps: Steps, wanted: np.ndarray
 ) -> np.ndarray:
-    """Carry a state along the steps, for all sets of parameters at once.
+    """Integrate over a sequence of steps, for all sets of parameters at once.
 
     Args:
-        system: any.
-        p: the parameters, floats or arrays of one shape ``sets``.
-        state: the components at the first point of the grid, each of shape ``sets``.
-        steps: the steps from there.
-        wanted: the numbers of the grid's points at which the state is wanted, shape (n_wanted,).
+        system: The system.
+        p: Parameters by name, floats or arrays of one shape ``sets``.
+        state: Components of the initial state, each of shape ``sets``.
+        steps: The steps.
+        wanted: Indices of grid points at which the state is returned, shape (n_wanted,).
 
     Returns:
-        The states, shape (n_state, *sets, n_wanted); not finite where the motion diverges.
+        States, shape (n_state, *sets, n_wanted); not finite where the motion diverges.
     """
     path, arrival = np.empty((len(state), *state[0].shape, wanted.size)), steps.reached[wanted]
     path[..., arrival == 0] = np.stack(state)[..., None]
@@ -75,17 +90,17 @@ def rk4_path(
 
 
 def rk4_scan(system: System, p: Mapping[str, Any], start: Any, lengths: Any, forces: Any) -> Any:
-    """Carry a state along steps in jax, which differentiates it.
+    """Integrate over a sequence of steps in JAX, which can differentiate the result.
 
     Args:
-        system: any.
-        p: the parameters, arrays of jax of one shape ``sets``.
-        start: the state, shape (n_state, *sets).
-        lengths: of the steps, shape (J,).
-        forces: at the start, middle and end of each step, shape (J, 3, n_dof).
+        system: The system.
+        p: Parameters by name, JAX arrays of one shape ``sets``.
+        start: Initial state, shape (n_state, *sets).
+        lengths: Lengths of the steps (s), shape (J,).
+        forces: Forces (N) at the beginning, middle and end of each step, shape (J, 3, n_dof).
 
     Returns:
-        The states before the first step and after each, shape (J + 1, n_state, *sets).
+        States before the first step and after each step, shape (J + 1, n_state, *sets).
     """
     import jax
     import jax.numpy as jnp
@@ -110,11 +125,21 @@ def compiled_path(
     wanted: np.ndarray,
     coarse: bool = False,
 ) -> np.ndarray:
-    """Carry a state along the steps by :func:`rk4_scan`, compiled; arguments and result are those of :func:`rk4_path`.
+    """Integrate over a sequence of steps by a compiled :func:`rk4_scan`, or by :func:`rk4_path` without JAX.
 
-    What is compiled depends on the system and the numbers of sets and of steps. Both numbers are rounded up, so that
-    few programmes serve many calls. ``coarse``: to powers of four, not of two (sets) and to a fourth of an octave
-    (steps): for short work, where compiling takes longer than steps and sets that are in vain.
+    A program is compiled for each system, number of sets and number of steps. Both numbers are rounded up, so that few
+    programs are compiled.
+
+    Args:
+        system: The system.
+        p: Parameters by name, floats or arrays of one shape ``sets``.
+        state: Components of the initial state, each of shape ``sets``.
+        steps: The steps.
+        wanted: Indices of grid points at which the state is returned, shape (n_wanted,).
+        coarse: Round to powers of four; for short computations, in which compilation would take most of the time.
+
+    Returns:
+        States, shape (n_state, *sets, n_wanted); not finite where the motion diverges.
     """
     sets = state[0].shape
     n_sets, n_steps = int(np.prod(sets)), steps.lengths.size
@@ -129,7 +154,7 @@ def compiled_path(
 
 
 def padded(steps: Steps, coarse: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Return lengths (n,) and forces (n, 3, n_dof) with steps of no length at the end, which move nothing."""
+    """Return lengths (n,) and forces (n, 3, n_dof), padded at the end by steps of length zero."""
     n_steps = steps.lengths.size
     part = 2 ** max(n_steps.bit_length() - 3, 0)
     more = (_power(4, n_steps) if coarse else -(-n_steps // part) * part) - n_steps
@@ -137,7 +162,7 @@ def padded(steps: Steps, coarse: bool = False) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _power(base: int, number: int) -> int:
-    """Return the least power of ``base`` that is not below a number."""
+    """Return the smallest power of ``base`` that is at least a number."""
     power = 1
     while power < number:
         power *= base
@@ -146,7 +171,7 @@ def _power(base: int, number: int) -> int:
 
 @lru_cache(maxsize=64)
 def _carrier(system: System) -> Any:
-    """(parameters, states, lengths, forces) -> the states before the first step and after each."""
+    """Return the compiled function of parameters, initial states, lengths and forces that returns all states."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
