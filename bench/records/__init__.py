@@ -1,1 +1,1 @@
-"""Measured records: read, fitted, reported; there is no truth to score against."""
+"""Measured records, whose true parameters are unknown: reading, identification, intervals, diagnostics, certificate."""

@@ -1,7 +1,7 @@
-"""The certificate of measured records: what one method finds, and all that supports it or contradicts it.
+"""Certificate of measured records: the estimate of a primary method, and the evidence for or against it.
 
-Beside the primary method's answer stand the other methods', the model classes, a prediction of what was held out,
-simulated replicas, and what a better record would bring. Nothing is drawn here.
+The evidence consists of other methods, a comparison of model classes, a prediction of held-out samples, the coverage
+on simulated replicas, and the gain expected from a better record. The certificate is rendered elsewhere.
 """
 
 from __future__ import annotations
@@ -25,30 +25,37 @@ from bench.records.intervals import StatedInterval
 from bench.records.models import ClassComparison, ModelClass
 from bench.records.prediction import HeldOutPrediction, predict_held_out
 from bench.records.problem import Measured, spare_factor, with_fewer_samples
-from bench.records.replicas import ReplicaCoverage, coverage_on_replicas
+from bench.records.replicas import LEAST, ReplicaCoverage, coverage_on_replicas
 from bench.records.request import AUTO, Request
 from bench.records.verdict import Reason, Trust
 from bench.records.what_if import WhatIf, what_if
 from bench.records.workers import Workers
 
 CLASSES_SECONDS = 60.0
-"""Time to compare classes; then the certificate lacks them, and system=auto takes sdof."""
+"""Time limit (s) of the comparison of model classes; beyond it the certificate has none, and system=auto is sdof."""
 OTHERS_SECONDS = 10.0
-"""Time limit of each method beside the first."""
+"""Time limit (s) of each method other than the primary one."""
 OTHERS_SAMPLES = 5000
-"""Samples that the methods beside the first get at least of a longer record, decimated: they only check its answer."""
+"""Longer records are decimated to at least this many samples for the other methods, which only check the estimate."""
 COMPARED = 2
-"""Quantities in which methods are compared."""
+"""Number of quantities in which methods are compared."""
 Say = Callable[[str], None]
 Answer = tuple[Finding, HeldOutPrediction | None, tuple[WhatIf, ...]]
-"""The primary method's finding, the prediction of what was held out from its fit, and what would help."""
+"""Result of the primary method, its prediction of the held-out samples, and the gain expected from better records."""
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """All that is stated of records; the first of ``findings`` is the primary method's.
+    """Certificate of measured records.
 
-    ``missing`` says of a part that is not there why it is not.
+    Attributes:
+        measured: The records.
+        findings: Results of the methods, that of the primary method first.
+        classes: Compared model classes, the selected one first.
+        prediction: Prediction of the held-out samples.
+        replicas: Coverage of each quantity on simulated replicas.
+        what_if: Errors expected from better records.
+        missing: Reason for the absence of a part, by the name of the part.
     """
 
     measured: Measured
@@ -71,14 +78,17 @@ def certify(
     on_progress: OnProgress = lambda look: None,
     say: Say = lambda sentence: None,
 ) -> Certificate:
-    """Gather the certificate of records; raises InputError.
+    """Compute the certificate of records.
 
     Args:
-        request: Its first method is the primary one.
+        request: Methods, the primary one first.
         measured: The records.
         replicas: Number of simulated replicas; 0 for none.
-        on_progress: Gets the progress.
-        say: Gets a sentence before work whose length the user chose.
+        on_progress: Called with the progress.
+        say: Called with a sentence that announces the expected time of the replicas.
+
+    Raises:
+        InputError: The primary method does not accept the records.
     """
     missing: dict[str, str] = {}
     with Workers() as workers:
@@ -88,14 +98,15 @@ def certify(
         measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
         answer, findings = _answers(request, measured, workers, on_progress)
         if answer[0].estimate.status is not Status.OK and comparison is not None and auto:
-            with suppress(Died):  # then the answer stays the failed one
-                by_class = workers.submit(CLASSES_SECONDS, _of_class, answer[0], comparison.chosen, measured).result()
-                answer, findings = (by_class, [answer[0], *findings]) if by_class else (answer, findings)
+            with suppress(Died):  # the failed estimate remains
+                by_class = workers.submit(CLASSES_SECONDS, _class_answer, answer[0], comparison.chosen, measured)
+                if (class_answer := by_class.result()) is not None:
+                    answer, findings = class_answer, [answer[0], *findings]
         primary = with_reasons(answer[0], findings, missing)
         drawn = _replicas(primary, request.job, replicas, workers, on_progress, say, missing)
     _, prediction, changes = answer
     if not changes:
-        missing["what_if"] = "the answer is not to be trusted, or the data leave a direction open"
+        missing["what_if"] = "the estimate is not trusted, or the data do not determine all parameters"
     classes = () if comparison is None else tuple(comparison.classes)
     return Certificate(measured, (primary, *findings), classes, prediction, drawn, changes, missing)
 
@@ -104,23 +115,21 @@ def certify(
 
 
 def _comparison(measured: Measured, workers: Workers, missing: dict[str, str]) -> ClassComparison | None:
-    """Compare model classes, or say why they are not."""
+    """Compare model classes; add the reason to ``missing`` if they cannot be compared."""
     try:
         comparison: ClassComparison | None = workers.submit(CLASSES_SECONDS, compare_classes, measured).result()
     except Died as died:
         missing["classes"] = died.message
         return None
     if comparison is None:
-        missing["classes"] = "classes are compared for one degree of freedom"
+        missing["classes"] = "model classes are compared for one degree of freedom only"
     return comparison
 
 
-def _answers(
-    request: Request, measured: Measured, workers: Workers, on_progress: OnProgress
-) -> tuple[Answer, list[Finding]]:
-    """Perform the request's jobs side by side: the primary's answer, and the findings of the others in their order.
+def _answers(request: Request, measured: Measured, workers: Workers, on_progress: OnProgress) -> tuple[Answer, list[Finding]]:
+    """Run the jobs of a request in parallel; return the primary answer and the results of the other methods in order.
 
-    A method that does not take measured records is left out, beside the first.
+    Other methods that do not accept measured records are skipped.
     """
     first = request.jobs[0]
     jobs = [first, *(job for job in request.jobs[1:] if job.config.method["name"] not in REFERENCES)]
@@ -147,45 +156,52 @@ def _answers(
 
 
 def primary_answer(job: Job, measured: Measured) -> Answer:
-    """Find the primary method's answer; raises InputError."""
+    """Identify the records with the primary method; raises InputError."""
     return _with_consequences(identify(job, measured))
 
 
 def _with_consequences(finding: Finding) -> Answer:
-    early = None if finding.fit is None else predict_held_out(finding.fit)
-    return finding, early, () if finding.trust is Trust.NO else what_if(finding)
+    prediction = None if finding.fit is None else predict_held_out(finding.fit)
+    return finding, prediction, () if finding.trust is Trust.NO else what_if(finding)
 
 
 def other_answer(job: Job, measured: Measured) -> Answer:
-    """Find the answer of a method beside the first, which only checks it; raises InputError."""
+    """Identify the records, decimated if long, with a method that checks the primary one; raises InputError."""
     factor = min(spare_factor(measured.problem), measured.problem.n // OTHERS_SAMPLES)
     return identify(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured), None, ()
 
 
-def _of_class(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer | None:
-    """Where the primary method has no answer for the class that was chosen: what the class's own fit says."""
+def _class_answer(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer | None:
+    """Return the fit of the selected model class, in place of a failed estimate; None if that fit fails as well."""
     estimate = class_fit(chosen, measured.problem) if len(measured.problem.records) == 1 else None
     if estimate is None:
         return None
     finding = assess(NAME, measured, estimate)
-    said = f"{failed.method} found no answer: {failed.estimate.message}; this is the class's own fit"
-    return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, said))))
+    text = f"{failed.method} gave no estimate: {failed.estimate.message}; values are those of the model class's fit"
+    return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, text))))
 
 
 # ------------------------------------------------------------------------------------------------ agreement
 
 
 def compared_quantities(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Return k/m and c/m, or the first two groups of the system that any method determines."""
+    """Return k/m and c/m, or else the first two groups of the system that any method determines."""
     stated = {name for finding in findings for name in (finding.intervals or finding.withdrawn)}
     groups = [q.name for q in findings[0].problem.system.groups if q.name in stated]
     return tuple(sorted(groups, key=lambda name: name not in ("k_over_m", "c_over_m"))[:COMPARED])
 
 
 def agreements(finding: Finding, primary: Finding, names: Sequence[str]) -> dict[str, str]:
-    """Compare a method's values with the primary's: ``agrees``, ``tied`` or ``off``, by quantity.
+    """Compare the values of a method with those of the primary method.
 
-    It agrees inside the primary's interval, and is tied with it where its own interval covers the primary's value.
+    Args:
+        finding: Result of the method.
+        primary: Result of the primary method.
+        names: Quantities to compare.
+
+    Returns:
+        By quantity ``agrees`` (the value is inside the primary interval), ``tied`` (only the method's interval covers
+        the primary value) or ``off``; ``primary`` for the primary method itself.
     """
     stated = {name: finding.intervals[name] for name in names if name in finding.intervals}
     if finding.method == primary.method:
@@ -194,7 +210,7 @@ def agreements(finding: Finding, primary: Finding, names: Sequence[str]) -> dict
 
 
 def agreement_of(other: StatedInterval, reference: StatedInterval | None) -> str:
-    """Return ``agrees``, ``tied`` or ``off``; ``-`` where there is no reference."""
+    """Return ``agrees``, ``tied`` or ``off`` as in :func:`agreements`; ``-`` without a reference."""
     if reference is None:
         return "-"
     if reference.low <= other.value <= reference.high:
@@ -203,27 +219,27 @@ def agreement_of(other: StatedInterval, reference: StatedInterval | None) -> str
 
 
 def with_reasons(primary: Finding, others: Sequence[Finding], missing: Mapping[str, str]) -> Finding:
-    """Add the reasons for caution that methods give whose own answers are sound, and the comparison of classes."""
+    """Add the reasons for caution that follow from the other methods and from the comparison of classes."""
     names = compared_quantities([primary, *others])
-    found = {other.method: agreements(other, primary, names) for other in others}
-    said = []
+    agreement = {other.method: agreements(other, primary, names) for other in others}
+    texts = []
     for name in names:
-        off = [method for method, agreement in found.items() if agreement.get(name) == "off"]
+        off = [method for method, by_quantity in agreement.items() if by_quantity.get(name) == "off"]
         if off:
-            said.append(f"{', '.join(off)} disagree{'s' if len(off) == 1 else ''} in {name.replace('_over_', '/')}")
-    said += _reasons_of_classes(primary, missing)
-    return replace(primary, reasons=(*primary.reasons, *(Reason(Trust.CAUTION, reason) for reason in said)))
+            texts.append(f"{', '.join(off)} disagree{'s' if len(off) == 1 else ''} in {name.replace('_over_', '/')}")
+    texts += _class_reasons(primary, missing)
+    return replace(primary, reasons=(*primary.reasons, *(Reason(Trust.CAUTION, text) for text in texts)))
 
 
-def _reasons_of_classes(primary: Finding, missing: Mapping[str, str]) -> list[str]:
+def _class_reasons(primary: Finding, missing: Mapping[str, str]) -> list[str]:
     comparison, terms = primary.measured.comparison, set(getattr(primary.problem.system, "terms", ()))
     if comparison is None:
         return [f"model classes were not compared: {missing['classes']}"] if "classes" in missing else []
     good = [comparison.chosen, *comparison.tied]
     if terms and all(set(model.system.terms) != terms for model in good):
-        return [f"the class {comparison.chosen.name} describes the record better: system=auto takes it"]
+        return [f"model class {comparison.chosen.name} describes the record better; system=auto selects it"]
     tied = [model.name for model in good if set(model.system.terms) != terms]
-    return [f"the record does not distinguish these classes from the one taken: {', '.join(tied)}"] if tied else []
+    return [f"the record does not distinguish the fitted model class from {', '.join(tied)}"] if tied else []
 
 
 # ------------------------------------------------------------------------------------------------ replicas
@@ -232,26 +248,26 @@ def _reasons_of_classes(primary: Finding, missing: Mapping[str, str]) -> list[st
 def _replicas(
     primary: Finding, job: Job, n: int, workers: Workers, on_progress: OnProgress, say: Say, missing: dict[str, str]
 ) -> tuple[ReplicaCoverage, ...]:
-    """Judge the intervals on ``n`` replicas, whose time is said before, or say why there are none."""
+    """Compute the coverage on ``n`` replicas; add the reason to ``missing`` if there are none."""
     primary = next((run.finding for run in primary.runs if run.finding.fit is primary.fit), primary)
     if n == 0:
-        missing["replicas"] = "none were asked for (twins=0)"
+        missing["replicas"] = "not requested (twins=0)"
     elif primary.trust is Trust.NO or primary.fit is None:
-        missing["replicas"] = "the answer is not to be trusted, so no replicas of it are simulated"
+        missing["replicas"] = "the estimate is not trusted"
     elif primary.method != job.label:
-        missing["replicas"] = f"replicas are fitted by a method, and this answer is the {primary.method}"
+        missing["replicas"] = f"the estimate is by {primary.method}, not by the method"
     if "replicas" in missing:
         return ()
-    said = False
+    announced = False
 
     def on_replicas(done: int, seconds_left: float) -> None:
-        nonlocal said
-        if not said and math.isfinite(seconds_left):
-            said = True
-            say(f"{n} simulated replicas: about {seconds_left:.0f} s more (twins=0 leaves them out)")
+        nonlocal announced
+        if not announced and math.isfinite(seconds_left):
+            announced = True
+            say(f"{n} simulated replicas: about {seconds_left:.0f} s more (twins=0 skips them)")
         on_progress(RunState("replica", done, n, "", seconds_left, at_least=False))
 
     coverages = coverage_on_replicas(primary, job, n, workers, on_replicas)
     if not coverages:
-        missing["replicas"] = f"of {n} replicas fewer than 20 were answered"
+        missing["replicas"] = f"fewer than {LEAST} of {n} replicas have an estimate"
     return coverages

@@ -1,8 +1,8 @@
-"""Comparison of model classes: which sum of terms describes records, and which are as good.
+"""Comparison of model classes: sums of terms that describe records, ranked by an information criterion.
 
-All classes are fitted side by side (:mod:`bench.records.general_law`), to each record alone, and judged by the Bayesian
-information criterion with the noise as coloured as each leaves it; of several records the criteria add up. A class is
-chosen against a simpler one on strong evidence alone, and evidence counts no more than its own standard error allows.
+All classes are fitted to each record (:mod:`bench.records.general_law`) and compared by the Bayesian information
+criterion, with coloured noise estimated from the residuals of each class; criteria of several records are added. A
+class is preferred to a simpler one only on strong evidence, and evidence is discounted by its standard error.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from bench.systems import LENGTH, MEASURED
 from bench.systems.sums import Sum
 
 SPRINGS = {"viscous": ("k",), "cubic": ("k", "k3"), "pendulum": ("pendulum",)}
-"""Coefficients of what pulls back, by class."""
+"""Coefficients of the restoring force, by class."""
 DAMPINGS = {"": (), " + Coulomb": ("mu",), " + quadratic": ("c2",), " + Coulomb + quadratic": ("mu", "c2")}
-"""Coefficients of damping beside viscous damping."""
+"""Coefficients of damping in addition to viscous damping."""
 AXES = {"no spring: viscous": (), "no spring: viscous + Coulomb": ("mu",),
         "no spring: viscous + Coulomb + bias": ("mu", "b")}  # fmt: skip
-"""The same of what a force drives to and fro, and nothing pulls back: an axis of a machine."""
+"""Damping coefficients of classes without a restoring force, such as a driven axis of a machine."""
 TERM_OF = {"c": "viscous", "k": "spring", "pendulum": "pendulum", "c2": "quadratic", "mu": "coulomb", "b": "bias"}
 STRONG = 6.0
-"""Evidence that each further term needs: twice the logarithm of a Bayes factor (R. E. Kass, A. E. Raftery, J. Am. Stat.
+"""Evidence required per additional term: twice the logarithm of a Bayes factor (R. E. Kass, A. E. Raftery, J. Am. Stat.
 Assoc. 90:773, 1995, section 3.2)."""
 DESCRIBES = 0.3
-"""Residuals over the signal below which a class describes a record."""
+"""Ratio of residuals to signal below which a class is taken to describe a record."""
 NAME = "least squares of the class"
 ITERATIONS = 30
 
 
 def compare_classes(measured: Measured) -> ClassComparison | None:
-    """Fit the classes of one degree of freedom to records; None for records that these cannot be of."""
+    """Fit the classes of one degree of freedom to records; None for several degrees of freedom or an added mass."""
     problem = measured.problem
     if problem.system.n_dof > 1 or any(r.added_mass is not None for r in problem.records):
         return None
@@ -52,7 +52,11 @@ def compare_classes(measured: Measured) -> ClassComparison | None:
 
 
 def needless_terms(measured: Measured) -> Mapping[str, float]:
-    """Find the terms of a named sum that the first record does not need, and the most that it allows of each (SI)."""
+    """Return the terms of a named sum that the first record does not require.
+
+    Returns:
+        Upper 95 % limit of each such coefficient over the mass (SI units), by name of the coefficient.
+    """
     problem = replace(measured.problem, records=measured.problem.records[:1])
     system = problem.system
     if not isinstance(system, Sum) or any(name != "l" for name, _ in system.fixed):
@@ -68,16 +72,16 @@ def needless_terms(measured: Measured) -> Mapping[str, float]:
 
 
 def best_class(measured: Measured, comparison: ClassComparison | None) -> Measured:
-    """Return the records with the class that a comparison has chosen, and a note of it; sdof where there is none."""
+    """Return the records with the class selected by a comparison, and a note; with sdof if there is no comparison."""
     if comparison is None:
-        note = "system=auto takes records of one degree of freedom: sdof is used"
+        note = "system=auto compares classes of one degree of freedom only: system=sdof is used"
         return replace(measured, notes=(*measured.notes, note))
     chosen = comparison.chosen
-    note = f"system=auto chose system={'+'.join(chosen.system.terms)}"
+    note = f"system=auto selected system={'+'.join(chosen.system.terms)}"
     tied = ", ".join(model.name for model in comparison.tied)
-    note += f"; as good: {tied}" if tied else ""
+    note += f"; tied with {tied}" if tied else ""
     zeros = [
-        f"{name}/m is 0, at most {most:.3g} {unit_over_mass(name)}"
+        f"{name}/m is zero, at most {most:.3g} {unit_over_mass(name)}"
         for name, most in chosen.zero.items()
         if np.isfinite(most)
     ]
@@ -86,7 +90,7 @@ def best_class(measured: Measured, comparison: ClassComparison | None) -> Measur
 
 
 def class_fit(model_class: ModelClass, problem: Problem) -> Estimate | None:
-    """Fit the class itself to all samples of a record, from its parameters on; None where that fit is not finite."""
+    """Fit a class to all samples of a record by least squares, starting at its parameters; None if the fit diverges."""
     problem = of_system(problem, model_class.system)
     units = problem.natural_units()
     model = compiled_output_error(problem.expressed_in(units))
@@ -111,7 +115,7 @@ def class_fit(model_class: ModelClass, problem: Problem) -> Estimate | None:
 
 
 def _candidates(forced: bool, angle: bool) -> dict[str, np.ndarray]:
-    """List classes by name with their coefficients; a pendulum's length can be told of angles alone."""
+    """Return the free coefficients of each class; pendulums are included for angles only."""
     springs = SPRINGS if angle else {name: SPRINGS[name] for name in ("viscous", "cubic")}
     classes = {
         name + more: _free(("c", *pulls, *damps), forced)
@@ -126,24 +130,24 @@ def _free(names: Sequence[str], forced: bool) -> np.ndarray:
 
 
 def _fits(problem: Problem, wanted: Sequence[np.ndarray], length: float | None = 1.0) -> list[ClassFits]:
-    """Fit classes to each record; ``length``: of the pendulum (m, or 1 of angles), if it is known."""
+    """Fit classes to each record; ``length`` is that of the pendulum (m; 1 for angles), None if unknown."""
     cuts = [excerpt(record) for record in problem.records]
     turns = [0.3 if length is None else cut.size / length for cut in cuts]
     return [LawFitter(cut, np.array(wanted), turn).fitted() for cut, turn in zip(cuts, turns, strict=True)]
 
 
 def _compared(measured: Measured, wanted: Mapping[str, np.ndarray], fits: Sequence[ClassFits]) -> ClassComparison:
-    """Score the classes, each kind once, and sort them."""
+    """Score the classes and sort them by score; of classes with equal free coefficients the simplest is kept."""
     names, free = list(wanted), np.any([fit.free for fit in fits], axis=0)
     terms = [int(np.sum(coefficients)) for coefficients in wanted.values()]
     kept: list[int] = []
     for case in sorted(range(len(names)), key=lambda i: terms[i]):
         if not any(np.array_equal(free[case], free[other]) for other in kept):
             kept.append(case)
-    left = np.array(
+    rms = np.array(
         [np.sqrt(np.mean(np.concatenate([fit.residuals[i] for fit in fits]) ** 2)) for i in range(len(names))]
     )
-    kept = _oscillating(kept, free, left, fits)
+    kept = _oscillating(kept, free, rms, fits)
     logs = np.concatenate([fit.log_likelihoods for fit in fits], axis=1)
     criteria = -2.0 * np.sum(logs, axis=1)
     for fit in fits:
@@ -154,21 +158,21 @@ def _compared(measured: Measured, wanted: Mapping[str, np.ndarray], fits: Sequen
         difference, error = float(criteria[i] - criteria[best]), criterion_error(logs[best], logs[i])
         evidence = difference * min(1.0, TIED / max(HALF * error, TIED))
         score = evidence + STRONG * (terms[i] - min(terms))
-        classes.append(_model_class(measured, names[i], i, fits, (difference, error, score, float(left[i]))))
+        classes.append(_model_class(measured, names[i], i, fits, (difference, error, score, float(rms[i]))))
     classes.sort(key=lambda model: (model.score, not model.system.linear))
     return ClassComparison(
         tuple(replace(model, told_apart=model.score - classes[0].score >= TIED) for model in classes)
     )
 
 
-def _oscillating(kept: list[int], free: np.ndarray, left: np.ndarray, fits: Sequence[ClassFits]) -> list[int]:
-    """Leave out springs that no vibration shows, where an axis without one describes the record.
+def _oscillating(kept: list[int], free: np.ndarray, rms: np.ndarray, fits: Sequence[ClassFits]) -> list[int]:
+    """Remove overdamped classes with a spring if a class without a spring describes the record.
 
-    The position of a driven axis drifts, and a weak spring may imitate that; it is none while the motion is overdamped.
+    The position of a driven axis drifts, which a weak spring can imitate.
     """
     springs = [COEFFICIENTS.index(name) for name in ("k", "pendulum", "k3")]
     axes = [i for i in kept if not np.any(free[i, springs])]
-    if not axes or min(left[i] for i in axes) > DESCRIBES:
+    if not axes or min(rms[i] for i in axes) > DESCRIBES:
         return kept
     values = fits[0].coefficients
     overdamped = values[:, 1] ** 2 >= 4.0 * np.maximum(values[:, springs[0]], values[:, springs[1]])
@@ -182,7 +186,7 @@ def _model_class(
     fits: Sequence[ClassFits],
     figures: tuple[float, float, float, float],
 ) -> ModelClass:
-    """Describe a fitted class in SI units, by means over the records."""
+    """Return a fitted class in SI units, with means over the records."""
     free = np.any([fit.free[case] for fit in fits], axis=0)
     each = [fit.in_si(fit.coefficients[case]) for fit in fits]
     values = {key: float(np.mean([si[key] for si in each])) for key in each[0]}
@@ -200,7 +204,7 @@ def _model_class(
     parameters |= {"m": mass} if measured.problem.forced else {}
     limits = [fit.limits_in_si(case) for fit in fits]
     zero = {key: max(limit[key] for limit in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
-    criterion, error, score, left = figures
+    criterion, error, score, rms = figures
     cut, (x, v) = fits[0].excerpt, fits[0].starts[case]
     start = float(x) * cut.size, float(v) * cut.size * cut.rate
-    return ModelClass(name, system, parameters, start, criterion, error, score, left, zero)
+    return ModelClass(name, system, parameters, start, criterion, error, score, rms, zero)

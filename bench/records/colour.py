@@ -1,6 +1,6 @@
-"""The colour of residuals: their spectrum, and a criterion for models that leave them.
+"""Coloured residuals: their spectrum, autocorrelation and information criterion.
 
-The residuals of a real record are seldom white: the model class is not quite right, the sensor drifts, the floor moves.
+The residuals of a real record are seldom white: the model is approximate, the sensor drifts, the floor moves.
 """
 
 from __future__ import annotations
@@ -10,18 +10,26 @@ import numpy as np
 from bench.likelihood.autoregression import autoregression, log_likelihoods
 
 NEIGHBOURS = 3
-"""Fourier frequencies to either side over which a periodogram is smoothed."""
+"""Fourier frequencies on either side over which a periodogram is smoothed."""
 LEAST_SHARE = 0.2
-"""Least part of the noise's power that counts as left by a fit near a frequency."""
+"""Lower limit of the share of the noise power that remains in the residuals near a frequency."""
 
 
 def local_spectrum(residuals: np.ndarray, slopes: np.ndarray, length: int) -> np.ndarray:
-    """Compute the spectrum (length // 2 + 1,) of noise by the periodogram of the residuals (n,) that a fit has left.
+    """Compute the spectrum of noise from the smoothed periodogram of the residuals of a fit.
 
-    A fit takes away the noise's share along its derivatives (n, p), which lie at the natural frequency, where the
-    noise matters most: the mean over neighbours of the periodogram is over the mean of the share that it leaves of each
-    frequency, and so has no bias where the spectrum is flat (M. B. Priestley, Spectral Analysis and Time Series, 1981,
-    section 6.2, for the smoothing).
+    A fit removes the noise along its derivatives, which lie near the natural frequency, where the noise matters most.
+    The smoothed periodogram is divided by the smoothed share that remains at each frequency, which makes it unbiased
+    where the spectrum is flat (for the smoothing: M. B. Priestley, Spectral Analysis and Time Series, 1981, section
+    6.2).
+
+    Args:
+        residuals: Residuals at even times, shape (n,).
+        slopes: Derivatives of the prediction, shape (n, p).
+        length: Length of the transform.
+
+    Returns:
+        The variance by frequency, shape (length // 2 + 1,).
     """
     n = residuals.size
     basis = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))[0]
@@ -36,32 +44,36 @@ def local_spectrum(residuals: np.ndarray, slopes: np.ndarray, length: int) -> np
 
 
 def information_criterion(residuals: np.ndarray, unknowns: int) -> float:
-    """Compute the Bayesian information criterion of the coloured residuals (n,) that a fit of so many unknowns left.
+    """Compute the Bayesian information criterion of coloured residuals (n,) of a fit with a number of unknowns.
 
-    The terms of the autoregression count as unknowns too.
+    The coefficients of the autoregression are counted as unknowns.
     """
     noise = autoregression(residuals, min(unknowns, residuals.size - 1))
-    lost = (unknowns + noise.order) * float(np.log(residuals.size))
-    return -2.0 * float(np.sum(log_likelihoods(noise, residuals))) + lost
+    penalty = (unknowns + noise.order) * float(np.log(residuals.size))
+    return -2.0 * float(np.sum(log_likelihoods(noise, residuals))) + penalty
 
 
 def criterion_error(first: np.ndarray, second: np.ndarray) -> float:
-    """Compute the standard error of the difference of two fits' criteria from the log-likelihoods (n,) of the samples.
+    """Compute the standard error of the difference of the criteria of two fits.
 
-    Of twice the sum of their differences (Q. H. Vuong, Econometrica 57:307, 1989), which may be correlated from sample
-    to sample: with the weights of Newey and West (Econometrica 55:703, 1987) up to n^(1/3).
+    It is that of twice the sum of the differences of the log-likelihoods (Q. H. Vuong, Econometrica 57:307, 1989),
+    which are correlated: Newey and West (Econometrica 55:703, 1987), up to the lag n^(1/3).
+
+    Args:
+        first: Log-likelihoods of the samples, shape (n,).
+        second: Those of the other fit, shape (n,).
     """
-    apart = first - second
-    apart = apart - np.mean(apart)
-    reach = round(apart.size ** (1.0 / 3.0))
-    variance = float(apart @ apart)
-    for lag in range(1, reach + 1):
-        variance += 2.0 * (1.0 - lag / (reach + 1.0)) * float(apart[lag:] @ apart[:-lag])
+    difference = first - second
+    difference = difference - np.mean(difference)
+    lags = round(difference.size ** (1.0 / 3.0))
+    variance = float(difference @ difference)
+    for lag in range(1, lags + 1):
+        variance += 2.0 * (1.0 - lag / (lags + 1.0)) * float(difference[lag:] @ difference[:-lag])
     return 2.0 * float(np.sqrt(max(variance, 0.0)))
 
 
 def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:
-    """Compute the autocorrelation at lags 0 to ``lags`` of even residuals (n,)."""
+    """Compute the autocorrelation at lags 0 to ``lags`` of residuals (n,) at even times."""
     centred = residuals - np.mean(residuals)
     total = float(centred @ centred)
     if total == 0:

@@ -1,9 +1,8 @@
-"""Fewer samples without aliasing: every n-th of a signal that was low-pass filtered before.
+"""Decimation: a low-pass filter against aliasing, then every n-th sample.
 
-Thinning alone folds what lies above half of the new rate onto the vibration, and keeps the noise of each sample.
-Here a linear-phase filter (SciPy's ``resample_poly``: Kaiser window, ten new samples to either side) goes first, so the
-noise falls with the band. Motion and force pass the same filter, which leaves a linear equation of motion as it is;
-samples nearer to an end than the filter reaches are left out.
+The filter has linear phase (SciPy's ``resample_poly``: Kaiser window, ten new samples on either side). It reduces the
+noise with the bandwidth. Motion and force pass the same filter, so a linear equation of motion still holds. Samples
+within the length of the filter from either end are dropped.
 """
 
 from __future__ import annotations
@@ -19,18 +18,22 @@ from bench.records.dominant_frequency import dominant_frequency
 from bench.records.reading import Recording, Signal
 
 REACH = 10
-"""New samples that the filter reaches to either side."""
+"""Length of the filter on either side, in samples after decimation."""
 PASSED = 0.8
-"""Part of the new Nyquist frequency up to which the filter leaves a signal as it is, to 1 %."""
+"""Share of the new Nyquist frequency up to which the filter passes a signal unchanged, to 1 %."""
 UNEVEN = 0.01
-"""Largest departure of a sampling interval from their mean, over that mean."""
+"""Largest relative deviation of a sampling interval from the mean at which times count as even."""
 
 
 def decimated(recording: Recording, factor: int) -> Recording:
-    """Keep every ``factor``-th sample of the filtered signals, from a common start at time 0, and say what was done.
+    """Decimate the signals of a recording by a factor, over their common time, which begins at 0.
+
+    Args:
+        recording: Signals at even times.
+        factor: Every ``factor``-th sample is kept; 1 leaves the recording unchanged.
 
     Raises:
-        InputError: Samples are uneven or too few, or the filter would take the vibration away.
+        InputError: Samples are uneven or too few, or the filter would remove the vibration.
     """
     if factor == 1:
         return recording
@@ -40,10 +43,10 @@ def decimated(recording: Recording, factor: int) -> Recording:
     for signal, _ in pairs:
         kept = (signal.times >= first - room) & (signal.times <= last + room)
         if np.sum(kept) < MIN_SAMPLES:
-            remedy = f"{recording.source} keeps {np.sum(kept)} samples of {signal.role}; a smaller one"
+            remedy = f"{recording.source} would keep {np.sum(kept)} samples of {signal.role}; use a smaller factor"
             raise InputError("decimate", factor, remedy)
         signals.append(replace(signal, times=signal.times[kept] - first, values=signal.values[kept]))
-    return replace(recording, signals=tuple(signals), notes=(*recording.notes, *(said for _, said in pairs)))
+    return replace(recording, signals=tuple(signals), notes=(*recording.notes, *(note for _, note in pairs)))
 
 
 def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
@@ -56,21 +59,21 @@ def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
     passed = PASSED / (2.0 * factor * step)
     strongest = dominant_frequency(signal.times, signal.values)
     if signal.measures != "force" and strongest > passed:
-        remedy = f"the motion is strongest at {strongest:.4g} Hz and only {passed:.4g} Hz would pass; a smaller one"
+        remedy = f"the motion at {strongest:.4g} Hz is above the passband of {passed:.4g} Hz; use a smaller factor"
         raise InputError("decimate", factor, remedy)
     mean = float(np.mean(signal.values))
     values = resample_poly(signal.values - mean, 1, factor) + mean
     inner = slice(REACH, (n - 1) // factor + 1 - REACH)
     kept = replace(signal, times=signal.times[::factor][inner], values=values[inner])
-    taken = 100.0 * _power_above(signal.values - mean, PASSED / factor)
+    removed = 100.0 * _power_above(signal.values - mean, PASSED / factor)
     return kept, (
-        f"{signal.role}: one in {factor} of {n} samples after a low-pass filter, so {kept.values.size} are left; "
-        f"{taken:.2g} % of its power was above the {passed:.4g} Hz that pass unchanged"
+        f"{signal.role}: low-pass filtered and decimated by {factor} from {n} to {kept.values.size} samples; "
+        f"{removed:.2g} % of its power was above the passband of {passed:.4g} Hz"
     )
 
 
 def _power_above(values: np.ndarray, part: float) -> float:
-    """Return the share of the power of values (n,) of mean zero above a part of their Nyquist frequency."""
+    """Return the share of the power of values (n,) of zero mean above a fraction of the Nyquist frequency."""
     power = np.abs(np.fft.rfft(values)) ** 2
     total = float(np.sum(power))
     return float(np.sum(power[int(part * (power.size - 1)) + 1 :])) / total if total > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Diagnostics of a fit to measured records: each check gives the reasons for caution that it finds, in a sentence."""
+"""Diagnostics of a fit to measured records: checks that return reasons for caution."""
 
 from __future__ import annotations
 
@@ -18,56 +18,55 @@ from bench.records.verdict import Reason, Trust, verdict
 from bench.scoring.statistics import whiteness
 
 FALSE_ALARM = 1e-3
-"""Chance at which pure noise may pass for a motion; an answer that explains no more is refused."""
+"""p-value under noise alone above which an estimate is rejected."""
 MOST_LEFT, MUCH_LEFT = 0.30, 0.10
-"""Residuals over the signal, root mean squares: coloured ones beyond the first are a wrong model and the answer is
-refused (a tenth of the power is unexplained); beyond the second they are a reason for caution."""
+"""Ratios of residuals to signal (root mean square) of coloured residuals: above the first the model is wrong and the
+estimate is rejected (a tenth of the power is unexplained); above the second, caution."""
 NOISE_FREE = 1e-5
-"""Residuals over the signal below which they are rounding of the file, whose colour says nothing."""
+"""Ratio of residuals to signal below which they are due to rounding, and their colour is ignored."""
 STRETCHED = 1.5
-"""Widening of an interval that is said: less lies within what different estimates of the noise make of it."""
+"""Least widening of an interval by coloured noise that is reported; smaller ones depend on the noise estimate."""
 UNEVEN = 2.0
-"""Standard deviation between parts or repeats over the usual one beyond which they count as different."""
+"""Ratio of the standard deviation between parts or repeats to the expected one above which it is reported."""
 WIDE = 0.5
-"""Half of an interval over its value beyond which the value is known to an order of magnitude only."""
+"""Ratio of the half-width of an interval to its value above which only the order of magnitude is known."""
 OUTLIER = 6.0
-"""Robust standard deviations (P. J. Rousseeuw, C. Croux, J. Am. Stat. Assoc. 88:1273, 1993): normal noise has one such
-sample in 500 million, so each is an outlier, and a robust fit is made beside this one."""
+"""Distance from the median, in robust standard deviations (P. J. Rousseeuw, C. Croux, J. Am. Stat. Assoc. 88:1273,
+1993), beyond which a sample is an outlier; normal noise has one in 500 million."""
 MOST_OUTLIERS = 0.05
-"""Share of samples beyond which they are no outliers, but noise with heavy tails, or a wrong model."""
-OUTLIERS = "samples are far off"
+"""Share of samples above which they are not outliers, but noise with heavy tails or a wrong model."""
 SECOND_MODE = 0.05
-"""Root mean square of a line in the residuals over the fitted motion that is said: below it the values move little."""
+"""Ratio of a line in the residuals to the fitted motion (root mean square) above which it is reported."""
 LINE_LEVEL = 1e-6
-"""Chance that white noise has such a line: far below that of a false alarm in a life of records."""
+"""p-value of a line under white noise below which it is significant."""
 BEGINNINGS, LEAST_BEGINNING = (1, 4, 16), 100
-"""Parts of the record in whose beginning lines are sought, and the least samples there."""
+"""Lines are sought in the record and in its first fourth and sixteenth, if these have enough samples."""
 SAME_LINE = 0.15
-"""Distance of a line from the natural frequency, relative, within which it is what the decay law leaves out."""
+"""Relative distance from the natural frequency within which a line is due to an error of the decay law."""
 HARMONIC = 0.01
-"""Distance of a ratio of two frequencies from a whole number, relative, within which the second is a harmonic."""
+"""Relative distance of a frequency ratio from a whole number within which the second frequency is a harmonic."""
 HIGHEST_HARMONIC = 10
-"""Beyond, one ratio in five or more is as near to a whole number by chance."""
+"""Highest harmonic considered; above it, one ratio in five or more is that close to a whole number by chance."""
 SLOW = 0.5
-"""Frequency of a line over the natural one below which it is a drift."""
+"""Ratio of the frequency of a line to the natural frequency below which it is a drift."""
 AMBIGUOUS, FEW_SAMPLES = 3.0, 8.0
-"""Samples per cycle: below the first the vibration may as well be beyond the Nyquist frequency and the answer is
-refused; below the second the alias is named (one that is no higher than 7/8 of the sampling rate)."""
+"""Samples per cycle: below the first the frequency may be an alias and the estimate is rejected; below the second the
+alias is reported, which is then at most 7/8 of the sampling rate."""
 FEW_CYCLES, TOO_FEW_CYCLES = 1.5, 0.75
-"""Cycles in a free decay: below the first damping and drift are hardly distinguished, below the second nor is the
-frequency, and the answer is refused."""
+"""Cycles in a free decay: below the first, damping and drift are hardly distinguishable; below the second, the
+frequency is not determined either and the estimate is rejected."""
 GROWTH = 1.2
-"""Standard deviation of the last third over that of the first beyond which a free motion grows; noise moves it less."""
+"""Ratio of the standard deviations of the last and first third above which a free motion grows."""
 START_UP, START_UP_SHARE = 3.0, 0.05
-"""Residuals of the first tenth over those of the rest, and over the signal, beyond which the start is not free."""
+"""Ratios of the residuals of the first tenth to those of the rest, and to the signal, above which it is a start-up."""
 LEVEL = 0.01
-"""p-value below which residuals are not white; one in a hundred good records is said to be coloured."""
-TURNED = 0.5
-"""What a linear equation of motion leaves over what the fit does, below which a negative force in it is believed."""
+"""p-value below which residuals are not white; one in a hundred good records fails."""
+REVERSED = 0.5
+"""Ratio of the residuals of a linear equation of motion to those of the fit below which its force sign is trusted."""
 PURE_SINE = 0.02
-"""What a sine leaves of a force, over its root mean square, if the force is one: harmonics of 2 % tell nothing more."""
+"""Ratio of the residuals of a sine to a force (root mean square) below which the force is a pure sine."""
 SETTLED = 1.1
-"""What a sine leaves of the motion over what the fit leaves, up to which the motion has settled."""
+"""Ratio of the residuals of a sine to those of the fit below which the motion is steady."""
 
 
 def diagnose(
@@ -77,95 +76,93 @@ def diagnose(
     missing: Sequence[str],
     message: str,
 ) -> tuple[tuple[Reason, ...], tuple[OfferedMode, ...]]:
-    """Return reasons for caution, and modes to choose from where the system describes none or only one of them.
+    """Return the reasons for caution, and candidate modes if the record shows several or an alias.
 
     Args:
-        fit: The likelihood of the records at the answer; None where the answer has no finite response.
+        fit: Linearised likelihood at the estimate; None if the response is not finite.
         problem: The records, in the user's units.
         intervals: Stated intervals.
         missing: Forces that the model lacks.
-        message: The method's own message.
+        message: Message of the method.
     """
     if fit is None:
-        return (Reason(Trust.NO, "the answer's response is not finite"),), ()
+        return (Reason(Trust.NO, "the response of the estimate is not finite"),), ()
     line_reasons, modes = _lines(fit, problem)
-    reasons = [*line_reasons, *_of_fit(fit), *([] if len(modes) > 1 else start_up(*_channels(fit)))]
+    reasons = [*line_reasons, *_fit_reasons(fit), *([] if len(modes) > 1 else start_up(*_channels(fit)))]
     if sine := steady_sine(problem, part_of_signal(fit)):
         reasons.insert(0, Reason(Trust.NO, sine))
-    if verdict(reasons) is not Trust.NO:  # what follows from a fit that describes nothing is not worth a word
+    if verdict(reasons) is not Trust.NO:  # further properties of a rejected fit are meaningless
         n, unknowns = fit.residuals.size, fit.theta.size
         texts = [f"{n} samples for {unknowns} unknowns"] if n < 2 * unknowns else []
         if part_of_signal(fit) >= NOISE_FREE and missing:
-            what = " and ".join(missing)
-            texts.append(f"the residuals show {what}, which the system lacks: name it, or let system=auto choose")
+            forces = " and ".join(missing)
+            texts.append(f"the residuals indicate {forces}, which the model lacks: add it, or use system=auto")
         coloured = any(noise is None or noise.order for noise in fit.noises)
         colour = max((interval.colour for interval in intervals.values()), default=1.0)
         if coloured and part_of_signal(fit) >= NOISE_FREE and colour > STRETCHED:
             texts.append(f"the residuals are not white: intervals are up to {colour:.2g} times those of white noise")
         reasons += [*(Reason(Trust.CAUTION, text) for text in texts), *reasons_of_intervals(intervals)]
     if message:
-        reasons.append(Reason(Trust.CAUTION, f"the method says: {message}"))
+        reasons.append(Reason(Trust.CAUTION, f"message of the method: {message}"))
     return tuple(dict.fromkeys(reasons)), modes
 
 
 def reasons_of_intervals(intervals: Mapping[str, StatedInterval]) -> list[Reason]:
-    """Return the reasons for caution that stated intervals give."""
+    """Return the reasons for caution that follow from stated intervals."""
     texts = []
     uneven, most = max(intervals.items(), key=lambda item: item[1].unevenness, default=("", None))
     if most is not None and most.unevenness > UNEVEN and not most.limit:
-        said = f"{readable(uneven)} may differ by {100 * most.relative_error:.2g} %"
-        texts.append(f"{said} within the record or between repeats: the interval takes it in")
+        difference = f"{readable(uneven)} differs by up to {100 * most.relative_error:.2g} %"
+        texts.append(f"{difference} within the record or between repeats, which the interval includes")
     limits = [readable(name) for name, interval in intervals.items() if interval.limit]
     if limits:
-        texts.append(f"not determined, only limited to one side: {', '.join(limits)}")
+        texts.append(f"only an upper or lower limit is determined: {', '.join(limits)}")
     wide = [readable(name) for name, i in intervals.items() if not (i.limit or i.relative_error < WIDE)]
     if wide:
-        texts.append(f"known to an order of magnitude at most: {', '.join(wide)}")
+        texts.append(f"only the order of magnitude is determined: {', '.join(wide)}")
     return [Reason(Trust.CAUTION, text) for text in texts]
 
 
 def readable(name: str) -> str:
-    """Return the name of a quantity as it is written: k/m."""
+    """Return the display name of a quantity, such as k/m."""
     return name.replace("_over_", "/").replace("_", " ")
 
 
-def _of_fit(fit: LinearisedFit) -> Iterator[Reason]:
-    """Yield the reasons that record and residuals give, the gravest first."""
+def _fit_reasons(fit: LinearisedFit) -> Iterator[Reason]:
+    """Yield the reasons for caution that follow from records and residuals."""
     signals = [channel.values for _, channel in fit.model.channels if channel.n > 3]
     forced, free = fit.model.problem.forced, not fit.model.problem.forced
     white, share = whiteness_level(fit) > LEVEL, part_of_signal(fit)
     if (chance := _chance_of_noise(fit, signals)) > FALSE_ALARM:
-        what = "the force explains nothing of the motion" if forced else "no vibration found"
-        yield Reason(Trust.NO, f"{what}: p = {chance:.2g} under noise alone")
+        problem = "the motion is unrelated to the force" if forced else "no vibration detected"
+        yield Reason(Trust.NO, f"{problem}: p = {chance:.2g} under noise alone")
     if any(np.any(at_limit(values)) for values in signals):
-        yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")
+        yield Reason(Trust.NO, "the sensor is clipped: samples repeat its largest or smallest value")
     forces = [force.values for record in fit.model.problem.records for force in record.forces]
     if (cut := sum(int(np.count_nonzero(at_limit(values))) for values in forces)) and not white:
-        said = f"the force sensor is saturated: {cut} samples stay at its largest or smallest value"
-        yield Reason(Trust.NO, said)
+        yield Reason(Trust.NO, f"the force sensor is clipped: {cut} samples are at its largest or smallest value")
     growth = growth_of(signals)
     if free and growth > GROWTH and fit.model.system.name != "van_der_pol":  # which gains energy
-        yield Reason(Trust.NO, f"the motion grows {growth:.2g} times over the record, and no damping does that")
-    said = f"the residuals are {share:.0%} of the signal"
+        yield Reason(Trust.NO, f"the motion grows by a factor of {growth:.2g}: this is not a damped free vibration")
+    ratio = f"residual RMS is {share:.0%} of signal RMS"
     if share > MOST_LEFT:
-        grave, mild = f"{said} and not white: the model does not describe this record", f"{said}: much noise"
-        yield Reason(Trust.CAUTION, mild) if white else Reason(Trust.NO, grave)
+        wrong, noisy = f"{ratio} and not white: the model does not describe the record", f"{ratio}: strong noise"
+        yield Reason(Trust.CAUTION, noisy) if white else Reason(Trust.NO, wrong)
     elif share > MUCH_LEFT and not white:
-        yield Reason(Trust.CAUTION, f"{said} and not white")
+        yield Reason(Trust.CAUTION, f"{ratio} and not white")
     cycles = _cycles(fit)
     if free and cycles < TOO_FEW_CYCLES:
-        yield Reason(Trust.NO, f"the record holds {cycles:.2g} cycles; record at least two")
+        yield Reason(Trust.NO, f"the record has {cycles:.2g} cycles; record at least two")
     elif free and cycles < FEW_CYCLES:
-        yield Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles")
-    if share > MOST_LEFT and _force_is_turned(fit):
-        yield Reason(Trust.NO, "the force turned round fits far better: its sign is wrong; say force_gain=-1")
-    outliers = _outliers(fit)
-    if 0 < outliers <= MOST_OUTLIERS * fit.residuals.size:
-        yield Reason(Trust.CAUTION, f"{outliers} {OUTLIERS}")
+        yield Reason(Trust.CAUTION, f"the record has {cycles:.2g} cycles")
+    if share > MOST_LEFT and _force_is_reversed(fit):
+        yield Reason(Trust.NO, "the sign of the force is wrong: reversed, it fits far better; add force_gain=-1")
+    if count := outliers(fit):
+        yield Reason(Trust.CAUTION, f"{count} outlier{'s' * (count > 1)}")
 
 
 def _chance_of_noise(fit: LinearisedFit, signals: Sequence[np.ndarray]) -> float:
-    """Return the chance that the best of the record's frequencies explains as much of white noise as the fit does."""
+    """Return the p-value of the fit under white noise, corrected for the choice among all frequencies."""
     from scipy.stats import f as f_distribution
 
     n, used = fit.residuals.size, max(fit.used, 1.0)
@@ -178,24 +175,24 @@ def _chance_of_noise(fit: LinearisedFit, signals: Sequence[np.ndarray]) -> float
 
 
 def _cycles(fit: LinearisedFit) -> float:
-    """Count the cycles in the first record, by the answer or by the fitted motion."""
+    """Return the number of cycles in the first record, from the estimate or else the fitted motion."""
     channel = fit.model.channels[0][1]
     fitted = fit.model.data[: channel.n] - fit.residuals[: channel.n]
     return fit.model.problem.records[0].duration * (natural_frequency(fit) or dominant_frequency(channel.times, fitted))
 
 
-def _outliers(fit: LinearisedFit) -> int:
-    """Count the samples that are far off, by the median of their distance to the median."""
+def outliers(fit: LinearisedFit) -> int:
+    """Count outliers by the median absolute deviation; 0 if they are more than ``MOST_OUTLIERS`` of the samples."""
     count = 0
     for rows in fit.channels:
         distance = np.abs(fit.residuals[rows] - np.median(fit.residuals[rows]))
         scale = 1.4826 * float(np.median(distance))
         count += int(np.count_nonzero(distance > OUTLIER * scale)) if scale > 0 else 0
-    return count
+    return count if count <= MOST_OUTLIERS * fit.residuals.size else 0
 
 
 def _lines(fit: LinearisedFit, problem: Problem) -> tuple[list[Reason], tuple[OfferedMode, ...]]:
-    """Look for a line in the residuals, or an alias of a free motion's frequency: then the modes are offered."""
+    """Detect a line in the residuals, or an alias of the frequency of a free motion; return reasons and modes."""
     channel = problem.records[0].channels[0]
     reasons, is_mode = _line(fit)
     if fit.model.problem.forced:
@@ -208,13 +205,13 @@ def _lines(fit: LinearisedFit, problem: Problem) -> tuple[list[Reason], tuple[Of
         first, second = pair
         ratio = max(first.frequency / second.frequency, second.frequency / first.frequency)
         if 1 < round(ratio) <= HIGHEST_HARMONIC and abs(ratio / round(ratio) - 1.0) < HARMONIC:
-            said = f"{second.share:.0%} of the signal is a harmonic at {ratio:.3g} times the natural frequency"
-            return [Reason(Trust.NO, f"{said}: a clipped sensor, or a spring that is far from linear")], ()
+            harmonic = f"a harmonic at {ratio:.3g} times the natural frequency is {second.share:.0%} of the signal"
+            return [Reason(Trust.NO, f"{harmonic}: a clipped sensor or a strongly nonlinear spring")], ()
         if len(modes) < 2:
             return reasons, ()
         names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
-        said = f"the record holds modes at {names}: add modes={len(modes)}; {reasons[0].text}"
-        return [Reason(reasons[0].verdict, said)], modes
+        text = f"the record has modes at {names}: add modes={len(modes)}; {reasons[0].text}"
+        return [Reason(reasons[0].verdict, text)], modes
     frequency = (natural_frequency(fit) or 0.0) / problem.natural_units().time
     rate = (channel.n - 1) / float(np.ptp(channel.times))
     if not rate / FEW_SAMPLES < frequency < rate or channel.n < 12:
@@ -224,34 +221,40 @@ def _lines(fit: LinearisedFit, problem: Problem) -> tuple[list[Reason], tuple[Of
     if alias is None:
         return reasons, ()
     per_cycle = rate / modes[0].frequency
-    said = (
-        f"{modes[0].frequency:.4g} Hz and {alias.frequency:.4g} Hz fit the samples alike ({per_cycle:.2g} samples per "
-        f"cycle of the lower): only a sampling rate above {2 * alias.frequency:.3g} Hz excludes the alias"
+    text = (
+        f"{modes[0].frequency:.4g} Hz and {alias.frequency:.4g} Hz fit the samples equally well ({per_cycle:.2g} per "
+        f"cycle of the lower): a sampling rate above {2 * alias.frequency:.3g} Hz excludes the alias"
     )
-    return [*reasons, Reason(Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION, said)], (modes[0], alias)
+    return [*reasons, Reason(Trust.NO if per_cycle < AMBIGUOUS else Trust.CAUTION, text)], (modes[0], alias)
 
 
 def _line(fit: LinearisedFit) -> tuple[list[Reason], bool]:
-    """Look for a line in the spectrum of the residuals of each channel; return whether it may be a mode."""
+    """Detect a line in the residuals of a channel; return the reason, and whether the line may be a mode."""
     for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
         if not even_times(channel.times) or rows.size < 16:
             continue
         frequency, share = line(channel.times, fit.residuals[rows], fit.model.data[rows] - fit.residuals[rows])
         harmonic = frequency / (natural_frequency(fit) or dominant_frequency(channel.times, channel.values))
         if share > SECOND_MODE and abs(harmonic - 1.0) > SAME_LINE:
-            said = f"the residuals hold a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
-            slow = "a drift of the sensor, or something slower; detrend=true takes a straight drift away"
+            text = f"the residuals have a line at {harmonic:.2f} times the natural frequency, {share:.0%} of the motion"
+            slow = "drift of the sensor or another slow motion; detrend=true removes a linear drift"
             source = "a second mode" if harmonic > SLOW else slow
-            return [Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{said}: {source}")], harmonic > SLOW
+            return [Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{text}: {source}")], harmonic > SLOW
     return [], False
 
 
 def line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return frequency (1/time) and root mean square, over that of the values, of a significant line; 0 if none is.
+    """Test for a line in the residuals (R. A. Fisher, Proc. R. Soc. A 125:54, 1929).
 
-    By the test of R. A. Fisher, Proc. R. Soc. A 125:54, 1929.
+    It is sought in the whole record and in its beginning, where heavily damped modes are stronger.
 
-    It is sought in the whole record and in its beginning, where a mode that soon dies out is seen better.
+    Args:
+        times: Times, shape (n,).
+        residuals: Residuals, shape (n,).
+        values: Fitted motion, shape (n,).
+
+    Returns:
+        Frequency (1/time) of the largest line, and its root mean square over that of the motion; 0 if not significant.
     """
     parts = [slice(0, times.size // part) for part in BEGINNINGS if times.size // part >= LEAST_BEGINNING or part == 1]
     return max((_part_line(times[part], residuals[part], values[part]) for part in parts), key=lambda line: line[1])
@@ -270,15 +273,15 @@ def _part_line(times: np.ndarray, residuals: np.ndarray, values: np.ndarray) -> 
 
 
 def steady_sine(problem: Problem, left: float | None = None) -> str:
-    """Describe force and motion where both are one settled sine: two numbers, from which m, c and k do not follow.
+    """Detect a steady-state response to a sine, from which m, c and k cannot be determined.
 
     Args:
         problem: The records, in the user's units.
-        left: What a fit leaves of the motion's standard deviation; without one, the motion has settled where a sine
-            leaves no line in its spectrum.
+        left: Ratio of the residuals of a fit to the motion; without it, the motion is steady if the residuals of a
+            sine have no significant line.
 
     Returns:
-        A sentence, empty where the records may hold more.
+        A sentence that states the response; empty if the records are not of this kind.
     """
     if not problem.forced or len(problem.records) > 1 or problem.system.n_dof > 1 or problem.prior is not None:
         return ""
@@ -299,9 +302,8 @@ def steady_sine(problem: Problem, left: float | None = None) -> str:
         return ""
     ratio = response / push
     return (
-        f"the force is one steady sine at {frequency:.4g} Hz and the motion has settled: the record determines the "
-        f"response there, {abs(ratio):.4g} {channel.unit}/N at {np.degrees(np.angle(ratio)):.3g}°, but not m, c and k; "
-        "record the start, or another frequency"
+        f"the record is a steady-state response to a sine of {frequency:.4g} Hz, {abs(ratio):.4g} {channel.unit}/N at "
+        f"{np.degrees(np.angle(ratio)):.3g}°: m, c and k are not identifiable; record the transient or more frequencies"
     )
 
 
@@ -310,7 +312,7 @@ def _over(rest: np.ndarray, channel: Channel) -> float:
 
 
 def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[complex, np.ndarray]:
-    """Fit a sine and a constant to values (n,): return the complex amplitude, and what is left of the values."""
+    """Fit a sine and a constant to values (n,); return the complex amplitude and the residuals."""
     phase = 2 * np.pi * frequency * times
     basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones(times.size)])
     sizes = np.linalg.lstsq(basis, values, rcond=None)[0]
@@ -318,18 +320,23 @@ def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[comp
 
 
 def growth_of(signals: Iterable[np.ndarray]) -> float:
-    """Return the standard deviation of the last third over that of the first, the largest of several signals."""
+    """Return the ratio of the standard deviations of the last and first third, the largest of several signals."""
     thirds = [[float(np.std(third)) for third in np.array_split(values, 3)] for values in signals]
     return max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
 
 
 def _channels(fit: LinearisedFit) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return residuals and samples of each channel."""
+    """Return the residuals and the samples of each channel."""
     return [fit.residuals[rows] for rows in fit.channels], [channel.values for _, channel in fit.model.channels]
 
 
 def start_up(residuals: Iterable[np.ndarray], values: Iterable[np.ndarray]) -> list[Reason]:
-    """Find residuals of the first part of a channel that are far larger than those of the rest."""
+    """Return a reason for caution if the residuals of the first tenth of a channel are far larger than the others.
+
+    Args:
+        residuals: Residuals of each channel.
+        values: Samples of each channel.
+    """
     for left, samples in zip(residuals, values, strict=True):
         n = max(left.size // 10, 5)
         if left.size < 4 * n:
@@ -337,16 +344,16 @@ def start_up(residuals: Iterable[np.ndarray], values: Iterable[np.ndarray]) -> l
         early, rest = np.std(left[:n]), np.std(left[n:])
         share = early / (np.std(samples) or 1.0)
         if early > START_UP * rest and share > START_UP_SHARE:
-            said = f"the first tenth of the record fits {early / (rest or 1.0):.2g} times worse than the rest"
-            return [Reason(Trust.CAUTION, f"{said}: leave a start-up out by from=")]
+            text = f"residuals of the first tenth of the record are {early / (rest or 1.0):.2g} times those of the rest"
+            return [Reason(Trust.CAUTION, f"{text}: exclude a start-up with from=")]
     return []
 
 
-def _force_is_turned(fit: LinearisedFit) -> bool:
-    """Decide whether a linear equation of motion describes the first motion with a force of the opposite sign.
+def _force_is_reversed(fit: LinearisedFit) -> bool:
+    """Return whether a linear equation of motion describes the first record far better with a force of opposite sign.
 
-    Integrated twice, ``x = -c/m I x - k/m I² x + 1/m I² f + a + b t + d t²``, with an offset of x, is linear in all
-    unknowns and hardly minds noise; of a velocity the force is integrated once, of an acceleration not at all.
+    The equation integrated twice, ``x = -c/m I x - k/m I² x + 1/m I² f + a + b t + d t²`` with an offset of x, is
+    linear in all unknowns and insensitive to noise. For velocities the force is integrated once, for accelerations not.
     """
     record = fit.model.problem.records[0]
     if not record.forces or fit.model.system.n_dof > 1:
@@ -364,11 +371,11 @@ def _force_is_turned(fit: LinearisedFit) -> bool:
     sizes = np.linalg.norm(columns, axis=0)
     coefficients = np.linalg.lstsq(columns / np.where(sizes > 0, sizes, 1.0), y, rcond=None)[0]
     left = y - columns @ (coefficients / np.where(sizes > 0, sizes, 1.0))
-    return bool(coefficients[0] < 0 and np.std(left) < TURNED * np.std(fit.residuals[fit.channels[0]]))
+    return bool(coefficients[0] < 0 and np.std(left) < REVERSED * np.std(fit.residuals[fit.channels[0]]))
 
 
 def part_of_signal(fit: LinearisedFit) -> float:
-    """Compute the root mean square of the residuals over that of the signal about its mean, over all channels."""
+    """Compute the ratio of residuals to signal (root mean square about the mean) over all channels."""
     total, left = 0.0, 0.0
     for rows, (_, channel) in zip(fit.channels, fit.model.channels, strict=True):
         size = float(np.std(channel.values)) or 1.0
@@ -378,22 +385,22 @@ def part_of_signal(fit: LinearisedFit) -> float:
 
 
 def whiteness_level(fit: LinearisedFit) -> float:
-    """Compute the smallest p-value of the channels that their residuals are white, by Ljung and Box."""
+    """Compute the smallest p-value of the channels in the Ljung-Box test that residuals are white."""
     levels = [1.0]
     for rows in fit.channels:
         if rows.size >= 12 and rows.size > fit.theta.size + 2:
-            kept = rows[:2000]  # the test draws white noise as long as the record
+            kept = rows[:2000]  # the test simulates white noise of this length
             levels.append(float(whiteness(fit.residuals[kept][None], fit.slopes[kept])[0]))
     return min(levels)
 
 
 def lag_one(fit: LinearisedFit) -> float:
-    """Compute the autocorrelation of the first channel's residuals at one sample."""
+    """Compute the autocorrelation of the first channel's residuals at lag 1."""
     return float(autocorrelation(fit.residuals[fit.channels[0]], 1)[1])
 
 
 def natural_frequency(fit: LinearisedFit) -> float | None:
-    """Compute the frequency by the answer's own k/m, in cycles per unit of its time; None for a system without them."""
+    """Compute the natural frequency from k/m (cycles per natural unit of time); None for a system without k or m."""
     p = fit.model.parameters(fit.theta)
     if not {"k", "m"} <= set(p):
         return None

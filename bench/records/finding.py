@@ -1,4 +1,4 @@
-"""What a method found in measured records: values, stated intervals, residuals, and how far to trust them."""
+"""Result of identifying measured records with one method: values, intervals, residuals, reasons for caution."""
 
 from __future__ import annotations
 
@@ -18,7 +18,13 @@ from bench.systems import MEASURED
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One of several records: its file's name, what it says alone, and why it is left out of the joint answer."""
+    """One of several records, identified separately.
+
+    Attributes:
+        name: Name of its file.
+        finding: Result of this record alone.
+        left_out: Reason for which it is excluded from the combined result; empty if it is included.
+    """
 
     name: str
     finding: Finding
@@ -27,18 +33,19 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """The answer of one method to measured records.
+    """Result of identifying measured records with one method.
 
     Attributes:
-        method: What the method is called.
-        measured: The records, with the system that was fitted.
-        estimate: The method's own answer, maybe a failed one.
-        wall_s: Time of the fit (s).
+        method: Name of the method.
+        measured: The records, with the fitted system.
+        estimate: The method's estimate, or a failed one with its status.
+        wall_s: Computing time of the fit (s).
         stated: Intervals by name of the quantity.
         reasons: Reasons for caution.
-        fit: The likelihood at the answer, in the problem's natural units; None without an answer.
-        modes: Modes that the user may choose from.
-        runs: Repeats that were answered alone; all but ``stated`` and ``reasons`` is then of the run in the middle.
+        fit: Linearised likelihood at the estimate, in natural units; None for a failed estimate.
+        modes: Candidate modes, where the record shows several or an alias.
+        runs: Repeats that were identified separately; all attributes except ``stated`` and ``reasons`` are then those
+            of the median run.
     """
 
     method: str
@@ -53,17 +60,17 @@ class Finding:
 
     @property
     def trust(self) -> Trust:
-        """The verdict."""
+        """Verdict of the reasons."""
         return verdict(self.reasons)
 
     @property
     def intervals(self) -> Mapping[str, StatedInterval]:
-        """The stated intervals; none of an answer that is not to be trusted."""
+        """Stated intervals; empty if the estimate is not trusted."""
         return {} if self.trust is Trust.NO else self.stated
 
     @property
     def withdrawn(self) -> Mapping[str, StatedInterval]:
-        """The intervals of an answer that is not to be trusted."""
+        """Intervals of an estimate that is not trusted; otherwise empty."""
         return self.stated if self.trust is Trust.NO else {}
 
     @property
@@ -72,5 +79,5 @@ class Finding:
 
     @property
     def channel_size(self) -> float:
-        """The unit of the first channel in ``fit``, in the channel's own unit."""
+        """Natural unit of the first channel in ``fit``, expressed in the channel's unit."""
         return self.problem.natural_units().of(MEASURED[self.problem.records[0].channels[0].measures])

@@ -1,4 +1,4 @@
-"""The fit step: a method in a process of its own, within limits of time and memory."""
+"""Fit of measured records by a method in a separate process, with limits of time and memory."""
 
 from __future__ import annotations
 
@@ -25,14 +25,22 @@ from bench.isolation.processes import Children, Died
 
 
 def fit(job: Job, problem: Problem, settings: dict[str, Any] | None = None) -> tuple[Estimate, float]:
-    """Fit a problem with the method of a job, with other settings than the job's where they are given.
+    """Fit a problem with the method of a job.
+
+    Args:
+        job: Method, settings, seed and limits.
+        problem: The records.
+        settings: Settings that replace those of the job.
+
+    Returns:
+        The estimate, failed if the method has no result, and the computing time (s), NaN if the fit did not finish.
 
     Raises:
-        InputError: The method needs the true values, which a measured record does not have.
+        InputError: The method is a reference that needs the true values.
     """
     name = job.config.method["name"]
     if name in REFERENCES:
-        raise InputError("method", name, "it needs the truth, which a measured record does not have; choose a method")
+        raise InputError("method", name, "it needs the true values, which are unknown for a record; choose a method")
     if lacking := missing_package(name):
         return Estimate.failed(problem.system, Status.MISSING_DEPENDENCY, lacking), math.nan
     limits = Limits(1, job.config.timeout_s, job.config.memory_mb)
@@ -40,20 +48,19 @@ def fit(job: Job, problem: Problem, settings: dict[str, Any] | None = None) -> t
 
 
 def fit_alone(method: Identifier, problem: Problem, limits: Limits, seed: int = 0) -> tuple[Estimate, float]:
-    """Fit, within the limits.
+    """Fit a problem within the limits.
 
     Returns:
-        The estimate, maybe a failed one, whose functions of time are known at the first channel's samples; and the time
-        that it took (s), NaN where the method did not end.
+        The estimate, with responses at the samples of the first channel, and the computing time (s), as :func:`fit`.
     """
     times = problem.records[0].channels[0].times
     rng, work = np.random.default_rng(seed), pickle.dumps(method.identify_many)
     task = method_process.FitTask(work, (0,), (problem,), (rng,), (times,), limits.timeout_s)
     started = time.perf_counter()
     try:
-        if multiprocessing.current_process().daemon:  # a worker, which is ended at its limits and may have no children
+        if multiprocessing.current_process().daemon:  # a worker has limits already and may not start children
             packed = method_process.perform(task)
-            assert packed is not None  # as of one replicate
+            assert packed is not None  # a task of a single replicate always returns its result
             (result,) = unpack(packed)
         else:
             with Children() as children:

@@ -1,15 +1,13 @@
-"""Free motion that goes on undisturbed, and where it does not: silence, a release, a hand, a jump, a drift.
+"""Detection of disturbances of a free motion: rest before a release, contact by a hand, jumps, drift of the sensor.
 
-Over a few cycles the free motion of one mode is close to a decaying sine about a constant, whatever its damping law or
-spring: the best decaying sine of a bank, with its derivatives by frequency and damping beside it, leaves a few percent
-of the motion even of a pendulum at 2 rad or a Duffing spring. At each place the residual sum of squares of one such
-wave over both sides is compared with that of one wave on each side (G. C. Chow, Econometrica 28:591, 1960); a side
-shorter than ``REACH`` is left unexplained (Chow's predictive test). The constants of the waves along the record show
-the sensor's drift.
+Over a few cycles the free motion of one mode is close to a decaying sine plus a constant, whatever the damping law or
+spring: the best sine of a bank, with its derivatives by frequency and damping, fits even a pendulum at 2 rad or a
+Duffing spring to a few percent. At each sample the residual sum of squares of one such wave on both sides is compared
+with that of separate waves on either side (G. C. Chow, Econometrica 28:591, 1960); a side shorter than ``REACH`` is
+not fitted (Chow's predictive test). The constants of the waves along the record show the drift of the sensor.
 
-A change counts where it is large beside the motion (``SHARE``) and beside what noise of the record's own colour does
-(``MEDIANS`` times the median over all places); both thresholds were chosen on clean simulated records, which stay
-below.
+A change is significant if it is large relative to the motion (``SHARE``) and to the effect of noise (``MEDIANS`` times
+the median over the record). Both thresholds were chosen so that clean simulated records remain below them.
 """
 
 from __future__ import annotations
@@ -22,49 +20,49 @@ from bench.modal.waves import WaveFit
 from bench.records.dominant_frequency import dominant_frequency
 
 REACH = 2.0
-"""Cycles on either side of a place."""
-A_CYCLE = 12
-"""Least samples of a cycle that denser ones are averaged to, which keeps white noise white."""
-FEWEST_A_CYCLE = 5.0
-"""Samples of a cycle below which a wave of five unknowns follows anything over two cycles."""
+"""Cycles on either side of a sample that are compared."""
+PER_CYCLE = 12
+"""Least samples per cycle after averaging, which keeps white noise white."""
+FEWEST_PER_CYCLE = 5.0
+"""Samples per cycle below which a wave of five unknowns fits any data over two cycles."""
 RATES, DECAYS = (
     part.ravel() for part in np.meshgrid(np.exp(np.linspace(-0.35, 0.35, 9)), (0.0, 0.05, 0.15, 0.4), indexing="ij")
 )
-"""Frequencies over the record's strongest, and damping ratios, of the waves in the bank."""
+"""Frequencies of the waves in the bank over the dominant one, and their damping ratios."""
 SHARE = 0.08
-"""Least change over the energy of the motion around it; clean records of 13 kinds stay below 0.045."""
+"""Threshold of a change over the energy of the motion nearby; clean records of 13 kinds remain below 0.045."""
 MEDIANS = 20.0
-"""Least change over the median change in the record; of pure noise the largest of a thousand is 7 times the median."""
+"""Threshold of a change over the median change in the record; for noise the largest of a thousand is 7 medians."""
 ALIVE, GOES_ON = 0.02, 0.3
-"""Least energy around a place over the largest of the record, and least energy after it over that around it: elsewhere
-the motion has died out."""
+"""Least energy near a sample over the largest in the record, and least energy after it over that on both sides: below
+either, the motion has died out."""
 DRIFT_CYCLES, MOST_STRETCHES = 1.5, 100
-"""Length of a stretch whose constant is one point of the line through a drift, and their largest number."""
+"""Length of the segments whose constants are fitted by a line, and their largest number."""
 FASTER, LIGHT, MODE = 1.25, 0.25, 0.3
-"""Least rate of a second mode over the first, as slower ones are like a hand's motion; largest damping ratio of the
-first, as a heavily damped one is like a jump; and the part of the misfit of one mode that two leave at most. There a
-change is a mode that dies out."""
+"""A change is due to a second mode, which decays faster, if the frequency ratio of the modes is at least ``FASTER``
+(slower motions may be those of a hand), the first damping ratio is at most ``LIGHT`` (a heavily damped wave resembles a
+jump), and two modes have at most the fraction ``MODE`` of the residual sum of squares of one."""
 QUIET, DEPARTED, FLAT = 12, 10.0, 3.0
-"""Least samples of silence; least size of the motion after it over its scatter; least length over the time in which
-the motion then covers half of its way, 0.25 cycles of a release at rest."""
+"""Least samples of a rest; least amplitude after it over its scatter; least duration over the time in which the motion
+then reaches half of its amplitude, which is 0.25 cycles for a release at rest."""
 CURVED = 0.7
-"""Least scatter of silence about a parabola over that about a constant: less is the motion near a turning point."""
+"""Least scatter of a rest about a parabola over that about a constant; below it the motion is at a turning point."""
 JUMP, LEAST_NEAR = 6.0, 8
-"""Second difference over the median of so many around it that is a jump of the value or of the slope."""
+"""Second difference over the median nearby at which a value or slope jumps, and the least number of samples nearby."""
 UNEXPLAINED = 1e-3
-"""Part of the energy that a wave leaves of free motion of any kind. A change lies where it is largest over what is left
-on both sides, which without noise would be nothing."""
+"""Fraction of the energy added to the residuals of both sides before the ratio of a change to them is maximised, as
+they vanish without noise."""
 CHUNK = 8192
-"""Windows that are looked at together, which bounds the memory."""
+"""Number of windows processed together, which bounds the memory."""
 
 
 @dataclass(frozen=True)
 class EvenMotion:
-    """Values (n,) at even ``times`` (s), with so many samples ``a_cycle`` of their strongest frequency."""
+    """Values (n,) at even ``times`` (s), with ``per_cycle`` samples per period of the dominant frequency."""
 
     times: np.ndarray
     values: np.ndarray
-    a_cycle: float
+    per_cycle: float
 
     @property
     def step(self) -> float:
@@ -72,35 +70,35 @@ class EvenMotion:
 
 
 def silence(times: np.ndarray, values: np.ndarray) -> float | None:
-    """Return when (s) a motion is released, after a stretch in which the sensor shows a constant; None without one.
+    """Return the time (s) at which a motion is released after a rest; None if the record does not begin at rest.
 
-    It is the place of the least information criterion of two variances, one before and one after it, up to half of the
-    motion's size, as seismic arrivals are picked (N. Maeda, Zisin 38:365, 1985).
+    The release minimises the information criterion of two variances, before and after it, up to half of the amplitude,
+    as in picking of seismic arrivals (N. Maeda, Zisin 38:365, 1985).
 
     Args:
         times: Times of the samples (s), shape (n,).
         values: Samples of one sensor, shape (n,).
     """
-    away = np.abs(values - np.mean(values[:QUIET]))
-    half = int(np.argmax(away > 0.5 * np.max(away)))
-    places, end = np.arange(QUIET, half), half + 1
-    if not places.size:
+    distance = np.abs(values - np.mean(values[:QUIET]))
+    half = int(np.argmax(distance > 0.5 * np.max(distance)))
+    candidates, end = np.arange(QUIET, half), half + 1
+    if not candidates.size:
         return None
-    least = (1e-4 * np.max(away)) ** 2  # rounded values have no scatter
-    early = _scatter(values, 0 * places, places) / places + least
-    late = _scatter(values, places, 0 * places + end) / (end - places) + least
-    release = int(places[np.argmin(places * np.log(early) + (end - places) * np.log(late))])
+    floor = (1e-4 * np.max(distance)) ** 2  # rounded values may have no scatter
+    early = _scatter(values, 0 * candidates, candidates) / candidates + floor
+    late = _scatter(values, candidates, 0 * candidates + end) / (end - candidates) + floor
+    release = int(candidates[np.argmin(candidates * np.log(early) + (end - candidates) * np.log(late))])
     before, seconds = values[:release], times[:release]
     scatter = np.std(before)
     curve = np.std(before - np.polynomial.Polynomial.fit(seconds, before, 2)(seconds))
-    size = np.median(np.abs(values[half : half + QUIET] - np.mean(before)))  # one sample far off is an outlier
-    waited, rise = times[release - 1] - times[0], times[half] - times[release - 1]
-    departs = scatter <= np.max(away) / DEPARTED and size > 3.0 * scatter
-    return float(times[release]) if departs and curve >= CURVED * scatter and waited >= FLAT * rise else None
+    size = np.median(np.abs(values[half : half + QUIET] - np.mean(before)))  # the median ignores single outliers
+    waiting, rise = times[release - 1] - times[0], times[half] - times[release - 1]
+    departs = scatter <= np.max(distance) / DEPARTED and size > 3.0 * scatter
+    return float(times[release]) if departs and curve >= CURVED * scatter and waiting >= FLAT * rise else None
 
 
 def changes(times: np.ndarray, values: np.ndarray) -> list[float]:
-    """Return when (s) a free motion does not go on undisturbed; empty where it does, or where too little is known.
+    """Return the times (s) at which a free motion is disturbed; empty also if the record is too short to tell.
 
     Args:
         times: Times of the samples (s), shape (n,).
@@ -109,9 +107,9 @@ def changes(times: np.ndarray, values: np.ndarray) -> list[float]:
     from scipy.signal import find_peaks  # slow to import
 
     motion = _even(times, values)
-    if motion is None or motion.a_cycle < FEWEST_A_CYCLE:
+    if motion is None or motion.per_cycle < FEWEST_PER_CYCLE:
         return []
-    n, reach = motion.values.size, round(REACH * motion.a_cycle)
+    n, reach = motion.values.size, round(REACH * motion.per_cycle)
     if n < 1.5 * reach:
         return []
     places = np.arange(n)
@@ -128,7 +126,7 @@ def changes(times: np.ndarray, values: np.ndarray) -> list[float]:
     counts &= (change >= SHARE * energy) & (change >= MEDIANS * typical)
     sharp = np.where(counts, change / np.maximum(sides + UNEXPLAINED * energy, np.finfo(float).tiny), 0.0)
     peaks = find_peaks(np.pad(sharp, 1), distance=2 * reach)[0] - 1
-    near = 0.75 * motion.a_cycle * motion.step
+    near = 0.75 * motion.per_cycle * motion.step
     return [
         _jump(times, values, float(motion.times[place] - 0.5 * motion.step), near)
         for place in peaks
@@ -137,56 +135,63 @@ def changes(times: np.ndarray, values: np.ndarray) -> list[float]:
 
 
 def _jump(times: np.ndarray, values: np.ndarray, time: float, near: float) -> float:
-    """Return when (s) the first sample lies that leaves the line through the two before it as far as none near does."""
-    places = np.flatnonzero(np.abs(times[2:] - time) <= near) + 2
-    if places.size < LEAST_NEAR:
+    """Return the time (s) of a jump within ``near`` (s) of a time, by the second difference; the time if none jumps."""
+    nearby = np.flatnonzero(np.abs(times[2:] - time) <= near) + 2
+    if nearby.size < LEAST_NEAR:
         return time
-    left = np.abs(values[places] - 2 * values[places - 1] + values[places - 2])
-    first = places[int(np.argmax(left >= 0.6 * np.max(left)))]
-    return float(times[first]) if np.max(left) > JUMP * np.median(left) else time
+    differences = np.abs(values[nearby] - 2 * values[nearby - 1] + values[nearby - 2])
+    first = nearby[int(np.argmax(differences >= 0.6 * np.max(differences)))]
+    return float(times[first]) if np.max(differences) > JUMP * np.median(differences) else time
 
 
 def _second_mode(motion: EvenMotion, first: int, last: int) -> bool:
-    """Return whether a faster mode beside a lightly damped one leaves little of what one mode leaves of a stretch."""
-    one = WaveFit.empty(motion.times[first:last], motion.values[None, first:last]).longer()
-    two = one.longer()
-    slow, fast = sorted(two.poles, key=lambda pole: float(pole.imag))
-    leaves_little = np.sum(two.residuals**2) < MODE * np.sum(one.residuals**2)
-    return bool(leaves_little and fast.imag > FASTER * slow.imag and -slow.real < LIGHT * slow.imag)
+    """Return whether a segment is explained by a faster second mode besides a lightly damped first one."""
+    single = WaveFit.empty(motion.times[first:last], motion.values[None, first:last]).longer()
+    double = single.longer()
+    slow, fast = sorted(double.poles, key=lambda pole: float(pole.imag))
+    fits_better = np.sum(double.residuals**2) < MODE * np.sum(single.residuals**2)
+    return bool(fits_better and fast.imag > FASTER * slow.imag and -slow.real < LIGHT * slow.imag)
 
 
 def drift(times: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
-    """Return the slope (1/s) of a straight line under a free motion, and the p-value of none; None for too few cycles.
+    """Estimate a linear drift under a free motion.
 
-    The line goes through the constants of decaying sines, each fitted to one and a half cycles, whose scatter about it
-    gives the standard error of the slope, whatever the noise's colour. Stretches in which the motion has died out are
-    left aside: friction holds a mass away from its rest.
+    A line is fitted to the constants of decaying sines, each fitted to one and a half cycles; their scatter about it
+    gives the standard error for noise of any colour. Segments in which the motion has died out are excluded, as
+    friction may hold a mass away from its equilibrium.
+
+    Args:
+        times: Times of the samples (s), shape (n,).
+        values: Samples of one sensor, shape (n,).
+
+    Returns:
+        The slope (1/s) and the p-value of no drift; None for too few cycles.
     """
     from scipy.stats import linregress
 
     motion = _even(times, values)
     if motion is None:
         return None
-    count = min(max(int(motion.values.size / motion.a_cycle / DRIFT_CYCLES), 4), MOST_STRETCHES)
+    count = min(max(int(motion.values.size / motion.per_cycle / DRIFT_CYCLES), 4), MOST_STRETCHES)
     n = motion.values.size // count
     windows = motion.values[: n * count].reshape(count, n)
     alive = np.var(windows, axis=1) >= ALIVE * np.max(np.var(windows, axis=1))
     if n < 8 or np.count_nonzero(alive) < 4:
         return None
-    constants = _constants(windows[alive] - np.mean(motion.values), motion.a_cycle)
+    constants = _constants(windows[alive] - np.mean(motion.values), motion.per_cycle)
     line = linregress(motion.times[: n * count : n][alive], constants)
     return float(line.slope), float(line.pvalue)
 
 
 def _even(times: np.ndarray, values: np.ndarray) -> EvenMotion | None:
-    """Average neighbours so that ``A_CYCLE`` samples or more are left of a cycle; None for a straight line."""
+    """Average samples in blocks of at least ``PER_CYCLE`` per cycle, at even times; None for a straight line."""
     from scipy.interpolate import PchipInterpolator  # slow to import, and few records need it
 
     level = values - np.polynomial.Polynomial.fit(times, values, 1)(times)
     if not np.any(level):
         return None
     frequency = dominant_frequency(times, level)
-    block = max(int((times.size - 1) / (float(np.ptp(times)) * frequency * A_CYCLE)), 1)
+    block = max(int((times.size - 1) / (float(np.ptp(times)) * frequency * PER_CYCLE)), 1)
     n = times.size // block
     times, values = (part[: n * block].reshape(n, block).mean(axis=1) for part in (times, values))
     steps = np.diff(times)
@@ -199,17 +204,17 @@ def _even(times: np.ndarray, values: np.ndarray) -> EvenMotion | None:
 
 
 def _scatter(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the sums of squares of the samples from ``first`` to before ``last`` (k,) about their means."""
+    """Return the sums of squares about their means of the samples [first, last), both of shape (k,)."""
     values = values - np.mean(values)
     sums, squares = (np.cumsum(np.append(0.0, part)) for part in (values, values**2))
     return np.maximum(squares[last] - squares[first] - (sums[last] - sums[first]) ** 2 / (last - first), 0.0)
 
 
 def _misfit(motion: EvenMotion, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the residual sums of squares of the best wave from ``first`` to before ``last`` each, shape (k,)."""
+    """Return the residual sums of squares (k,) of the best wave in the bank over the samples [first, last)."""
     misfit = np.empty(first.size)
     for n in np.unique(last - first):
-        bank = np.linalg.qr(_waves(n, 2 * np.pi / motion.a_cycle * RATES, DECAYS))[0]
+        bank = np.linalg.qr(_waves(n, 2 * np.pi / motion.per_cycle * RATES, DECAYS))[0]
         flat = bank.transpose(1, 0, 2).reshape(n, -1)
         rows = np.flatnonzero(last - first == n)
         for part in np.array_split(rows, rows.size // CHUNK + 1):
@@ -220,9 +225,9 @@ def _misfit(motion: EvenMotion, first: np.ndarray, last: np.ndarray) -> np.ndarr
     return misfit
 
 
-def _constants(windows: np.ndarray, a_cycle: float) -> np.ndarray:
-    """Return the constants (k,) of the decaying sines that are closest to windows (k, n), by Gauss and Newton."""
-    turn, n = 2 * np.pi / a_cycle, windows.shape[1]
+def _constants(windows: np.ndarray, per_cycle: float) -> np.ndarray:
+    """Fit decaying sines to windows (k, n) by the Gauss-Newton method; return their constants (k,)."""
+    turn, n = 2 * np.pi / per_cycle, windows.shape[1]
     bank = np.linalg.qr(_waves(n, turn * RATES, DECAYS))[0]
     best = np.argmax(np.sum((np.swapaxes(bank, 1, 2) @ windows.T) ** 2, axis=1), axis=0)
     turns, decays = turn * RATES[best], DECAYS[best]
@@ -237,7 +242,7 @@ def _constants(windows: np.ndarray, a_cycle: float) -> np.ndarray:
 
 
 def _waves(n: int, turns: np.ndarray, decays: np.ndarray) -> np.ndarray:
-    """Return bases (k, n, 5): a constant, decaying sine and cosine, and their derivatives; ``turns``: rad a sample."""
+    """Return bases (k, n, 5): constant, decaying cosine and sine, their derivatives; ``turns`` in rad per sample."""
     turns, decays, t = turns[:, None], decays[:, None], np.arange(n) - (n - 1) / 2
     size = np.exp(-decays * turns * (t - t[0]))
     cosine, sine = size * np.cos(turns * t), size * np.sin(turns * t)

@@ -1,9 +1,8 @@
-"""One law of motion that holds the terms of every model class, fitted to a record for many classes at once.
+"""Equation of motion with the terms of all model classes, fitted to a record for all classes at once.
 
 ``x'' = f/m - (c/m) x' - (k/m) x - (k/m) l sin(x/l) - (k3/m) x³ - (c2/m) |x'| x' - (mu/m) sgn(x') - b/m``: a class is
-the set of coefficients that are free, the others are zero. All classes are simulated side by side with their
-derivatives, so that one compiled programme serves them all. Units are those of the record: its strongest angular
-frequency and half of its range are 1.
+a set of free coefficients, and the others are zero. All classes are simulated together, with derivatives, by one
+compiled function. Units are such that the dominant angular frequency and half of the range of the record are 1.
 """
 
 from __future__ import annotations
@@ -21,49 +20,59 @@ from bench.records.dominant_frequency import dominant_frequency
 from bench.records.law_simulation import STEP, STILL, simulator
 
 COEFFICIENTS = ("1/m", "c", "k", "pendulum", "k3", "c2", "mu", "b", "1/l")
-"""Coefficients over the mass (the first and the last as named), in the order of the unknowns."""
+"""Coefficients divided by the mass (except the first and the last), in the order of the unknowns."""
 FIRST = np.array([0.5, 0.04, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-"""Values of the free coefficients from which a search starts."""
+"""Initial guess of the free coefficients."""
 FURTHER = np.array([False, False, False, False, False, True, True, False, False])
-"""Coefficients that join the others once these describe the motion: from no motion, friction would not be smooth."""
+"""Coefficients that are freed after the others have been fitted, as friction is not smooth before there is a motion."""
 LITTLE = 1e-3
-"""Their first values."""
+"""Initial guess of these coefficients."""
 POSITIVE = np.array([False, True, False, False, False, True, True, False, False])
-"""Coefficients of damping, which are left out where they come out negative."""
+"""Damping coefficients, which are removed from a class if their estimate is negative."""
 LEAST_STEPS = 3000
-"""In a forced record, which may be of no oscillator."""
+"""Least number of steps of a forced record, which may have no dominant frequency."""
 MOST_CYCLES = 40.0
-"""Cycles that are compared; of a longer record as many in three windows: first, middle and last."""
+"""Cycles that are fitted; of a longer record in three windows at its start, middle and end."""
 SAMPLES_PER_CYCLE = 24.0
-"""Samples of a cycle that are kept; of denser ones, means are taken, which makes a sine smaller by 0.3 %."""
+"""Samples per cycle; denser samples are averaged, which reduces the amplitude of a sine by 0.3 %."""
 DIED_OUT = 0.05
-"""A free record ends where its amplitude has fallen below this part of the largest: the smoothing hides that friction
-holds the body at rest."""
+"""A free record is cut where its amplitude falls below this fraction of the largest, as smoothed friction cannot
+stick."""
 FIRST_CYCLES, GROWTH = 1.5, 2.5
-"""A search starts on so much of each window, and so much more each time: a phase that slips has many minima."""
+"""Length of the first fit, and growth of the length: on a whole record, errors of the phase cause many local minima."""
 ITERATIONS, LAST_ITERATIONS, COLOURED_ITERATIONS = 8, 15, 4
 TOLERANCE = 1e-4
-"""A search ends where a step would lower the squares by less than this part of the noise's variance at its start."""
+"""A search ends when a step would lower the sum of squares by less than this fraction of the initial mean square."""
 NOISE_FLOOR = 1e-4
-"""Least noise over the signal: that of the steps and of digits."""
+"""Least ratio of noise to signal, due to integration and rounding."""
 ONE_SIDED = float(standard_quantile(0.95, None))
 
 UNIT = {"c": (1, 0), "k": (2, 0), "pendulum": (2, 0), "k3": (2, -2), "c2": (0, -1), "mu": (2, 1), "b": (2, 1)}
-"""Powers of the record's rate and size in a coefficient over the mass."""
+"""Powers of the units of rate and size in a coefficient divided by the mass."""
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Searched = tuple[np.ndarray, np.ndarray]
 Noises = Sequence[Sequence[Autoregression]]
-"""Of each class and row."""
+"""Noise model of each class and row."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """What is compared of a record: rows (R), each a channel in a window, of N samples and J steps.
+    """Samples of a record that are fitted: R rows, each a channel in a window, of N samples and J integration steps.
 
-    ``weight`` (R, N) is 0 where a row is padded. ``places`` (R, N) are the times of the samples from the start of the
-    window, ``force`` the force there, ``push`` (R, J) that during each step. ``order``, ``window`` and ``channel`` (R,)
-    are the derivative that a row measures and where it is from. ``offsets`` are the channels with an unknown one.
-    ``rate``, ``size`` and ``force_size`` are the units, and ``strongest`` the strongest angular frequency in them.
+    Attributes:
+        values: Samples, shape (R, N).
+        weight: 1 for samples and 0 for padding, shape (R, N).
+        places: Times of the samples from the start of the window, shape (R, N).
+        force: Force at the samples, shape (R, N).
+        push: Mean force during each step, shape (R, J).
+        order: Derivative of the displacement that a row measures, shape (R,).
+        window: Number of the window of a row, shape (R,).
+        channel: Number of the channel of a row, shape (R,).
+        offsets: Channels with an unknown offset.
+        rate: Unit of angular frequency (rad/s).
+        strongest: Dominant angular frequency in this unit.
+        size: Unit of displacement.
+        force_size: Unit of force.
     """
 
     values: np.ndarray
@@ -82,12 +91,12 @@ class Excerpt:
 
     @property
     def still(self) -> float:
-        """Return the amplitude of the speed for smoothing friction: a fixed one where a force drives the body."""
+        """Speed amplitude for smoothing friction; ``STILL`` in free records, which use the current amplitude."""
         return self.strongest / np.sqrt(2.0) if np.any(self.push) else STILL
 
 
 def excerpt(record: Record) -> Excerpt:
-    """Cut a record into what is compared, in its own units, at sizes that many records share."""
+    """Cut the fitted samples out of a record; array sizes are rounded up so that compiled functions are reused."""
     first = record.channels[0]
     strongest = rate = 2 * np.pi * dominant_frequency(first.times, first.values)
     if record.forces:
@@ -127,7 +136,7 @@ def _rounded(size: float, least: int) -> int:
 
 
 def _windows(record: Record, rate: float) -> list[tuple[float, float]]:
-    """Choose the parts that are compared: up to where a free motion has died out."""
+    """Return start and end (s) of the fitted windows; a free motion is cut where it has died out."""
     period, first = 2 * np.pi / rate, record.channels[0]
     end = record.duration
     if not record.forces:
@@ -144,7 +153,7 @@ def _windows(record: Record, rate: float) -> list[tuple[float, float]]:
 
 
 def _averaged(channel: Channel, low: float, high: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Average a channel within a window, over blocks of its samples: times and means."""
+    """Average the samples of a channel within a window in blocks; return times and means."""
     inside = (channel.times >= low) & (channel.times <= high * (1.0 + 1e-12))
     times, values = channel.times[inside], channel.values[inside]
     per_cycle = (times.size - 1) / max(float(np.ptp(times)), 1e-300) * 2 * np.pi / rate
@@ -155,12 +164,18 @@ def _averaged(channel: Channel, low: float, high: float, rate: float) -> tuple[n
 
 @dataclass(frozen=True, eq=False)
 class ClassFits:
-    """The fits of classes (C) to a record: coefficients (C, 9), in the record's units, and states at time 0.
+    """Fits of C classes to a record, in units of the excerpt.
 
-    ``free`` (C, 9) are those that were not left out. ``residuals`` (C, n) are of the samples in use, over the signal;
-    ``log_likelihoods`` (C, n) of nearly as many, with the noise as coloured as it is left. ``unknowns`` (C,) counts
-    what was estimated, the noise's colour included; ``independent`` (C,) the samples that would tell as much if they
-    were not correlated. ``limits`` (C, 9): the one-sided 95 % limit of each coefficient of damping.
+    Attributes:
+        excerpt: The fitted samples.
+        free: Mask of the coefficients that remain in each class, shape (C, 9).
+        coefficients: Estimates, shape (C, 9).
+        starts: Displacement and velocity at time 0, shape (C, 2).
+        residuals: Residuals over the standard deviation of the samples, shape (C, n).
+        log_likelihoods: Log-likelihoods of the samples with coloured noise, without the first ones; shape (C, n').
+        unknowns: Number of estimated parameters including those of the noise, shape (C,).
+        independent: Effective number of independent samples, shape (C,).
+        limits: One-sided 95 % limit of each damping coefficient, infinite if not determined; shape (C, 9).
     """
 
     excerpt: Excerpt
@@ -174,23 +189,25 @@ class ClassFits:
     limits: np.ndarray
 
     def in_si(self, coefficients: np.ndarray) -> dict[str, float]:
-        """Convert coefficients (9,) to values in SI units, over the mass; and mass and length."""
+        """Convert coefficients (9,) to SI units, divided by the mass; return also mass ``m`` and length ``l``."""
         e, by_name = self.excerpt, dict(zip(COEFFICIENTS, coefficients.tolist(), strict=True))
         values = {name: by_name[name] * e.rate**rate * e.size**size for name, (rate, size) in UNIT.items()}
         mass = e.force_size / (e.size * e.rate**2 * by_name["1/m"]) if by_name["1/m"] else 1.0
         return {**values, "m": mass, "l": e.size / by_name["1/l"]}
 
     def limits_in_si(self, case: int) -> dict[str, float]:
-        """Convert the limits of a class's coefficients of damping to SI units, over the mass."""
+        """Return the limits of the damping coefficients of a class in SI units, divided by the mass."""
         values = self.in_si(np.where(POSITIVE, self.limits[case], 1.0))
         return {name: values[name] for name, positive in zip(COEFFICIENTS, POSITIVE, strict=True) if positive}
 
 
 class LawFitter:
-    """Searches of the least squares of classes, side by side.
+    """Least-squares fit of several classes at once.
 
-    ``free`` (C, 9) says which coefficients each class has; ``turn`` is the known 1/l in the record's units, or its
-    first value.
+    Args:
+        excerpt: The samples.
+        free: Mask of the coefficients of each class, shape (C, 9).
+        turn: Value of 1/l in the excerpt's units, or its initial guess.
     """
 
     def __init__(self, excerpt: Excerpt, free: np.ndarray, turn: float) -> None:
@@ -202,14 +219,22 @@ class LawFitter:
 
     @property
     def open(self) -> np.ndarray:
-        """Return the unknowns of each class (C, size): coefficients, initial states of the windows, and offsets."""
+        """Mask of the unknowns of each class (C, size): coefficients, initial states of the windows, offsets."""
         pulled = self.free[:, 2] | self.free[:, 3] | self.free[:, 4]
         states = np.ones((len(self.free), self.states), bool)
         offsets = np.repeat(pulled[:, None], len(self.excerpt.offsets), axis=1)
         return np.concatenate([self.free, states, offsets], axis=1)
 
     def evaluate(self, theta: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate all classes up to a time of each window: residuals (C, R, N), and derivatives (C, R, N, size)."""
+        """Simulate all classes.
+
+        Args:
+            theta: Unknowns, shape (C, size).
+            length: Time from the start of each window up to which motions are simulated.
+
+        Returns:
+            Residuals (predicted minus measured), shape (C, R, N), and derivatives, shape (C, R, N, size).
+        """
         e, law = self.excerpt, self.law
         places = law + 2 * e.window[:, None] + np.arange(2)  # of each row's initial state
         q = np.concatenate([np.repeat(theta[:, None, :law], len(places), axis=1), theta[:, places]], axis=2)
@@ -226,7 +251,13 @@ class LawFitter:
         return left, slopes
 
     def search(self, theta: np.ndarray, iterations: int, weight: np.ndarray, noises: Noises | None = None) -> Searched:
-        """Lower the squares of all classes over the weighted samples, whitened where the noise is given.
+        """Minimise the weighted sum of squares of all classes.
+
+        Args:
+            theta: Initial guess, shape (C, size).
+            iterations: Largest number of iterations.
+            weight: Weights of the samples, shape (R, N).
+            noises: Noise models by which residuals are whitened; without them the noise is white.
 
         Returns:
             The unknowns (C, size) and the sums of squares (C,).
@@ -253,7 +284,7 @@ class LawFitter:
         return reached.unknowns, reached.cost / scale**2
 
     def whitened(self, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Whiten residuals and derivatives of each class by its noise."""
+        """Whiten residuals (C, R, N) and derivatives (C, R, N, size) of each class by its noise models."""
         white, turned = np.zeros_like(left), np.zeros_like(slopes)
         for case, noises_of_case in enumerate(noises):
             for row, (noise, n) in enumerate(zip(noises_of_case, self.counts, strict=True)):
@@ -262,7 +293,7 @@ class LawFitter:
         return white, turned
 
     def fitted(self) -> ClassFits:
-        """Search by growing windows without further damping, then with it, then with the noise's colour."""
+        """Fit the classes: on growing windows without ``FURTHER`` damping, then with it, then with coloured noise."""
         e, wanted = self.excerpt, self.free.copy()
         theta = np.zeros((len(wanted), self.size))
         theta[:, : self.law] = np.where(wanted, FIRST, 0.0)
@@ -278,7 +309,7 @@ class LawFitter:
         theta[:, : self.law] += LITTLE * (self.free & FURTHER)
         while True:
             theta, cost = self.search(theta, LAST_ITERATIONS, e.weight)
-            for case in range(len(theta)):  # a class is no worse than one that it contains
+            for case in range(len(theta)):  # a class must fit no worse than a class nested in it
                 inside = [i for i in range(len(theta)) if np.all(self.free[i] <= self.free[case])]
                 theta[case] = theta[min(inside, key=lambda i: cost[i])]
             negative = (theta[:, : self.law] < 0) & self.free & POSITIVE
@@ -288,7 +319,7 @@ class LawFitter:
             theta[:, : self.law] = np.where(negative, 0.0, theta[:, : self.law])
 
     def coloured(self, theta: np.ndarray) -> ClassFits:
-        """Fit again with the colour that the residuals of each class have, from ``theta`` on."""
+        """Repeat the fit from ``theta`` with noise coloured as the residuals of each class."""
         weight = self.excerpt.weight
         noises = self.noises(self.evaluate(theta, self.whole)[0])
         theta, _ = self.search(theta, COLOURED_ITERATIONS, weight, noises)
@@ -313,7 +344,7 @@ class LawFitter:
         )
 
     def noises(self, left: np.ndarray) -> Noises:
-        """Fit the colour of residuals, class by class and row by row."""
+        """Estimate the noise model of each class and row from its residuals."""
         left = np.nan_to_num(left, nan=1e6, posinf=1e6, neginf=-1e6)
         used = self.open.sum(axis=1) / len(self.counts)
         floor = Autoregression(np.zeros(0), self._floor**2)
@@ -332,7 +363,7 @@ class LawFitter:
         return NOISE_FLOOR * self._signal
 
     def _limits(self, theta: np.ndarray, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Bound each coefficient of damping, one at a time beside the free ones: its estimate, or 0, and 1.645 sd."""
+        """Return upper limits (C, 9) of the damping coefficients, each freed alone: estimate or 0, plus 1.645 sd."""
         white, turned = self.whitened(noises, left, slopes)
         limits, used = np.full((len(theta), self.law), np.inf), self.open
         for case in range(len(theta)):
@@ -349,13 +380,16 @@ class LawFitter:
 
 
 def _log_likelihoods(noise: Autoregression, residuals: np.ndarray, floor: float) -> np.ndarray:
-    """Compute those of each sample but the first, the same ones whatever the order; noise is at least ``floor``."""
+    """Compute the log-likelihoods of the samples.
+
+    The first samples are dropped, the same number for every order. The noise is at least ``floor``.
+    """
     errors = noise.whiten(residuals)[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
     scale = max(float(np.mean(errors**2)), floor**2 / noise.variance)
     return np.asarray(-0.5 * (np.log(2 * np.pi * scale * noise.variance) + errors**2 / scale))
 
 
 def _independent(noise: Autoregression, n: int) -> float:
-    """As many independent samples determine a variance as well: ``n c_0² / sum c_k²`` (M. S. Bartlett, 1946)."""
+    """Return the number of independent samples that give the same variance: ``n c_0² / sum c_k²`` (Bartlett, 1946)."""
     covariances = noise.autocovariance(n)
     return float(n * covariances[0] ** 2 / (covariances[0] ** 2 + 2.0 * np.sum(covariances[1:] ** 2)))

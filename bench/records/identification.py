@@ -1,7 +1,7 @@
-"""Identify measured records with one method, step by step: fit, residuals, intervals, diagnostics, verdict.
+"""Identification of measured records with one method: fit, residuals, intervals, diagnostics, verdict.
 
-Repeats of a test are answered one by one and combined. Two refits may follow a fit: with errors that expect outliers,
-and without the terms of the system that the record does not need.
+Repeats of a test are identified separately and combined. A fit may be repeated with a likelihood that is robust to
+outliers, and without terms of the system that the record does not require.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bench.config.records import robust_settings
 from bench.config.schema import Job
 from bench.contract.estimate import Estimate, Status
 from bench.records.classes import best_class, compare_classes, needless_terms
-from bench.records.diagnostics import OUTLIERS, diagnose, natural_frequency, steady_sine
+from bench.records.diagnostics import diagnose, natural_frequency, outliers, steady_sine
 from bench.records.dominant_frequency import dominant_frequency
 from bench.records.finding import Finding
 from bench.records.fit import fit
@@ -34,10 +34,12 @@ from bench.systems.sums import Sum
 
 
 def identify_all(request: Request, measured: Measured) -> list[Finding]:
-    """Identify the records with each method of a request, of one class that is chosen first with ``system=auto``.
+    """Identify records with each method of a request.
+
+    With ``system=auto`` the model class is selected first, and is the same for all methods.
 
     Raises:
-        InputError: A method cannot take a measured record.
+        InputError: A method does not accept measured records.
     """
     if request.system == AUTO:
         measured = best_class(measured, compare_classes(measured))
@@ -45,32 +47,32 @@ def identify_all(request: Request, measured: Measured) -> list[Finding]:
 
 
 def identify(job: Job, measured: Measured) -> Finding:
-    """Identify the records with the job's method, in a process of its own: repeats alone, and then by their spread.
+    """Identify records with the method of a job, in a separate process.
 
-    Repeats that are too short to be answered alone are fitted together.
+    Repeats are identified separately and combined; if that fails, they are fitted jointly.
 
     Raises:
-        InputError: The method cannot take a measured record.
+        InputError: The method does not accept measured records.
     """
     repeats = combined([_without_needless_terms(job, run) for run in runs_of(measured)])
     if repeats is not None and repeats.intervals:
         return repeats
-    together = _without_needless_terms(job, measured)
-    return together if together.intervals or repeats is None else repeats
+    joint = _without_needless_terms(job, measured)
+    return joint if joint.intervals or repeats is None else repeats
 
 
 def _without_needless_terms(job: Job, measured: Measured) -> Finding:
-    """Identify records with one set of parameters; of a sum that the fit leaves open, without its needless terms."""
-    finding, system = _answered(job, measured), measured.problem.system
-    if not isinstance(system, Sum) or not _leaves_open(finding):
+    """Identify records jointly; drop terms of a sum that they do not require if a quantity is not determined."""
+    finding, system = _robust_if_needed(job, measured), measured.problem.system
+    if not isinstance(system, Sum) or not _is_undetermined(finding):
         return finding
     if not (most := needless_terms(measured)):
         return finding
-    finding = _answered(job, with_system(measured, without(system, most)))
+    finding = _robust_if_needed(job, with_system(measured, without(system, most)))
     if finding.estimate.status is not Status.OK:
         return finding
     units = {name: unit_over_mass(name) for name in most}
-    reasons = [f"{name}/m is 0, at most {limit:.3g} {units[name]}: fitted without it" for name, limit in most.items()]
+    reasons = [f"{n}/m is zero, at most {limit:.3g} {units[n]}: fitted without this term" for n, limit in most.items()]
     zeros = {f"{n}_over_m": StatedInterval(0.0, *(0.0, limit) * 3, units[n], "at most") for n, limit in most.items()}
     return replace(
         finding,
@@ -79,28 +81,27 @@ def _without_needless_terms(job: Job, measured: Measured) -> Finding:
     )
 
 
-def _leaves_open(finding: Finding) -> bool:
-    """Return whether a fit has no answer, or a quantity that has no finite interval above zero."""
+def _is_undetermined(finding: Finding) -> bool:
+    """Return whether a fit diverged, or has a quantity without a finite interval above zero."""
     if finding.estimate.status is not Status.OK:
         return finding.estimate.status is Status.DIVERGED
     return not all(interval.low >= 0.0 and math.isfinite(interval.high) for interval in finding.stated.values())
 
 
-def _answered(job: Job, measured: Measured) -> Finding:
-    """Fit and judge; where samples are far off, again with errors that expect outliers if the method has them.
+def _robust_if_needed(job: Job, measured: Measured) -> Finding:
+    """Fit and assess records; repeat a fit with outliers under Student's t distribution if the method supports it.
 
-    The second answer is taken where it lies outside of an interval that the first states of this record.
+    The robust result replaces the first one if one of its values is outside of the first one's interval.
     """
     if sine := steady_sine(measured.problem):
         estimate = Estimate.failed(measured.problem.system, Status.UNSUPPORTED, sine)
         return Finding(job.label, measured, estimate, reasons=(Reason(Trust.NO, sine),))
     finding = assess(job.label, measured, *fit(job, measured.problem))
     settings = robust_settings(job.config.method["name"])
-    outliers = any(reason.text.endswith(OUTLIERS) for reason in finding.reasons)
-    if not (outliers and settings) or "method.likelihood" in job.explicit:
+    if not settings or finding.fit is None or not outliers(finding.fit) or "method.likelihood" in job.explicit:
         return finding
     estimate, wall_s = fit(job, measured.problem, {**job.settings(), **settings})
-    note = "samples are far off: fitted with errors of Student's t, which expects outliers"
+    note = "outliers: fitted with errors of Student's t distribution, which is robust to them"
     robust = assess(job.label, replace(measured, notes=(*measured.notes, note)), estimate, wall_s)
     pairs = [
         (interval, robust.stated[name].value) for name, interval in finding.stated.items() if name in robust.stated
@@ -109,10 +110,17 @@ def _answered(job: Job, measured: Measured) -> Finding:
 
 
 def assess(method: str, measured: Measured, estimate: Estimate, wall_s: float = math.nan) -> Finding:
-    """State the intervals that the records support of a method's answer, and the reasons for caution."""
+    """Assess an estimate of records: state its intervals and the reasons for caution.
+
+    Args:
+        method: Name of the method.
+        measured: The records.
+        estimate: The method's estimate.
+        wall_s: Computing time of the fit (s).
+    """
     problem = measured.problem
     if estimate.status is not Status.OK:
-        reason = f"no answer ({estimate.status.value}): {estimate.message}{_fewer_samples(measured, estimate.status)}"
+        reason = f"no estimate ({estimate.status.value}): {estimate.message}{_fewer_samples(measured, estimate.status)}"
         return Finding(method, measured, estimate, wall_s, reasons=(Reason(Trust.NO, reason),))
     scaled = combine_with_prior(estimate, problem.prior)
     with np.errstate(all="ignore"):
@@ -133,13 +141,13 @@ def _frequency(likelihood: LinearisedFit) -> float:
 
 
 def _fewer_samples(measured: Measured, status: Status) -> str:
-    """Return the decimation that would still describe the motion, of a fit that ended at its limits, if any would."""
+    """Return the advice to decimate, for a fit that exceeded a limit and a record with samples to spare."""
     factor = spare_factor(measured.problem) if status in (Status.TIMEOUT, Status.OOM) else 1
-    return f"; decimate={factor} keeps one sample in {factor}, filtered" if factor > 1 else ""
+    return f"; try decimate={factor}, which keeps every {factor}th sample after a low-pass filter" if factor > 1 else ""
 
 
 def _with_mass(intervals: Mapping[str, StatedInterval], measured: Measured) -> dict[str, StatedInterval]:
-    """Return intervals of the parameters themselves where their ratios were found and the mass is known."""
+    """Return intervals of the parameters, from those of their ratios to the mass, if the mass is known."""
     mass, system, scaled = measured.known_mass, measured.problem.system, {}
     for parameter in system.parameters if mass is not None else ():
         ratio = intervals.get(f"{parameter.name}_over_{system.gauge}")

@@ -1,19 +1,18 @@
-"""Two 95 % intervals of every quantity of a measured record: of this record, and of a repeat of the test.
+"""95 % intervals of the quantities of a measured record: for this record, and for a repeat of the test.
 
-The logarithms of the free parameters are jointly normal, so every quantity that is a product of their powers (k/m, c/m,
-the frequency, the damping ratio) has intervals that agree with those of the others.
+The logarithms of the free parameters are jointly normal, so the intervals of all quantities that are products of their
+powers (k/m, c/m, natural frequency, damping ratio) are consistent.
 
-*This record*: the covariance of a fit whose noise has the colour of the residuals (``linearised_fit``),
-wider where the method's own interval is wider than that of least squares, and the error of the clock.
+*This record*: the covariance of the estimate for noise of the colour of the residuals (``linearised_fit``), widened if
+the method's interval is wider than that of least squares, plus the error of the clock.
 
-*A repeat*: to this the variance between repeats is added. It is estimated from the differences between parts of the
-record (:mod:`bench.records.parts`) by a random-effects model in which each part counts by its own variance (R. C.
-Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982), and drawn towards a prior spread as by a scaled inverse
-chi-square prior (A. Gelman and others, Bayesian Data Analysis, 3rd ed. 2013, section 2.6). A dependence on the
-amplitude that the parts show is the same in every repeat, and only the amplitude of the release differs. Of several
-records it is the variance between the records.
+*A repeat*: the variance between repeats is added. It is estimated from the differences between parts of the record
+(:mod:`bench.records.parts`) by a random-effects model (R. C. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982),
+and shrunk towards a prior variance as by a scaled inverse chi-square prior (A. Gelman and others, Bayesian Data
+Analysis, 3rd ed. 2013, section 2.6). A dependence on the amplitude, estimated from the parts, is common to all repeats,
+which differ in their amplitude. For several records it is the variance between the records.
 
-A quantity whose interval would be wider than a factor of three either way is not determined: one limit is stated.
+A quantity whose interval would reach beyond a factor of three from its value is not determined: one limit is stated.
 """
 
 from __future__ import annotations
@@ -33,35 +32,43 @@ from bench.records.parts import PartFit
 
 UPPER = 0.975
 HALF = float(standard_quantile(UPPER, None))
-"""Half of a 95 % interval over the standard error."""
+"""Half-width of a 95 % interval over the standard error."""
 PRIOR_SPREAD: Mapping[str, float] = {"mass": 0.002, "stiffness": 0.002, "damping": 0.04, "other": 0.02}
-"""Standard deviation of a log-parameter by its kind: between repeats, which parts of one record cannot show (another
-temperature, another clamping), and once more between parts, before the data."""
+"""Prior standard deviation of a log-parameter by its kind: between repeats, due to causes that do not act within a
+record (temperature, clamping), and again between parts."""
 PRIOR_DOF = 5.0
-"""Degrees of freedom of the spread between parts before the data: it weighs as much as six parts."""
+"""Degrees of freedom of the prior variance between parts; it weighs as much as six parts."""
 PRIOR_SLOPE: Mapping[str, float] = {"mass": 0.02, "stiffness": 0.02, "damping": 0.3, "other": 0.1}
-"""Standard deviation of a log-parameter's derivative by the log of the amplitude, before the data."""
+"""Prior standard deviation of the derivative of a log-parameter with respect to the log of the amplitude."""
 AMPLITUDES = 0.2
-"""Standard deviation of the log of the amplitude between repeats: a release by hand."""
+"""Standard deviation of the log of the amplitude between repeats, for a release by hand."""
 CHANCE = 0.01
-"""Probability that noise alone makes parts, or repeats, differ as much, below which they count as different."""
+"""p-value under noise alone below which parts or repeats differ significantly."""
 WIDEST = math.log(3.0)
-"""Half-width of a logarithm beyond which the value is not determined and a limit is stated."""
+"""Half-width of a logarithm above which the value is not determined and a limit is stated."""
 ASSUMED_DOF = 60.0
-"""Degrees of freedom of a spread that is the prior's alone: taken as known."""
+"""Degrees of freedom of a variance that is the prior's alone, which is treated as known."""
 
 ENDS = ("value", "low", "high", "record_low", "record_high", "white_low", "white_high")
-"""The numbers of an interval that have the quantity's unit."""
+"""Fields of an interval that have the quantity's unit."""
 Limit = Literal["", "at most", "at least"]
 
 
 @dataclass(frozen=True)
 class StatedInterval:
-    """A quantity with 95 % intervals: of a repeat of the test, of this record, and assuming white noise.
+    """Value of a quantity with 95 % intervals.
 
-    With a ``limit`` the data determine only one end of the interval of a repeat, at 95 %: ``high`` if "at most"
-    (``low`` is 0), ``low`` if "at least" (``high`` is infinite). ``unevenness``: the standard deviation between parts
-    or repeats over the one that was expected before the data; 1 where noise explains their differences.
+    Attributes:
+        value: Estimate, in ``unit``.
+        low: Lower end for a repeat of the test.
+        high: Upper end for a repeat of the test.
+        record_low: Lower end for this record.
+        record_high: Upper end for this record.
+        white_low: Lower end assuming white noise.
+        white_high: Upper end assuming white noise.
+        unit: Unit.
+        limit: If only one end is determined: "at most" (``low`` is 0) or "at least" (``high`` is infinite).
+        unevenness: Standard deviation between parts or repeats over the prior one; 1 if noise explains the differences.
     """
 
     value: float
@@ -77,13 +84,13 @@ class StatedInterval:
 
     @property
     def colour(self) -> float:
-        """Width of this record's interval over that assuming white noise."""
+        """Ratio of the width of this record's interval to that assuming white noise."""
         width, white = self.record_high - self.record_low, self.white_high - self.white_low
         return width / white if 0 < white < math.inf and math.isfinite(width) else 1.0
 
     @property
     def relative_error(self) -> float:
-        """Half of the interval of a repeat over the value."""
+        """Half-width of the interval of a repeat over the value."""
         return (self.high - self.low) / 2.0 / abs(self.value) if self.value else math.inf
 
 
@@ -94,14 +101,14 @@ def stated_intervals(
     rate_error: float = 0.0,
     classes: ClassComparison | None = None,
 ) -> dict[str, StatedInterval]:
-    """Return the quantities that an answer determines, each with its intervals.
+    """Return the intervals of the quantities that an estimate determines, by name.
 
     Args:
-        estimate: The answer, in the user's units, combined with the prior.
-        fit: The likelihood there; without one, or where it leaves a direction open, the method's interval is stated.
-        parts: Fits of the parts of the record, or of each of several records; maybe none.
-        rate_error: Relative standard uncertainty of the clock.
-        classes: Model classes that were compared; those that the record cannot tell apart widen the intervals.
+        estimate: The estimate, in the user's units, combined with the prior.
+        fit: Linearised likelihood at the estimate; the method's interval is stated if it is None or singular.
+        parts: Fits of the parts of the record, or of each of several records; may be empty.
+        rate_error: Relative standard uncertainty of the sampling rate.
+        classes: Compared model classes; differences between tied classes widen the intervals.
     """
     joint = None if fit is None else joint_covariance(fit, parts, rate_error)
     intervals = {}
@@ -117,7 +124,7 @@ def stated_intervals(
         elif interval.value == 0:
             interval = replace(interval, limit="at most")
         elif 0 < interval.low < interval.high < math.inf and math.log(interval.high / interval.low) > 2.0 * WIDEST:
-            # where the scale is open all parameters may be infinite together; what is over the mass may vanish
+            # Without a known scale, the parameters have no upper limit, and ratios to the mass have no lower one.
             power = -1.0 if quantity.exponents.get(estimate.system.gauge, 1.0) > 0 else 1.0
             interval = limited(interval, math.log(interval.high / interval.low) / 2.0 / HALF, power)
         intervals[quantity.name] = interval
@@ -126,12 +133,18 @@ def stated_intervals(
 
 @dataclass(frozen=True, eq=False)
 class JointCovariance:
-    """Variances of the logs of the free parameters' ratios to the gauge mass, in which repeats differ independently.
+    """Covariances of the logarithms of the ratios of free parameters to the gauge mass, which vary independently.
 
-    ``to`` (k, k): from the logs of the parameters to those of the ratios. ``white``, ``record`` (k, k): covariances of
-    this record. ``clock`` (k,): standard errors by that of the clock. ``repeats`` (k,): variances that repeats add.
-    ``unevenness`` (k,): as in :class:`StatedInterval`. ``infinite`` (k,): whether a ratio may be infinite, as a mass
-    that only the force determines; the others may vanish.
+    Attributes:
+        to: Transformation of log-parameters to log-ratios, shape (k, k).
+        white: Covariance for this record assuming white noise, shape (k, k).
+        record: Covariance for this record, shape (k, k).
+        clock: Errors due to the sampling rate, shape (k,).
+        repeats: Additional variances of a repeat, shape (k,).
+        unevenness: As in :class:`StatedInterval`, shape (k,).
+        infinite: Mask of ratios without an upper limit, such as a mass determined by the force; shape (k,).
+        record_dof: Degrees of freedom of the noise.
+        repeats_dof: Degrees of freedom of the variance of repeats.
     """
 
     to: np.ndarray
@@ -145,13 +158,16 @@ class JointCovariance:
     repeats_dof: float
 
     def stated(self, interval: StatedInterval, gradient: np.ndarray, classes: float) -> StatedInterval:
-        """Return a method's interval with those of the record and of a repeat.
+        """Return a method's interval with the ends for this record and for a repeat.
 
-        ``gradient`` (k,): of its logarithm; ``classes``: its variance between model classes that are as good.
+        Args:
+            interval: The method's interval.
+            gradient: Derivative of the quantity's logarithm by the log-parameters, shape (k,).
+            classes: Variance of the logarithm between tied model classes.
         """
         powers, record_quantile = np.linalg.solve(self.to.T, gradient), _quantile(self.record_dof)
         width = (interval.high - interval.low) / interval.value
-        if interval.low > 0 and math.isfinite(width):  # a method's interval is symmetric about the value or its log
+        if interval.low > 0 and math.isfinite(width):  # the interval is symmetric on the linear or on the log scale
             width = min(width, math.log(interval.high / interval.low))
         least = 2.0 * record_quantile * math.sqrt(max(powers @ self.white @ powers, 1e-300))
         over = max(width / least, 1.0) if math.isfinite(width) else 1.0
@@ -169,7 +185,7 @@ class JointCovariance:
 
 
 def joint_covariance(fit: LinearisedFit, parts: Sequence[PartFit], rate_error: float) -> JointCovariance | None:
-    """Compute the variances of an answer, see :func:`stated_intervals`; None where a direction is open."""
+    """Compute the covariances at a fit, with arguments as :func:`stated_intervals`; None if the fit is singular."""
     if fit.white is None or fit.coloured is None:
         return None
     system, free, k = fit.model.system, fit.model.free, len(fit.model.free)
@@ -186,7 +202,7 @@ def joint_covariance(fit: LinearisedFit, parts: Sequence[PartFit], rate_error: f
     if len(parts) > 1:
         logs = np.array([to @ part.logs for part in parts])
         errors = np.array([np.diag(to @ part.covariance @ to.T) for part in parts])
-        several = len(fit.model.problem.records) > 1  # records are repeats: there is no trend from one to the next
+        several = len(fit.model.problem.records) > 1  # records are repeats, between which there is no trend
         sizes = np.zeros(len(parts)) if several else np.log([part.amplitude for part in parts])
         for i in range(k):
             between = between_parts(logs[:, i], errors[:, i], expected[i], sizes, slopes[i])
@@ -205,10 +221,15 @@ def _quantile(dof: float) -> float:
 
 
 def limited(interval: StatedInterval, error: float, power: float) -> StatedInterval:
-    """State the end that the data determine of a quantity whose logarithm has a large standard ``error``.
+    """Return an interval with a single limit, for a quantity whose logarithm has a large standard error.
 
-    The parameter that is open, of which the quantity is a ``power``, may vanish, and is determined to so much on its
-    own scale, not on that of its logarithm; of one that may be infinite, the reciprocal is (a negative ``power``).
+    The undetermined parameter is normal on its linear scale rather than on the log scale; its reciprocal is, if it has
+    no upper limit.
+
+    Args:
+        interval: The interval.
+        error: Standard error of the logarithm.
+        power: Power of the undetermined parameter in the quantity; negative for a lower limit.
     """
     factor = float((1.0 + float(standard_quantile(0.95, None)) * error / abs(power)) ** abs(power))
     if power > 0:
@@ -219,11 +240,7 @@ def limited(interval: StatedInterval, error: float, power: float) -> StatedInter
 
 
 class Heterogeneity(NamedTuple):
-    """Differences of values beyond their errors.
-
-    ``variance`` between them beyond a line, ``slope`` of the line, and the ``chance`` that errors alone make as much of
-    a difference.
-    """
+    """Heterogeneity of values: ``variance`` about a line, its ``slope``, and ``chance``, the p-value of homogeneity."""
 
     variance: float
     slope: float
@@ -233,7 +250,7 @@ class Heterogeneity(NamedTuple):
 def between_parts(
     values: np.ndarray, errors: np.ndarray, prior: float, sizes: np.ndarray, prior_slope: float
 ) -> Heterogeneity:
-    """Estimate what ``values`` (n,) with variances ``errors`` (n,) differ by, drawn towards a ``prior`` variance."""
+    """Estimate the heterogeneity as :func:`paule_mandel`, with the variance shrunk towards a ``prior`` variance."""
     variance, _, chance = paule_mandel(values, errors, sizes, prior_slope)
     dof = values.size - 1
     variance = (dof * variance + PRIOR_DOF * prior) / (dof + PRIOR_DOF)
@@ -243,12 +260,16 @@ def between_parts(
 def paule_mandel(
     values: np.ndarray, errors: np.ndarray, sizes: np.ndarray | None = None, prior_slope: float = 1.0
 ) -> Heterogeneity:
-    """Find the variance at which the weighted sum of squares of values (n,) equals its degrees of freedom; at least 0.
+    """Estimate the variance of values about a line, at which the weighted sum of squares is its degrees of freedom.
 
-    The values, with variances ``errors`` (n,), lie about a line over ``sizes`` (n,), the logs of the amplitudes, whose
-    slope has a normal prior about zero of variance ``prior_slope``: one more square and one more unknown, so that n - 1
-    degrees of freedom are left. Without a variance the sum has their chi-square distribution (W. G. Cochran, Biometrics
-    10:101, 1954).
+    The slope has a normal prior of zero mean, which adds a square and an unknown, so there are n - 1 degrees of
+    freedom. The p-value is that of the chi-square distribution (W. G. Cochran, Biometrics 10:101, 1954).
+
+    Args:
+        values: Values, shape (n,).
+        errors: Their variances, shape (n,).
+        sizes: Abscissas, the logarithms of the amplitudes, shape (n,); without them there is no slope.
+        prior_slope: Prior variance of the slope.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2
@@ -266,7 +287,7 @@ def paule_mandel(
 
 
 def _line(values: np.ndarray, variances: np.ndarray, sizes: np.ndarray, prior_slope: float) -> tuple[float, float]:
-    """Fit a line to values (n,); return the weighted sum of squares about it, that of the prior too, and its slope."""
+    """Fit a line to values (n,); return the weighted sum of squares, including the prior's, and the slope."""
     weights = 1.0 / variances
     x, y = (values - np.sum(weights * values) / np.sum(weights) for values in (sizes, values))
     slope = float(np.sum(weights * x * y) / (np.sum(weights * x**2) + 1.0 / prior_slope))

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 SMOOTHING = 0.05
-"""The speed over which friction changes its sign, over the amplitude of the speed: a thousandth less work per cycle."""
+"""Smoothing velocity of friction over the amplitude of the speed; reduces the energy dissipated per cycle by 0.1 %."""
 STILL = 1e-3
-"""Least amplitude for this smoothing, so that friction stays smooth where nothing moves."""
+"""Least amplitude in this ratio, so that friction is smooth at rest."""
 STEP = 0.08
-"""Length of a Runge-Kutta step in radians of the strongest frequency: 79 per cycle."""
+"""Runge-Kutta step in radians of the dominant frequency: 79 steps per cycle."""
 IMAGINARY = 1e-30
-"""Imaginary step of an unknown; its square is lost beside 1, so that derivatives are exact to rounding."""
+"""Imaginary step of an unknown; its square is negligible, so derivatives are exact to rounding."""
 
 Simulator = Callable[..., tuple[Any, Any]]
 """(unknowns (C, R, 11), number of steps, push (R, J), places, force (R, N), order (R,), still) -> motion, slopes.

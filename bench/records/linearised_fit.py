@@ -1,11 +1,10 @@
-"""A record's likelihood at an answer: residuals, their derivatives, and the covariance that noise of any colour gives.
+"""Linearised likelihood of records at an estimate: residuals, derivatives, and covariance for coloured noise.
 
-With bread ``B = (J' J / s² + P)⁻¹`` and the noise's covariance ``S`` the covariance of a fit that took the noise for
-white is ``B (J' S J / s⁴ + P) B`` (H. White, Econometrica 50:1, 1982; P. J. Huber, Proc. 5th Berkeley Symp. 1:221,
-1967), and ``B`` itself where the noise is white. ``P``: precision of the prior. For even samples ``S`` is that of the
-smoothed periodogram of the residuals, where an autoregression of these has any order; otherwise ``J' S J`` is a sum
-over pairs of samples with weights that fall with their distance in time (W. K. Newey, K. D. West, Econometrica 55:703,
-1987).
+With ``B = (J' J / s² + P)⁻¹``, the noise covariance ``S`` and the prior precision ``P``, the covariance of a fit that
+assumes white noise is ``B (J' S J / s⁴ + P) B`` (H. White, Econometrica 50:1, 1982; P. J. Huber, Proc. 5th Berkeley
+Symp. 1:221, 1967), which is ``B`` for white noise. At even times ``S`` is that of the smoothed periodogram of the
+residuals, unless their autoregression has order 0; otherwise ``J' S J`` is a sum over pairs of samples with weights
+that decrease with their distance in time (W. K. Newey, K. D. West, Econometrica 55:703, 1987).
 """
 
 from __future__ import annotations
@@ -28,19 +27,25 @@ from bench.scoring.score import point_parameters
 from bench.systems import Quantity
 
 ROWS = 512
+"""Samples processed together, which bounds the memory."""
 LEAST = 1e-6
-"""In natural units, what stands for a parameter of zero: next to no effect, and central differences still show it."""
+"""Value (natural units) that replaces a parameter of zero: negligible, but large enough for finite differences."""
 ROUNDING = 1e-7
-"""Residuals over the motion, root mean squares, below which they are rounding and have no colour."""
+"""Ratio of residuals to motion (root mean square) below which they are due to rounding, and white."""
 CORRELATED_CYCLES = 2.0
-"""Cycles of the strongest frequency over which samples at uneven times may be correlated."""
+"""Periods of the dominant frequency over which noise at uneven times may be correlated."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedFit:
-    """Residuals (N,) of a problem in natural units at ``theta``, with the derivatives (N, size) of the predictions.
+    """Linearisation of a problem in natural units.
 
-    ``known_noises``: the colour of each channel's noise, where these residuals are not what shows it.
+    Attributes:
+        model: Output-error likelihood.
+        theta: Unknowns, shape (size,).
+        residuals: Measured minus predicted samples, shape (N,).
+        slopes: Derivatives of the predictions, shape (N, size).
+        known_noises: Noise model of each channel; estimated from the residuals if None.
     """
 
     model: OutputError
@@ -56,24 +61,24 @@ class LinearisedFit:
 
     @cached_property
     def used(self) -> float:
-        """Degrees of freedom that the data have spent."""
+        """Degrees of freedom used by the fit."""
         sigma = np.maximum(self.model.noise(self.residuals, self.theta.size, floor=0.0), 1e-12 * self.model.rms)
         rows = np.concatenate([self.slopes / sigma[self.model.channel_of][:, None], self._prior_rows])
         return float(degrees_used(rows[None], self.residuals.size)[0])
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """Noise by channel."""
+        """Standard deviation of the noise of each channel."""
         return np.maximum(self.model.noise(self.residuals, self.used, floor=0.0), 1e-12 * self.model.rms)
 
     @cached_property
     def channels(self) -> tuple[np.ndarray, ...]:
-        """Numbers of the samples of each channel."""
+        """Indices of the samples of each channel."""
         return tuple(np.flatnonzero(self.model.channel_of == i) for i in range(len(self.model.channels)))
 
     @cached_property
     def noises(self) -> tuple[Autoregression | None, ...]:
-        """The colour of each channel's noise; None at uneven times."""
+        """Noise model of each channel; None at uneven times."""
         if self.known_noises is not None:
             return self.known_noises
         share = self.used / self.residuals.size
@@ -84,12 +89,12 @@ class LinearisedFit:
 
     @cached_property
     def white(self) -> np.ndarray | None:
-        """Covariance of theta (size, size) if the noise were white; None where a direction is open."""
+        """Covariance of theta (size, size) assuming white noise; None if the fit is singular."""
         return self.model.covariance(self.slopes, self.sigma)
 
     @cached_property
     def coloured(self) -> np.ndarray | None:
-        """Covariance of theta (size, size) with the noise as its residuals are; None where a direction is open."""
+        """Covariance of theta (size, size) for noise of the colour of the residuals; None if the fit is singular."""
         if self.white is None or np.all(self.sigma <= ROUNDING * self.model.rms):
             return self.white
         middle = self._prior_rows.T @ self._prior_rows
@@ -106,14 +111,20 @@ class LinearisedFit:
         return np.asarray(self.white @ middle @ self.white)
 
     def gradient(self, quantity: Quantity) -> np.ndarray:
-        """Return the derivative of the quantity's logarithm by theta."""
+        """Return the derivative of a quantity's logarithm by theta, shape (size,)."""
         by_theta = np.zeros(self.theta.size)
         by_theta[: len(self.model.free)] = quantity.vector(self.model.free)
         return by_theta
 
 
 def even_scores(slopes: np.ndarray, residuals: np.ndarray | None, noise: Autoregression) -> np.ndarray:
-    """Compute ``J' S J`` of one channel at even times, of slopes (n, p); without residuals (n,) the noise is known."""
+    """Compute ``J' S J`` of a channel at even times.
+
+    Args:
+        slopes: Derivatives, shape (n, p).
+        residuals: Residuals, shape (n,), from which the spectrum is estimated; None to use that of ``noise``.
+        noise: Noise model; a model of order 0 is white.
+    """
     n = len(slopes)
     length = 1 << int(np.ceil(np.log2(2 * n)))
     spectrum = noise.spectrum(length)
@@ -124,10 +135,17 @@ def even_scores(slopes: np.ndarray, residuals: np.ndarray | None, noise: Autoreg
 
 
 def uneven_scores(slopes: np.ndarray, residuals: np.ndarray, times: np.ndarray, reach: float) -> np.ndarray:
-    """Compute ``J' S J`` of one channel at any times, of slopes (n, p), correlated over a time of ``reach``."""
+    """Compute ``J' S J`` of a channel at any times.
+
+    Args:
+        slopes: Derivatives, shape (n, p).
+        residuals: Residuals, shape (n,).
+        times: Times, shape (n,).
+        reach: Time over which the noise is correlated.
+    """
     n, p = slopes.shape
     scores, total = slopes * residuals[:, None], np.zeros((p, p))
-    for first in range(0, n, ROWS):  # a matrix of all pairs would not fit into memory
+    for first in range(0, n, ROWS):  # the matrix of all pairs may not fit into memory
         rows = slice(first, first + ROWS)
         low, high = np.searchsorted(times, [times[rows][0] - reach, times[rows][-1] + reach])
         near = np.maximum(1.0 - np.abs(times[rows][:, None] - times[low:high]) / reach, 0.0)
@@ -136,29 +154,29 @@ def uneven_scores(slopes: np.ndarray, residuals: np.ndarray, times: np.ndarray, 
 
 
 def linearise(problem: Problem, estimate: Estimate) -> LinearisedFit | None:
-    """Compute the likelihood of the problem at an answer; None where the answer has no parameters or no response.
+    """Linearise the likelihood of a problem at an estimate; None if it has no parameters or no finite response.
 
-    The initial state and the offset are those that fit the data best at the answer's parameters, or the answer's own
-    initial state where that fits better.
+    The initial state and the offset are the best fit for the estimated parameters, or the estimated initial state if
+    that fits better.
     """
     units = problem.natural_units()
-    answer, model = estimate.expressed_in(units), compiled_output_error(problem.expressed_in(units))
-    p = point_parameters(answer)
+    scaled, model = estimate.expressed_in(units), compiled_output_error(problem.expressed_in(units))
+    p = point_parameters(scaled)
     if p is None or not all(np.isfinite(value) and value >= 0 for value in p.values()):
         return None
-    p = {name: max(value, LEAST) for name, value in p.items()}  # a method may end at no damping at all
+    p = {name: max(value, LEAST) for name, value in p.items()}  # the logarithm of an estimate of zero is infinite
     if model.system.gauge not in model.free:
         model = compiled_output_error(model.problem, p[model.system.gauge])
     with np.errstate(all="ignore"):
         trials = [model.vector(p)]
-        if answer.initial_states is not None:
-            trials.append(_with_initial_states(model, trials[0], answer.initial_states))
+        if scaled.initial_states is not None:
+            trials.append(_with_initial_states(model, trials[0], scaled.initial_states))
         theta = min(trials, key=model.profile)
         return at_theta(model, _without_turns(model, theta))
 
 
 def at_theta(model: OutputError, theta: np.ndarray) -> LinearisedFit | None:
-    """Compute the likelihood at a vector of unknowns; None where its response, or a neighbour's, is not finite."""
+    """Linearise the likelihood at theta (size,); None if the response or a derivative is not finite."""
     with np.errstate(all="ignore"):
         predicted, slopes = model.jacobian(theta)
     if not (np.all(np.isfinite(predicted)) and np.all(np.isfinite(slopes))):
@@ -167,7 +185,7 @@ def at_theta(model: OutputError, theta: np.ndarray) -> LinearisedFit | None:
 
 
 def _without_turns(model: OutputError, theta: np.ndarray) -> np.ndarray:
-    """Take whole turns of a pendulum out of its initial state, which the offset of its sensor may stand for."""
+    """Move whole turns of a pendulum from its initial displacement to the offset of its sensor."""
     length = model.parameters(theta).get("l", dict(getattr(model.system, "fixed", ())).get("l"))
     if length is None or not model.offset_channels or len(model.problem.records) > 1 or not model.unknown_starts:
         return theta
@@ -180,7 +198,7 @@ def _without_turns(model: OutputError, theta: np.ndarray) -> np.ndarray:
 
 
 def _with_initial_states(model: OutputError, theta: np.ndarray, states: Sequence[InitialState]) -> np.ndarray:
-    """Put given initial states into theta, and the offsets that fit best there."""
+    """Return theta with the given initial states and the offsets that fit best."""
     theta, place = theta.copy(), len(model.free)
     for i in model.unknown_starts:
         state = np.concatenate([states[i].displacement, states[i].velocity])

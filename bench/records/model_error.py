@@ -1,8 +1,8 @@
-"""Forces that a fitted sum of terms lacks: dry friction, quadratic damping, a cubic spring.
+"""Test for forces that a fitted sum of terms lacks: dry friction, quadratic damping, a cubic spring.
 
-Each is added to first order about none of it: a regression of the residuals on the derivatives of the fit and on those
-by the added forces (a score test: C. R. Rao, Proc. Camb. Phil. Soc. 44:50, 1948). Those that lower the Bayesian
-information criterion most, with the noise as coloured as it then is, are taken to be there.
+The residuals are regressed on the derivatives of the fit and on those by each added force at zero (a score test: C. R.
+Rao, Proc. Camb. Phil. Soc. 44:50, 1948). The combination of forces with the smallest Bayesian information criterion,
+computed with coloured noise, is reported as missing.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from bench.systems.sums import TERMS, Sum
 
 NAMES = {"coulomb": "dry friction", "quadratic": "quadratic damping", "cubic": "a cubic spring"}
 SHAPED = {"softening", "pendulum"}
-"""Springs that are no straight line already."""
+"""Springs that are nonlinear already, to which no cubic spring is added."""
 SMALL = 1e-3
-"""Size of an added force, over the spring's, in the difference that gives its derivative."""
+"""Added force over the spring force, in the finite difference of its derivative."""
 TURNS = 0.05
-"""Speed at which the sign of dry friction turns, over the largest speed."""
+"""Smoothing velocity of dry friction over the largest speed."""
 STRONG = 6.0
-"""Least gain in the criterion that counts (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995)."""
+"""Least decrease of the criterion that is strong evidence (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773,
+1995)."""
 MOST_SAMPLES, MOST_CYCLES = 2000, 100.0
-"""Samples and first cycles of a record that are looked at: the shape of cycles and of a decay shows in them, and the
-motion with an added force is simulated step by step."""
+"""Limits of the samples and cycles used; they bound the time, as motions with added forces are integrated in time."""
 
 
 def missing_forces(fit: LinearisedFit) -> tuple[str, ...]:
-    """Name the forces that the residuals of a fit of one displacement record show to be missing in a sum of terms."""
+    """Return the forces that a sum of terms lacks according to the residuals of a record of displacements."""
     system, records = fit.model.system, fit.model.problem.records
     if not isinstance(system, Sum) or len(records) > 1 or not {"c", "k"} <= set(system.names):
         return ()
@@ -56,7 +56,7 @@ def missing_forces(fit: LinearisedFit) -> tuple[str, ...]:
 
 
 def _columns(fit: LinearisedFit, system: Sum, kept: slice) -> dict[str, np.ndarray]:
-    """Return the differences of the prediction at the kept samples that a little of each force makes, by term."""
+    """Return the change of the predicted samples due to a small force, by name of its term."""
     model, record = fit.model, fit.model.problem.records[0]
     terms = [
         term for term in NAMES if term not in system.terms and not (term == "cubic" and SHAPED & set(system.terms))
@@ -83,7 +83,7 @@ def _columns(fit: LinearisedFit, system: Sum, kept: slice) -> dict[str, np.ndarr
 
 
 def _residuals(rows: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """Return what a regression on the columns of ``rows`` (n, p) leaves."""
+    """Return the residuals (n,) of a regression on the columns of ``rows`` (n, p)."""
     norms = np.linalg.norm(rows, axis=0)
     scaled = rows / np.where(norms > 0, norms, 1.0)
     return np.asarray(residuals - scaled @ np.linalg.lstsq(scaled, residuals, rcond=1e-10)[0])

@@ -1,4 +1,4 @@
-"""Model classes of a measured record, as sums of terms: what is known of each, and what they have in common."""
+"""Model classes of a measured record, as sums of terms, and their comparison."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from bench.records.dominant_frequency import dominant_frequency
 from bench.systems.sums import GROUPS, TERMS, Sum
 
 TIED = 10.0
-"""Difference of scores below which a class is as good as the chosen one: evidence beyond it is very strong (R. E. Kass,
-A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995, section 3.2)."""
+"""Difference of scores below which a class is tied with the selected one: evidence beyond it is very strong (R. E.
+Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995, section 3.2)."""
 FRACTION = 0.01
-"""Smoothing velocity over the root mean square speed.
+"""Ratio of the smoothing velocity v_s to the root mean square speed.
 
-Per cycle of amplitude V of the speed ``mu tanh(v/v_s)`` takes less work than Coulomb's friction by the part
-``(π²/24) (v_s/V)²`` (from the integral of ``u (1 - tanh u)``, π²/24, about each of the turns). With a hundredth that is
-1 in 50 000 at the mean amplitude, and below 1 % until the amplitude has fallen to a twentieth of it. A smaller
-one would make the motion stiffer, at a rate of ``mu / (m v_s)``. What the smoothing cannot do is stick: a body that
-friction holds off its rest creeps there, at up to v_s.
+In a cycle of speed amplitude V, ``mu tanh(v/v_s)`` dissipates less energy than Coulomb friction by the fraction
+``(π²/24) (v_s/V)²`` (the integral of ``u (1 - tanh u)`` at each turning point is π²/24). For a ratio of 0.01 this is
+1 in 50 000 at the mean amplitude, and below 1 % until the amplitude has fallen to a twentieth of it. A smaller ratio
+makes the differential equation stiffer, with a rate of ``mu / (m v_s)``. Smoothed friction cannot stick: a mass held
+away from its equilibrium creeps at up to v_s.
 """
 PART_OF_PERIOD = 0.25
-"""Length of the local polynomials over the strongest period: a cubic has the slope of a sine there to 0.1 %."""
+"""Length of the local polynomials over the dominant period, for which a cubic has the slope of a sine to 0.1 %."""
 ROUNDING = 1e-9
-"""A speed of less than this part of the record's size in its time is none."""
+"""Speeds below this fraction of the record's amplitude over its duration are due to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelClass:
-    """One class fitted to records.
+    """Model class fitted to records.
 
     Attributes:
-        name: Its name for people.
-        system: The sum of its terms, without those that came out negative.
-        parameters: Values in SI units, over the mass where no force determines it; means over the records.
+        name: Display name.
+        system: Sum of its terms, without damping terms whose estimate was negative.
+        parameters: Values in SI units, over the mass if no force determines it; means over the records.
         start: Displacement and velocity at time 0 of the first record.
-        criterion: Information criterion less that of the best class.
+        criterion: Difference of the information criterion to that of the best class.
         criterion_error: Standard error of this difference.
-        score: Evidence against the class, with the odds against further terms; the lowest is chosen.
-        left: Root mean square of the residuals over the amplitude, which is half the range of the samples.
-        zero: The one-sided 95 % limit, over the mass, of each coefficient of damping that the class lacks.
-        told_apart: Whether the records tell it from the chosen class.
+        score: Evidence against the class including the penalty for additional terms; the lowest score is selected.
+        left: Root mean square of the residuals over the standard deviation of the samples.
+        zero: One-sided 95 % limit, over the mass, of each damping coefficient that the class lacks.
+        told_apart: Whether the records distinguish it from the selected class.
     """
 
     name: str
@@ -60,25 +60,25 @@ class ModelClass:
 
 @dataclass(frozen=True, eq=False)
 class ClassComparison:
-    """Classes that were fitted to records, the chosen one first."""
+    """Classes fitted to records, sorted by score; the first is selected."""
 
     classes: Sequence[ModelClass]
 
     @property
     def chosen(self) -> ModelClass:
-        """Return the class with the best score."""
+        """The class with the best score."""
         return self.classes[0]
 
     @property
     def tied(self) -> list[ModelClass]:
-        """Return the other classes that are as good."""
+        """The other classes, which the records do not distinguish from the selected one."""
         return [model for model in self.classes[1:] if not model.told_apart]
 
     def variance(self, quantity: str) -> float:
-        """Return the mean square of a quantity's logarithm about the chosen class, over the classes that are as good.
+        """Return the variance of a quantity's logarithm between tied classes, about the value of the selected class.
 
-        Weights are posterior probabilities of the classes that have the quantity (J. A. Hoeting and others, Stat. Sci.
-        14:382, 1999); 0 where the chosen class has it not.
+        Weights are posterior probabilities of the classes (J. A. Hoeting and others, Stat. Sci. 14:382, 1999). It is 0
+        for a quantity that the selected class does not have.
         """
         having = [m for m in (self.chosen, *self.tied) if quantity in {q.name for q in m.system.quantities}]
         if not having or having[0] is not self.chosen:
@@ -90,22 +90,26 @@ class ClassComparison:
 
 
 def without(system: Sum, zero: Collection[str]) -> Sum:
-    """Return the sum without the terms of some parameters; one of them stays where nothing else is left."""
+    """Return the sum without the terms of the parameters in ``zero``, unchanged if no term would be left."""
     kept = tuple(term for term in system.terms if TERMS[term].parameters[0].name not in zero)
     return Sum(kept or system.terms, system.smoothing_velocity, system.fixed, system.bias_sign)
 
 
 def unit_over_mass(name: str) -> str:
-    """Return the unit of a parameter of a sum over the mass."""
+    """Return the unit of a parameter of a sum divided by the mass."""
     return next((group.unit for group in GROUPS if group.name == f"{name}_over_m"), "")
 
 
 def smoothing_velocity(times: np.ndarray, values: np.ndarray, measures: str = "displacement") -> float:
-    """Choose a smoothing velocity (m/s) for the friction in a record: ``FRACTION`` of its root mean square speed.
+    """Return the smoothing velocity (m/s) of friction for a record: ``FRACTION`` of its root mean square speed.
 
-    The speed of displacements is the slope of local cubics (A. Savitzky, M. Golay, Anal. Chem. 36:1627, 1964) over a
-    part of the strongest period, on the record at even times; noise of a tenth of the motion changes it by little. That
-    of accelerations is the one of a sine of the strongest frequency.
+    The speed is computed from displacements by local cubics (A. Savitzky, M. Golay, Anal. Chem. 36:1627, 1964), and
+    from accelerations as that of a sine of the dominant frequency.
+
+    Args:
+        times: Times (s), shape (n,).
+        values: Samples, shape (n,).
+        measures: Kind of the samples: displacement, velocity or acceleration.
     """
     even = np.linspace(times[0], times[-1], times.size)
     step = float(even[1] - even[0])
@@ -119,6 +123,6 @@ def smoothing_velocity(times: np.ndarray, values: np.ndarray, measures: str = "d
     else:
         unit = 1.0 if measures == "velocity" else 2 * np.pi * frequency
         speed = float(np.std(x)) / unit
-    # what rounding alone would give is no speed: the record's size in its time stands in for it, so never zero
+    # The speed must not be zero, nor that of rounding errors: the amplitude over the duration replaces it.
     still = (float(np.max(np.abs(x))) or 1.0) / unit
     return FRACTION * (speed if speed > ROUNDING * still else still)

@@ -1,4 +1,4 @@
-"""Modes that are offered where a record of one mode holds several, or an alias of its one."""
+"""Candidate modes for a record that is fitted with one mode but shows several, or an alias."""
 
 from __future__ import annotations
 
@@ -11,17 +11,24 @@ from bench.likelihood.autoregression import even_times
 from bench.modal.waves import Waves
 
 MOST_OFFERED, LEAST_SHARE = 4, 0.03
-"""Modes that are offered, at most, and the least part of the signal: less hardly moves the values of the others."""
+"""Largest number of candidate modes, and least share of the signal; weaker modes hardly affect the others."""
 MOST_SAMPLES = 20_000
-"""Samples from the release on that are fitted: the rest of a longer record is used by the main fit only."""
+"""Number of first samples that are fitted."""
 
 
 @dataclass(frozen=True)
 class OfferedMode:
-    """Natural frequency (Hz) and damping ratio, each with the 95 % interval of this record.
+    """Mode of a record.
 
-    ``share``: root mean square of the mode over that of the signal. ``alias``: a frequency that would give the same
-    samples as the mode above it.
+    Attributes:
+        frequency: Natural frequency (Hz).
+        frequency_low: Lower end of its 95 % interval for this record.
+        frequency_high: Upper end.
+        damping_ratio: Damping ratio.
+        damping_ratio_low: Lower end of its 95 % interval for this record.
+        damping_ratio_high: Upper end.
+        share: Root mean square of the mode over that of the signal.
+        alias: Whether it is an alias, which has the same samples as the mode before it.
     """
 
     frequency: float
@@ -35,7 +42,7 @@ class OfferedMode:
 
 
 def offered(mode: Mode, degrees: float) -> OfferedMode:
-    """Return a mode with its intervals; ``degrees`` of freedom of Student's t."""
+    """Return a mode with intervals of Student's t distribution with ``degrees`` of freedom."""
     from scipy.stats import t as student  # slow to import
 
     quantile = float(student.ppf(0.975, degrees))
@@ -46,15 +53,24 @@ def offered(mode: Mode, degrees: float) -> OfferedMode:
 
 
 def modes_of(times: np.ndarray, values: np.ndarray, count: int | None = None) -> tuple[OfferedMode, ...]:
-    """Fit so many modes, or those that matter, to samples (n,) at times (n,); the strongest first."""
+    """Fit modes to a free decay.
+
+    Args:
+        times: Times, shape (n,).
+        values: Samples, shape (n,).
+        count: Number of modes; chosen by an information criterion if None.
+
+    Returns:
+        The modes, sorted by their share of the signal; weak ones are dropped.
+    """
     decay = FreeDecays(times[:MOST_SAMPLES], values[None, :MOST_SAMPLES])
-    answer = Waves().identify_modes(ModalProblem(decay, count))
-    modes = sorted(answer.modes, key=lambda mode: -mode.share)
-    return tuple(offered(mode, answer.degrees) for mode in modes[:MOST_OFFERED] if mode.share >= LEAST_SHARE)
+    estimate = Waves().identify_modes(ModalProblem(decay, count))
+    modes = sorted(estimate.modes, key=lambda mode: -mode.share)
+    return tuple(offered(mode, estimate.degrees) for mode in modes[:MOST_OFFERED] if mode.share >= LEAST_SHARE)
 
 
 def alias_of(mode: OfferedMode, times: np.ndarray) -> OfferedMode | None:
-    """Return the lowest frequency above a mode's that would give the same even samples, with its damping ratio."""
+    """Return the alias of lowest frequency above a mode, which has the same samples; None at uneven times."""
     if not even_times(times):
         return None
     rate = (times.size - 1) / float(np.ptp(times))

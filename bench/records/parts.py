@@ -1,10 +1,10 @@
-"""Parts of a record, each fitted alone: their differences show how far a repeat of the test may differ.
+"""Separate fits of the parts of a record, whose differences indicate how much a repeat of the test may differ.
 
-A model that is not quite right has other parameters in each part: damping that falls with the amplitude, a stiffness
-that drifts. The parts have equal energy in the fitted motion, so that all of them determine the parameters about as
-well; one in which the motion has died out has a large variance and counts for little. A part is fitted by a step of
-Gauss and Newton from the answer to the whole. The initial state of a part is a function of that of the record, so the
-derivatives by the one span what those by the other do, and the part is as free as if it were a record.
+An approximate model has different parameters in each part, such as damping that decreases with the amplitude, or a
+stiffness that drifts. Parts have equal energy of the fitted motion, so that they determine the parameters about equally
+well; the weight of a part decreases with its variance. A part is fitted by a Gauss-Newton step from the estimate of the
+whole record. The initial state of a part is a function of that of the record, so the derivatives by either span the
+same space, and the fit of a part is as free as that of a separate record.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from bench.records.linearised_fit import CORRELATED_CYCLES, LinearisedFit, even_
 
 MOST_PARTS = 6
 CYCLES, MEAN_CYCLES = 2.0, 3.0
-"""Least cycles of a part, and of the parts on average: fewer do not determine a damping."""
+"""Least cycles of a part, and of the parts on average; fewer do not determine the damping."""
 SAMPLES_PER_UNKNOWN = 4
 LARGEST_CHANGE = 0.7
-"""A part whose stiffness differs by more than a factor of two from the whole's follows something else."""
+"""Largest change of the log of a stiffness (a factor of two); beyond it the fit of a part is discarded."""
 LARGEST_SPREAD = 1.0
-"""Standard deviation, before the data, of a part's log-parameter about the whole's: one that the part leaves open stays
-where the derivatives hold."""
+"""Prior standard deviation of a part's log-parameter about that of the record; keeps parameters that a part does not
+determine where the linearisation holds."""
 
 
 @dataclass(frozen=True, eq=False)
 class PartFit:
-    """Logarithms (k,) of the free parameters that fit a part, their covariance (k, k), and the size of the motion."""
+    """Logarithms (k,) of the free parameters of a part, their covariance (k, k), and the amplitude of the motion."""
 
     logs: np.ndarray
     covariance: np.ndarray
@@ -39,28 +39,33 @@ class PartFit:
 
 
 def parts_of(whole: LinearisedFit, frequency: float) -> list[PartFit]:
-    """Fit the parts of a record, or each of several records, alone, from the answer to the whole; below two: none.
+    """Fit the parts of a record, or each of several records, separately.
 
-    ``frequency``: cycles per unit of the problem's time.
+    Args:
+        whole: Fit of all samples.
+        frequency: Natural frequency, in cycles per natural unit of time.
+
+    Returns:
+        The fits; empty if fewer than two succeed.
     """
     model = whole.model
     times = np.concatenate([channel.times for _, channel in model.channels])
     motion = model.data - whole.residuals - model.offsets(whole.theta)[model.channel_of]
     if len(model.problem.records) > 1:
         record_of = np.array([record for record, _ in model.channels])[model.channel_of]
-        places = [np.flatnonzero(record_of == i) for i in range(len(model.problem.records))]
+        samples = [np.flatnonzero(record_of == i) for i in range(len(model.problem.records))]
     else:
         edges = _edges(whole, motion, frequency)
-        places = [np.flatnonzero((times >= low) & (times < high)) for low, high in pairwise(edges)]
-    fits = [_fitted(whole, rows, times[rows], motion[rows], frequency) for rows in places]
+        samples = [np.flatnonzero((times >= low) & (times < high)) for low, high in pairwise(edges)]
+    fits = [_part_fit(whole, rows, times[rows], motion[rows], frequency) for rows in samples]
     parts = [part for part in fits if part is not None]
     return parts if len(parts) > 1 else []
 
 
-def _fitted(
+def _part_fit(
     whole: LinearisedFit, rows: np.ndarray, times: np.ndarray, motion: np.ndarray, frequency: float
 ) -> PartFit | None:
-    """Fit the samples in ``rows`` alone; None where they leave a direction open, or follow something else."""
+    """Fit the samples in ``rows``; None if the fit is singular or too far from that of the whole record."""
     model, k, n = whole.model, len(whole.model.free), rows.size
     slopes, channel_of = whole.slopes[rows], model.channel_of[rows]
     unknowns = np.any(slopes != 0, axis=0)
@@ -93,7 +98,7 @@ def _fitted(
 
 
 def _edges(whole: LinearisedFit, motion: np.ndarray, frequency: float) -> list[float]:
-    """Return the times that divide a record into parts of equal energy, none shorter than some cycles."""
+    """Return the times that divide a record into parts of equal energy and of at least ``CYCLES`` cycles."""
     record = whole.model.problem.records[0]
     times = record.channels[0].times
     samples = min(c.n for c in record.channels)

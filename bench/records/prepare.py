@@ -1,7 +1,7 @@
-"""Prepare measured signals for a fit: each step is done where it is certain, and is a sentence in the notes.
+"""Preparation of measured signals for a fit; each step is recorded in the notes.
 
-Only free motion is cut: a known force explains what a start-up, a pause or a second push do. Nothing is cut at the
-start where ``from=`` or a known initial state says where the motion begins.
+Only free motions are cut, as a known force explains a start-up, a pause or a second push. The beginning is not cut if
+``from=`` or a known initial state defines it.
 """
 
 from __future__ import annotations
@@ -22,50 +22,51 @@ from bench.records.reading import ReadOptions, Recording, Signal
 from bench.records.saturation import at_limit
 
 LEAST_CYCLES, LEAST_SAMPLES = 3.0, 20
-"""Of a run that is kept as one, after a cut."""
+"""Least length of a run that is kept after a cut."""
 MOST_CUTS = 12
-"""Beyond which a motion is disturbed all the time, and no cut makes it free."""
+"""Number of cuts above which a motion is disturbed throughout, and is not cut."""
 LIVELY = 0.05
-"""Least mean square of a run over that of the liveliest one of its file."""
+"""Least mean square of a run over the largest one of the file."""
 GROWTH = 1.5
-"""Largest mean square in the second half of a run over that in its first: free motion loses energy."""
+"""Largest mean square in the second half of a run over that in the first; free motions lose energy."""
 BLOCK_CYCLES = 1.5
-"""Least cycles of a block of samples that is there again, value for value, to be a copy and not a periodic motion."""
+"""Least cycles of a repeated block of samples; a shorter one may be a periodic motion without noise."""
 LEVEL = 3.0
-"""Constant level over the standard deviation from which it is taken off, so that it sets no scale of the search."""
+"""Ratio of the mean to the standard deviation above which the mean is removed, as it would set the natural unit."""
 DETREND_CYCLES = 4.0
-"""Below which a line and a vibration are not told apart."""
+"""Cycles below which a drift and a vibration are not distinguishable."""
 DRIFT_P = 1e-4
-"""Level of the test for a drift that nobody asked to remove."""
+"""p-value below which a drift is removed by default."""
 COHERENT, NOISE_BAND, BLOCKS = 0.7, 3.0, 8
-"""Median coherence of two sensors' noise, above so many times the strongest frequency, from which one is computed from
-the other; of independent noise it is about 0.1 with so many blocks."""
+"""Two signals are not independent if the median coherence of their noise exceeds ``COHERENT`` at frequencies above
+``NOISE_BAND`` times the dominant one; for independent noise it is about 0.1 with this number of blocks."""
 
 
 def prepare(
     recordings: Sequence[Recording], options: ReadOptions, *, known_state: bool = False, n_dof: int = 1
 ) -> tuple[Recording, ...]:
-    """Return the runs in recordings, without what is no free motion, no second measurement or no vibration.
+    """Return the runs in recordings, without duplicates, computed channels, clipped samples, disturbances and drift.
 
     Args:
-        recordings: What was read.
-        options: What the user asks for: ``start``, ``decimate``, ``detrend``.
-        known_state: Whether the state at time 0 is given; its samples then stay as they are.
-        n_dof: Degrees of freedom of the system; the motion of several is not looked through for changes.
+        recordings: Recordings as they were read.
+        options: Options of the user: ``start``, ``decimate``, ``detrend``.
+        known_state: Whether the state at time 0 is known; the first samples and the mean are then kept.
+        n_dof: Degrees of freedom of the system; disturbances are detected for one only.
 
     Raises:
-        InputError: Decimation or detrending is asked for and not possible.
+        InputError: Decimation or detrending was requested and is not possible.
     """
     prepared: list[Recording] = []
     for recording in _without_copies(recordings):
         recording = _without_computed(recording)
         if options.decimate == 1:  # decimation needs all samples
-            recording = _each_motion(recording, _within_limits)
-        free, begun = not any(s.measures == "force" and np.any(s.values) for s in recording.signals), options.start
+            recording = _each_motion(recording, _unclipped)
+        free = not any(s.measures == "force" and np.any(s.values) for s in recording.signals)
         runs = [recording]
         if free and not known_state:
-            recording = _released(recording) if begun is None else recording
-            runs = [_stopped(run) for run in (_runs(recording, begun is not None) if n_dof == 1 else [recording])]
+            begins = options.start is not None
+            recording = recording if begins else _released(recording)
+            runs = [_note_rest(run) for run in (_runs(recording, begins) if n_dof == 1 else [recording])]
         for run in runs:
             if options.detrend or (free and options.detrend is None):
                 run = _each_motion(run, partial(_straightened, wanted=bool(options.detrend), source=run.source))
@@ -73,15 +74,15 @@ def prepare(
     return tuple(decimated(run, options.decimate) for run in prepared)
 
 
-def _said(recording: Recording, *sentences: str) -> Recording:
+def _with_notes(recording: Recording, *sentences: str) -> Recording:
     return replace(recording, notes=(*recording.notes, *sentences))
 
 
 def _each_motion(recording: Recording, change: Callable[[Signal], tuple[Signal, str]]) -> Recording:
-    """Return the recording with each signal of a motion changed, and the sentences that say so."""
+    """Apply a change, which returns a signal and a note, to all signals but the forces."""
     changed = [(signal, "") if signal.measures == "force" else change(signal) for signal in recording.signals]
-    said = [sentence for _, sentence in changed if sentence]
-    return _said(replace(recording, signals=tuple(signal for signal, _ in changed)), *said)
+    notes = [note for _, note in changed if note]
+    return _with_notes(replace(recording, signals=tuple(signal for signal, _ in changed)), *notes)
 
 
 def _motions(recording: Recording) -> list[Signal]:
@@ -93,7 +94,7 @@ def _kept(signal: Signal, samples: np.ndarray | slice) -> Signal:
 
 
 def _between(recording: Recording, first: float, last: float) -> Recording:
-    """Return the samples from ``first`` to before ``last`` (s), with times from 0 on."""
+    """Return the samples in [``first``, ``last``) (s), with times that begin at 0."""
     signals = [_kept(signal, (signal.times >= first) & (signal.times < last)) for signal in recording.signals]
     signals = [signal for signal in signals if signal.times.size]
     start = min((float(signal.times[0]) for signal in signals), default=0.0)
@@ -104,15 +105,15 @@ def _between(recording: Recording, first: float, last: float) -> Recording:
 
 
 def _without_copies(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return recordings without those that repeat another's every value, and without what repeats within one."""
+    """Return recordings without exact duplicates of others, and without repeated blocks."""
     kept: list[Recording] = []
     for recording in map(_once, recordings):
         same = next((i for i, other in enumerate(kept) if _equal(recording, other)), None)
         if same is None:
             kept.append(recording)
         else:
-            twice = f"{recording.source} repeats every value of {kept[same].source} and is left out"
-            kept[same] = _said(kept[same], twice)
+            duplicate = f"{recording.source} is an exact duplicate of {kept[same].source} and is excluded"
+            kept[same] = _with_notes(kept[same], duplicate)
     return kept
 
 
@@ -124,7 +125,7 @@ def _equal(first: Recording, second: Recording) -> bool:
 
 
 def _once(recording: Recording) -> Recording:
-    """Return a recording whose samples are the same block again and again, value for value, with the first block."""
+    """Return the first block of a recording that consists of exact repetitions of a block."""
     motion = next((signal for signal in _motions(recording) if np.ptp(signal.values) > 0), None)
     if motion is None or any(signal.values.size != motion.values.size for signal in recording.signals):
         return recording
@@ -132,11 +133,11 @@ def _once(recording: Recording) -> Recording:
     blocks = (p for p in range(LEAST_SAMPLES, n // 2 + 1) if n % p == 0)
     block = next((p for p in blocks if all(_repeats(signal.values, p) for signal in recording.signals)), n)
     cycles = block / n * float(np.ptp(motion.times)) * dominant_frequency(motion.times, motion.values)
-    if block == n or cycles < BLOCK_CYCLES:  # a sine without noise repeats itself
+    if block == n or cycles < BLOCK_CYCLES:  # a sine without noise is periodic, too
         return recording
     first = tuple(_kept(signal, slice(block)) for signal in recording.signals)
-    said = f"the record is there {n // block} times, value for value: its first {block} samples are kept"
-    return _said(replace(recording, signals=first), said)
+    note = f"the file repeats the same {block} samples {n // block} times: the first {block} are kept"
+    return _with_notes(replace(recording, signals=first), note)
 
 
 def _repeats(values: np.ndarray, period: int) -> bool:
@@ -144,9 +145,9 @@ def _repeats(values: np.ndarray, period: int) -> bool:
 
 
 def _without_computed(recording: Recording) -> Recording:
-    """Return the recording without motions that a logger computed from another of the same degree of freedom.
+    """Return the recording without motions that were computed from another one of the same degree of freedom.
 
-    The noise of both, above the vibration, is the same noise then, and that of the computed one is farther from white.
+    At frequencies above the vibration, the noise of both is then coherent, and that of the computed one is less white.
     """
     sources: dict[str, str] = {}
     for first, second in combinations(_motions(recording), 2):
@@ -156,15 +157,14 @@ def _without_computed(recording: Recording) -> Recording:
                 source, computed = (first, second) if colours[0] <= colours[1] else (second, first)
                 sources.setdefault(computed.role, source.role)
     kept = tuple(signal for signal in recording.signals if signal.role not in sources)
-    said = [f"{role} is computed from {source}, noise and all: no second measurement, left out"
-            for role, source in sources.items()]  # fmt: skip
-    return _said(replace(recording, signals=kept), *said)
+    notes = [f"{role} was computed from {source} (coherent noise) and is excluded" for role, source in sources.items()]
+    return _with_notes(replace(recording, signals=kept), *notes)
 
 
 def _noise(first: Signal, second: Signal) -> tuple[float, tuple[float, float]]:
-    """Return the median coherence of two sensors' noise above the vibration, and how far each spectrum is from flat.
+    """Return the median coherence of the noise of two signals above the vibration, and the colour of either noise.
 
-    That is the standard deviation of its logarithm. Nothing is coherent where too little is known.
+    The colour is the standard deviation of the log spectrum. The coherence of short records is taken as 0.
     """
     from scipy.signal import coherence, welch  # slow to import, and few records need it
 
@@ -181,37 +181,35 @@ def _noise(first: Signal, second: Signal) -> tuple[float, tuple[float, float]]:
     return float(np.nanmedian(coherent[above])), (colours[0], colours[1])
 
 
-# ------------------------------------------------------------------------------- where the free motion goes on
+# ------------------------------------------------------------------------------- rests and disturbances
 
 
-def _silences(recording: Recording, direction: int = 1) -> list[float]:
-    """Return when (s) each motion is released, or stops with ``direction`` -1; none if a sensor shows no silence."""
+def _releases(recording: Recording, direction: int = 1) -> list[float]:
+    """Return the time (s) of release of each motion, or of its stop if ``direction`` is -1; empty if one has none."""
     motions = [(direction * s.times[::direction], s.values[::direction]) for s in _motions(recording)]
     times = [time for motion in motions if (time := silence(*motion)) is not None]
     return [direction * time for time in times] if len(times) == len(motions) else []
 
 
 def _released(recording: Recording) -> Recording:
-    """Return the recording from its release on, where all its sensors show a constant before."""
-    times = _silences(recording)
+    """Return the recording from its release on, if all its sensors are at rest before."""
+    times = _releases(recording)
     if not times:
         return recording
-    said = f"nothing moves in the first {min(times):.3g} s: the record begins at the release"
-    return _said(_between(recording, min(times), np.inf), said)
+    note = f"at rest for the first {min(times):.3g} s: the record begins at the release"
+    return _with_notes(_between(recording, min(times), np.inf), note)
 
 
-def _stopped(recording: Recording) -> Recording:
-    """Say where all sensors show a constant at the end, as after a stop by friction; the samples stay."""
-    times = _silences(recording, -1)
-    return (
-        _said(recording, f"nothing moves after {max(times):.3g} s: the motion has ended there") if times else recording
-    )
+def _note_rest(recording: Recording) -> Recording:
+    """Add a note if all sensors are at rest at the end, such as after sticking; the samples are kept."""
+    times = _releases(recording, -1)
+    return _with_notes(recording, f"at rest after {max(times):.3g} s") if times else recording
 
 
-def _runs(recording: Recording, begun: bool) -> list[Recording]:
-    """Return the undisturbed runs of a free motion; the recording itself where nothing disturbs it, or no run is left.
+def _runs(recording: Recording, begins: bool) -> list[Recording]:
+    """Return the undisturbed runs of a free motion, or the recording if it is undisturbed or no run is long enough.
 
-    ``begun``: whether the user says where the motion begins.
+    ``begins``: whether the user has specified the beginning of the motion.
     """
     signal = next(iter(_motions(recording)), None)
     cuts = [] if signal is None or signal.values.size < LEAST_SAMPLES else changes(signal.times, signal.values)
@@ -227,27 +225,27 @@ def _runs(recording: Recording, begun: bool) -> list[Recording]:
             first = spans.pop()[0]
         spans.append((first, end, is_run))
     runs = [(first, np.inf if end == last else end) for first, end, is_run in spans if is_run]
-    if not runs or (begun and runs[0][0] > 0.0):
+    if not runs or (begins and runs[0][0] > 0.0):
         return [recording]
-    said = [_left_out(first, end) for first, end, is_run in spans if not is_run]
+    notes = [_exclusion(first, end) for first, end, is_run in spans if not is_run]
     if len(runs) == 1:
-        return [_said(_between(recording, *runs[0]), *said)]
+        return [_with_notes(_between(recording, *runs[0]), *notes)]
     listed = " and ".join(f"{first:.4g} to {min(end, last):.4g} s" for first, end in runs)
-    said.append(f"the free motion starts again within the record: {len(runs)} runs, {listed}")
+    notes.append(f"the record has {len(runs)} free motions: {listed}")
     return [
-        replace(_said(_between(recording, *run), *said), source=f"{recording.source} run {i}")
+        replace(_with_notes(_between(recording, *run), *notes), source=f"{recording.source} run {i}")
         for i, run in enumerate(runs, 1)
     ]
 
 
-def _left_out(first: float, end: float) -> str:
+def _exclusion(first: float, end: float) -> str:
     if first == 0.0:
-        return f"the first {end:.3g} s do not belong to the free motion that follows (a hand, a start-up): left out"
-    return f"{first:.4g} to {end:.4g} s do not belong to the free motion before or after (a jump, a hand): left out"
+        return f"the first {end:.3g} s are not a free motion (contact by a hand, start-up) and are excluded"
+    return f"{first:.4g} to {end:.4g} s are not a free motion (jump, contact by a hand) and are excluded"
 
 
 def _is_run(piece: Signal) -> bool:
-    """Return whether a stretch is long enough for a run, and its motion does not grow."""
+    """Return whether a segment is long enough for a run and its motion does not grow."""
     if piece.values.size < LEAST_SAMPLES or np.ptp(piece.values) == 0:
         return False
     early, late = (np.mean(half**2) for half in np.array_split(piece.values - np.mean(piece.values), 2))
@@ -255,20 +253,20 @@ def _is_run(piece: Signal) -> bool:
     return bool(late <= GROWTH * early and cycles >= LEAST_CYCLES)
 
 
-# ------------------------------------------------------------------------------- what a sensor adds to its motion
+# ------------------------------------------------------------------------------- errors of the sensor
 
 
-def _within_limits(signal: Signal) -> tuple[Signal, str]:
-    """Leave out samples at the limit of the sensor."""
+def _unclipped(signal: Signal) -> tuple[Signal, str]:
+    """Exclude samples at the limit of the sensor."""
     cut = at_limit(signal.values)
     if not np.any(cut):
         return signal, ""
-    said = f"{signal.role} is clipped: {np.count_nonzero(cut)} samples at the sensor's limit are left out"
-    return _kept(signal, ~cut), said
+    note = f"{signal.role} is clipped: {np.count_nonzero(cut)} samples at the limit of the sensor are excluded"
+    return _kept(signal, ~cut), note
 
 
 def _straightened(signal: Signal, wanted: bool, source: str) -> tuple[Signal, str]:
-    """Take off the drift of the sensor: where the user wants it, or where it is significant."""
+    """Subtract the linear drift of the sensor if it is ``wanted`` or significant."""
     level = signal.values - np.polynomial.Polynomial.fit(signal.times, signal.values, 1)(signal.times)
     cycles = float(np.ptp(signal.times)) * dominant_frequency(signal.times, level)
     if wanted and cycles < DETREND_CYCLES:
@@ -281,15 +279,15 @@ def _straightened(signal: Signal, wanted: bool, source: str) -> tuple[Signal, st
     drifted = slope * (signal.times - 0.5 * (signal.times[0] + signal.times[-1]))
     share = 100.0 * float(np.ptp(drifted)) / (float(np.ptp(signal.values - drifted)) or 1.0)
     return replace(signal, values=signal.values - drifted), (
-        f"{signal.role}: the sensor drifts by {slope:.3g} {signal.unit}/s, {share:.2g} % of the motion "
-        "over the record: a straight line is taken off"
+        f"{signal.role}: linear drift of {slope:.3g} {signal.unit}/s removed ({share:.2g} % of the motion "
+        "over the record)"
     )
 
 
 def _levelled(signal: Signal) -> tuple[Signal, str]:
-    """Take off a large constant, such as gravity in an accelerometer."""
+    """Subtract a large mean, such as gravity in an accelerometer."""
     mean = float(np.mean(signal.values))
     if not abs(mean) > LEVEL * float(np.std(signal.values)) > 0:
         return signal, ""
-    said = f"{signal.role}: its mean of {mean:.4g} {signal.unit} is taken off before the fit"
-    return replace(signal, values=signal.values - mean), said
+    note = f"{signal.role}: mean of {mean:.4g} {signal.unit} removed before the fit"
+    return replace(signal, values=signal.values - mean), note

@@ -1,4 +1,4 @@
-"""The problem of measured records: their signals, the system that was asked for, and what the user knows of it."""
+"""Identification problem of measured records: signals, requested system and prior knowledge of the user."""
 
 from __future__ import annotations
 
@@ -25,14 +25,19 @@ from bench.systems.sums import Sum, sum_from
 MAX_SAMPLES = 100_000
 ANGLE = "rad"
 CYCLE_SAMPLES, FEWEST = 10, 200
-"""Samples of a cycle, and of a record, that a decimation that is not asked for leaves at least."""
+"""Least samples per cycle, and per record, after an automatic decimation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Recordings and the problem that they pose; ``notes`` say what was done to them.
+    """Measured records and their identification problem.
 
-    ``known_mass``: the mass (kg) that the user knows, which scales the ratios where the data leave it open.
+    Attributes:
+        recordings: The prepared recordings.
+        problem: The problem, in the user's units.
+        notes: Sentences on the preparation.
+        known_mass: Mass (kg) that converts ratios to the mass into parameters, if the data do not determine it.
+        comparison: Comparison of model classes.
     """
 
     recordings: tuple[Recording, ...]
@@ -48,30 +53,35 @@ class Measured:
 
     @property
     def angle(self) -> bool:
-        """Return whether the first channel is of a rotation."""
+        """Whether the first channel measures a rotation."""
         return self.unit.startswith(ANGLE)
 
     def unit_of(self, unit: str) -> str:
-        """Return the unit of a quantity for what is measured: where it turns, of angles, torques and inertia.
-
-        ``N·s/m`` is then ``N·m·s/rad``, and ``kg`` is ``kg·m²``.
-        """
+        """Return the unit of a quantity; for rotations ``N·s/m`` becomes ``N·m·s/rad``, and ``kg`` ``kg·m²``."""
         return unit.replace("m", "rad").replace("N", "N·m").replace("kg", "kg·m²") if self.angle else unit
 
 
 def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Measured:
-    """Make the problem of a request from its files, or from what was read of them before; raises InputError."""
+    """Read the files of a request, prepare the signals and return the problem.
+
+    Args:
+        request: Files, options, system, and prior knowledge.
+        recordings: Recordings that were read already, in place of the files.
+
+    Raises:
+        InputError: A file cannot be read, or the request does not fit the records.
+    """
     if not recordings:
         recordings = [recording for path in request.files for recording in read_recordings(path, request.options)]
-    job, start = request.job, _start(request.job)
+    job, state = request.job, _initial_state(request.job)
     recordings = [with_base_excitation(recording, job.config.motion) for recording in recordings]
     n_dof = _system(request, recordings[0]).n_dof
-    recordings = prepare(recordings, request.options, known_state=start is not None, n_dof=n_dof)
+    recordings = prepare(recordings, request.options, known_state=state is not None, n_dof=n_dof)
     system = _system(request, recordings[0])
-    records = tuple(_record(recording, system, start, job) for recording in recordings)
+    records = tuple(_record(recording, system, state, job) for recording in recordings)
     for name, value in (("force_gain", job.config.force_gain), ("hold", job.config.hold)):
         if name in job.explicit and not any(record.forces for record in records):
-            raise InputError(name, value, "there is no force in the record; leave it out, or name its column: columns=")
+            raise InputError(name, value, "the record has no force; omit it, or name the force's column by columns=")
     names, prior = ", ".join(Path(recording.source).name for recording in recordings), _prior(job, system)
     try:
         problem = Problem(system, records, prior, name=names)
@@ -81,26 +91,23 @@ def read_measured(request: Request, recordings: Sequence[Recording] = ()) -> Mea
     if mass is not None and mass <= 0:
         raise InputError("fixed.m", mass, "a positive mass (kg)")
     if mass is not None and (problem.prior is not None or problem.scale_known):
-        raise InputError("fixed.m", mass, "the force or the prior tells the mass already; leave it out")
+        raise InputError("fixed.m", mass, "the mass is determined by the force or the prior; omit it")
     return Measured(recordings, problem, _notes(recordings), mass)
 
 
 def _notes(recordings: Sequence[Recording], before: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the notes of recordings after others, each of them once."""
+    """Return earlier notes and those of recordings, without duplicates."""
     return tuple(dict.fromkeys([*before, *(note for recording in recordings for note in recording.notes)]))
 
 
 def _system(request: Request, recording: Recording) -> System:
-    """Make the system that was asked for, with the parameters that are known.
-
-    A pendulum's length is 1 where angles are measured.
-    """
+    """Return the requested system with its known parameters; the length of a pendulum is 1 if angles are measured."""
     job = request.job
     fixed = {name: value for name, value in job.config.fixed.items() if name != "m"}
     if fixed and request.system == AUTO:
-        raise InputError("fixed", fixed, "with system=auto nothing is told; name the system")
+        raise InputError("fixed", fixed, "not supported with system=auto; name the system")
     if fixed and "system" in job.explicit:
-        raise InputError("fixed", fixed, "it is for sums of terms, as system=sdof+coulomb fixed.k=0")
+        raise InputError("fixed", fixed, "supported for sums of terms only, such as system=sdof+coulomb fixed.k=0")
     if request.system == AUTO:
         return sum_from("sdof")
     if "system" in job.explicit:
@@ -115,48 +122,42 @@ def _system(request: Request, recording: Recording) -> System:
     except InputError as error:
         raise InputError(error.field.removeprefix("system.options."), error.value, error.remedy) from None
     if system.needs_scale and len(motions) == len(recording.signals) and "prior" not in job.explicit:
-        raise InputError("fixed", fixed, "without a force or a prior only ratios to the mass can be told; give one")
+        raise InputError("fixed", fixed, "only ratios to the mass are identifiable; add a force or a prior")
     return system
 
 
-def _record(recording: Recording, system: System, start: InitialState | None, job: Job) -> Record:
+def _record(recording: Recording, system: System, state: InitialState | None, job: Job) -> Record:
     name = Path(recording.source).name
-    offset_identifiable = start is None and getattr(system, "offset_identifiable", True)
+    offset = state is None and getattr(system, "offset_identifiable", True)
     channels, forces = [], []
     for signal in recording.signals:
         if signal.dof >= system.n_dof:
-            remedy = f"the system has {system.n_dof} DOF; choose one with more masses, or columns="
+            remedy = f"the system has {system.n_dof} DOF; choose a system of more DOF, or other columns="
             raise InputError("data", f"{name} ({signal.role})", remedy)
         if signal.times.size > MAX_SAMPLES:
-            remedy = f"at most {MAX_SAMPLES}: choose a part by from= and to=, or fewer samples by decimate="
+            remedy = f"at most {MAX_SAMPLES}; select a part by from= and to=, or use decimate="
             raise InputError("data", f"{name}, {signal.times.size} samples", remedy)
         if signal.measures == "force":
             values = job.config.force_gain * signal.values
             forces.append(Force(signal.times, values, hold=job.config.hold, dof=signal.dof))
         else:
             channels.append(
-                Channel(
-                    signal.times,
-                    signal.values,
-                    signal.measures,
-                    signal.dof,
-                    unit=signal.unit,
-                    offset=offset_identifiable,
-                )
+                Channel(signal.times, signal.values, signal.measures, signal.dof, unit=signal.unit, offset=offset)
             )
     if not channels:
-        raise InputError("data", name, "no column of it is a motion; name one by columns=x:<number>")
+        raise InputError("data", name, "no column is a motion; name one by columns=x:<number>")
     try:
-        return Record(tuple(channels), tuple(forces), start)
+        return Record(tuple(channels), tuple(forces), state)
     except InputError as error:
         raise InputError("data", f"{name} ({error.field} {error.value})", error.remedy) from None
 
 
-def _start(job: Job) -> InitialState | None:
+def _initial_state(job: Job) -> InitialState | None:
+    """Return the initial state that the user has specified; raises InputError."""
     config = job.config
     if "initial_state" not in job.explicit or config.initial_state == "unknown":
         if config.start is not None:
-            raise InputError("start", config.start, "with initial_state=known; or leave it out")
+            raise InputError("start", config.start, "it needs initial_state=known; add that or omit start=")
         return None
     if config.start is None or len(config.start) % 2 or not config.start:
         raise InputError("start", config.start, "initial_state=known needs start=[displacement,velocity] at time 0")
@@ -179,7 +180,7 @@ def _prior(job: Job, system: System) -> Prior | None:
 
 
 def spare_factor(problem: Problem) -> int:
-    """Compute by how much samples can be decimated that still describe the motion of every channel; 1: not at all."""
+    """Return the largest decimation factor that leaves enough samples of every channel; 1 if none."""
     factors = []
     for channel in (channel for record in problem.records for channel in record.channels):
         per_cycle = (channel.n - 1) / float(np.ptp(channel.times)) / dominant_frequency(channel.times, channel.values)
@@ -188,9 +189,9 @@ def spare_factor(problem: Problem) -> int:
 
 
 def with_fewer_samples(measured: Measured, factor: int, job: Job) -> Measured:
-    """Decimate the records, with what was done as a note; raises InputError where that cannot be."""
+    """Return the records decimated by a factor, with a note; raises InputError if they cannot be decimated."""
     if any(record.initial_state is not None for record in measured.problem.records):
-        raise InputError("decimate", factor, "the start is told, and decimation leaves the first samples out")
+        raise InputError("decimate", factor, "the initial state is known, and decimation drops the first samples")
     recordings = tuple(decimated(recording, factor) for recording in measured.recordings)
     records = tuple(_record(recording, measured.problem.system, None, job) for recording in recordings)
     problem = replace(measured.problem, records=records)
@@ -198,12 +199,12 @@ def with_fewer_samples(measured: Measured, factor: int, job: Job) -> Measured:
 
 
 def with_system(measured: Measured, system: Sum) -> Measured:
-    """Pose the problem of the records with another system."""
+    """Return the records with another system."""
     return replace(measured, problem=of_system(measured.problem, system))
 
 
 def of_system(problem: Problem, system: Sum) -> Problem:
-    """Pose a problem with another system; an offset that it cannot distinguish from the motion is not estimated."""
+    """Return a problem with another system; offsets are estimated only if they are identifiable."""
     records = tuple(
         replace(r, channels=tuple(replace(c, offset=c.offset and system.offset_identifiable) for c in r.channels))
         for r in problem.records

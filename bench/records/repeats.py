@@ -1,11 +1,10 @@
-"""Repeats of a test: every record is answered alone, and their spread is the interval of another repeat.
+"""Repeats of a test: each record is identified separately, and a random-effects model combines the results.
 
-The logarithm of a quantity in run i is ``y_i = mean + u_i + e_i``: the error ``e_i`` has the variance that the interval
-of the run states, ``u_i`` that between runs (R. C. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982); of two or
-three runs it is drawn towards the prior spread of :mod:`bench.records.intervals`. Another repeat lies in the prediction
-interval of the model (J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Stat. Soc. A 172:137, 2009). A run
-whose deleted residual is too large (W. Viechtbauer, M. W.-L. Cheung, Res. Synth. Methods 1:112, 2010) is of another
-rig, and left out.
+The logarithm of a quantity in run i is ``y_i = mean + u_i + e_i``. The variance of ``e_i`` is that of the run's
+interval, that of ``u_i`` the variance between runs (R. C. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982);
+shrunk towards the prior of :mod:`bench.records.intervals` for few runs. The interval of another repeat is the prediction
+interval (J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Stat. Soc. A 172:137, 2009). A run with a large
+deleted residual (W. Viechtbauer, M. W.-L. Cheung, Res. Synth. Methods 1:112, 2010) is excluded.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ from bench.records.verdict import Reason, Trust
 from bench.systems import Quantity, System
 
 LEVEL = 1e-3
-"""Probability that any run of repeats of one rig is taken for one of another rig."""
+"""Probability of excluding any run although all are repeats of one test."""
 ROUNDING = 1e-24
-"""Least variance of a logarithm: of a record without noise the variances would otherwise vanish."""
+"""Least variance of a logarithm, as the variances of records without noise vanish."""
 LEAST_DOF = 3
-"""Degrees of freedom of the variance between runs; where these are too few for it, the prior makes up for the rest."""
+"""Least degrees of freedom of the variance between runs; the prior supplies those that the runs lack."""
 
 
 def runs_of(measured: Measured) -> list[Measured]:
-    """Return each of several records alone; none for a single record, or where a prior would count once for each."""
+    """Split several records into single ones; empty for one record, or with a prior, which would be used repeatedly."""
     problem = measured.problem
     if len(problem.records) < 2 or problem.prior is not None:
         return []
@@ -44,9 +43,9 @@ def runs_of(measured: Measured) -> list[Measured]:
     ]
 
 
-def combined(alone: Sequence[Finding]) -> Finding | None:
-    """Combine what each of several records says alone; None where none of them has an answer that stands."""
-    runs = [Run(name, finding, _failure(finding)) for name, finding in zip(_names(alone), alone, strict=True)]
+def combined(findings: Sequence[Finding]) -> Finding | None:
+    """Combine the results of separate records; None if no record has a trusted estimate."""
+    runs = [Run(name, finding, _failure(finding)) for name, finding in zip(_names(findings), findings, strict=True)]
     while (odd := _odd_run([run for run in runs if not run.left_out])) is not None:
         runs = [odd if run.name == odd.name else run for run in runs]
     kept = [run for run in runs if not run.left_out]
@@ -60,16 +59,15 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
         if len(stated := _stated(kept, quantity)) > 1
     }
     spread = {name: effect.interval for name, effect in effects.items()}
-    reasons = [Reason(Trust.CAUTION, f"{run.name} is left out: {run.left_out}") for run in runs if run.left_out]
+    reasons = [Reason(Trust.CAUTION, f"{run.name} is excluded: {run.left_out}") for run in runs if run.left_out]
     if 2 * len(kept) < len(runs):
-        reasons.insert(0, Reason(Trust.NO, f"only {len(kept)} of {len(runs)} runs agree and can be answered"))
+        reasons.insert(0, Reason(Trust.NO, f"only {len(kept)} of {len(runs)} runs agree and have an estimate"))
     reasons += reasons_of_intervals(spread)
     reasons += [replace(reason, text=f"{middle.name}: {reason.text}") for reason in shown.reasons]
     notes = list(dict.fromkeys(shown.measured.notes))
     if effects:
-        scatter = [f"{readable(name)} by {effect.percent:.2g} %" for name, effect in effects.items()][:2]
-        differ = f"differ in {' and in '.join(scatter)} (standard deviation)"
-        notes.append(f"{len(kept)} runs, each answered alone, {differ}")
+        scatter = [f"{effect.percent:.2g} % in {readable(name)}" for name, effect in effects.items()][:2]
+        notes.append(f"{len(kept)} runs, fitted separately; standard deviation between runs {', '.join(scatter)}")
     return replace(
         shown,
         measured=replace(shown.measured, notes=tuple(notes)),
@@ -81,10 +79,15 @@ def combined(alone: Sequence[Finding]) -> Finding | None:
 
 @dataclass(frozen=True)
 class RandomEffects:
-    """The random-effects model of a quantity's logarithm.
+    """Random-effects model of a quantity's logarithm.
 
-    ``mean`` with its variance ``error``; the variance ``between`` runs with its degrees of freedom; ``percent``: the
-    standard deviation between the values.
+    Attributes:
+        interval: Stated interval.
+        mean: Mean of the logarithm.
+        error: Variance of the mean.
+        between: Variance between runs.
+        dof: Degrees of freedom of ``between``.
+        percent: Standard deviation between the values (%).
     """
 
     interval: StatedInterval
@@ -96,7 +99,7 @@ class RandomEffects:
 
 
 def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system: System) -> RandomEffects:
-    """Fit the model to intervals of two runs or more."""
+    """Fit the random-effects model to the intervals of a quantity in two or more runs."""
     y = np.log([interval.value for interval in stated])
     v = np.array([_variance(interval.record_low, interval.record_high) for interval in stated])
     prior, of_runs = _prior_variance(quantity, system), paule_mandel(y, v)
@@ -108,9 +111,9 @@ def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system:
     white = HALF / math.sqrt(sum(1.0 / _variance(interval.white_low, interval.white_high) for interval in stated))
     quantile = float(standard_quantile(UPPER, dof))
     uneven = math.sqrt(of_runs.variance / prior) if of_runs.chance < CHANCE else 1.0
-    repeat, together = quantile * math.sqrt(between + error), quantile * math.sqrt(error)
+    repeat, joint = quantile * math.sqrt(between + error), quantile * math.sqrt(error)
     low, high, record_low, record_high, white_low, white_high = (
-        math.exp(mean + sign * half) for half in (repeat, together, white) for sign in (-1.0, 1.0)
+        math.exp(mean + sign * half) for half in (repeat, joint, white) for sign in (-1.0, 1.0)
     )
     interval = StatedInterval(
         math.exp(mean), low, high, record_low, record_high, white_low, white_high, stated[0].unit, "", uneven
@@ -121,12 +124,12 @@ def random_effects(stated: Sequence[StatedInterval], quantity: Quantity, system:
 
 
 def _variance(low: float, high: float) -> float:
-    """Return the variance of a logarithm whose 95 % interval ends there, at least that of rounding."""
+    """Return the variance of a logarithm from its 95 % interval, at least ``ROUNDING``."""
     return max((math.log(high / low) / (2.0 * HALF)) ** 2, ROUNDING)
 
 
 def _stated(runs: Sequence[Run], quantity: Quantity) -> dict[str, StatedInterval]:
-    """Return the intervals of a quantity that have two ends, and a logarithm, by the run's name."""
+    """Return the two-sided intervals of a quantity with positive ends, by name of the run."""
     stated = {run.name: run.finding.intervals.get(quantity.name) for run in runs}
     return {
         name: interval
@@ -136,13 +139,13 @@ def _stated(runs: Sequence[Run], quantity: Quantity) -> dict[str, StatedInterval
 
 
 def _prior_variance(quantity: Quantity, system: System) -> float:
-    """Return the variance between repeats expected before the data, which is stated of ratios to the mass."""
+    """Return the prior variance between repeats of a quantity's logarithm."""
     ratios = [(quantity.exponents.get(p.name, 0.0), p.kind) for p in system.parameters if p.name != system.gauge]
     return sum((power * PRIOR_SPREAD[kind]) ** 2 for power, kind in ratios) or PRIOR_SPREAD["mass"] ** 2
 
 
 def _odd_run(kept: Sequence[Run]) -> Run | None:
-    """Return the run that is least like the others, with the reason to leave it out, if chance does not explain it."""
+    """Return the most deviating run, with the reason to exclude it; None if no deviation is significant."""
     from scipy.stats import t
 
     system, odd, least = kept[0].finding.problem.system if kept else None, None, LEVEL
@@ -155,27 +158,27 @@ def _odd_run(kept: Sequence[Run]) -> Run | None:
             chance = 2.0 * float(t.sf(abs(math.log(interval.value) - rest.mean) / error, rest.dof))
             chance *= len(stated) * len(groups)
             if chance < least:
-                values = f"{readable(quantity.name)} = {interval.value:.4g}, theirs {math.exp(rest.mean):.4g}"
-                least, odd = chance, replace(run, left_out=f"not a repeat of the others: {values}")
+                values = f"{readable(quantity.name)} {interval.value:.4g}, mean of the others {math.exp(rest.mean):.4g}"
+                least, odd = chance, replace(run, left_out=f"inconsistent with the other runs: {values}")
     return odd
 
 
 def _middle(kept: Sequence[Run]) -> Run:
-    """Return the run with the median value, of those with the commonest verdict."""
+    """Return the run with the median value among those with the most frequent verdict."""
     trusted = [run for run in kept if run.finding.trust is Trust.TRUST]
     alike = trusted if 2 * len(trusted) > len(kept) else [run for run in kept if run not in trusted]
     return sorted(alike, key=lambda run: next(iter(run.finding.intervals.values())).value)[len(alike) // 2]
 
 
 def _failure(finding: Finding) -> str:
-    """Return why a run is left out that has no answer alone, or nothing."""
+    """Return the reason to exclude a run without a trusted estimate; empty if it has one."""
     reasons = [reason.text for reason in finding.reasons if reason.verdict is Trust.NO]
-    because = reasons[0] if reasons else finding.estimate.message
-    return "" if finding.intervals else f"alone it has no answer to trust: {because}"
+    reason = reasons[0] if reasons else finding.estimate.message
+    return "" if finding.intervals else f"no trusted estimate: {reason}"
 
 
-def _names(alone: Sequence[Finding]) -> list[str]:
-    """Return the names of the files, with their folders where two of them are alike."""
-    sources = [finding.measured.recordings[0].source for finding in alone]
+def _names(findings: Sequence[Finding]) -> list[str]:
+    """Return the names of the files, with their folders if two names are equal."""
+    sources = [finding.measured.recordings[0].source for finding in findings]
     names = [Path(source).name for source in sources]
     return names if len(set(names)) == len(names) else sources

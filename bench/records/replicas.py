@@ -1,10 +1,10 @@
-"""Simulated replicas of a measured record: how often the intervals cover the true value where it is known.
+"""Coverage of intervals on simulated replicas of a measured record (parametric bootstrap).
 
-A replica (a parametric bootstrap sample) has the record's times, forces and known initial state, moves as its fit does,
-and carries noise of the residuals' colour and the record's rounding. Its interval is that of *this record*: replicas
-obey the equation of motion, so they show neither an error of the model nor what a repeat of the test would add. The
-factor by which the half-widths must grow for 95 % to cover the true value corrects the interval of the record itself:
-the calibrated, or double, bootstrap (R. Beran, Biometrika 74:457, 1987; W.-Y. Loh, J. Am. Stat. Assoc. 82:155, 1987).
+A replica is the fitted response with noise of the colour of the residuals, at the record's times and forces and with
+the record's rounding. Its interval is that of *this record*: replicas obey the equation of motion, so they do not
+include errors of the model or differences between repeats. The factor on the half-widths at which the coverage is 95 %
+corrects the interval of the record (calibrated or double bootstrap: R. Beran, Biometrika 74:457, 1987; W.-Y. Loh, J.
+Am. Stat. Assoc. 82:155, 1987).
 """
 
 from __future__ import annotations
@@ -33,31 +33,36 @@ from bench.systems import MEASURED, Quantity
 
 LEVEL = 0.95
 CHANCE = 0.05
-"""Level of the test that the coverage is 95 %."""
+"""Significance level of the test that the coverage is 95 %."""
 LEAST = 20
-"""Answered replicas below which nothing is stated: the 95 % quantile of fewer is not among them."""
-TOGETHER = 5
-"""Replicas of a call, which are fitted as one batch."""
+"""Least number of fitted replicas, for which the sample has a 95 % quantile."""
+BATCH = 5
+"""Replicas per call, which are fitted as one batch."""
 LIMIT_S = 60.0
 """Time limit of a replica (s)."""
 ROUNDED = 0.9
-"""Share of the differences of distinct values that are multiples of the smallest where a sensor rounds."""
+"""Share of the differences of distinct values that must be multiples of the smallest one in rounded samples."""
 OFF = 0.05
-"""Share of a step by which a difference may deviate from a multiple of it."""
+"""Largest deviation of a difference from a multiple, over the rounding step."""
 LEAST_NOISE = 0.25
-"""Share of the noise's variance that stays beside rounding: with none all replicas would be the same."""
+"""Least share of the noise variance that is simulated in addition to rounding; without it all replicas are equal."""
 
 Intervals = Mapping[str, StatedInterval]
 OnReplicas = Callable[[int, float], None]
-"""Gets the number of replicas that are done, and the seconds that the others will take; NaN where it is unknown."""
+"""Called with the number of finished replicas and the estimated time left (s), NaN while it is unknown."""
 
 
 @dataclass(frozen=True)
 class ReplicaCoverage:
-    """How the 95 % intervals of a quantity cover the true value of ``n`` replicas that were answered.
+    """Coverage of the 95 % intervals of a quantity on replicas.
 
-    ``widening``: the factor on the half-widths, on the log scale, at which 95 % would; below 1 where they are too wide.
-    ``corrected``: this record's interval times that factor, where the coverage differs from 95 % by more than chance.
+    Attributes:
+        quantity: Name of the quantity.
+        n: Number of replicas with an estimate.
+        median_error_pct: Median relative error (%).
+        covered: Share of the intervals that contain the true value.
+        widening: Factor on the half-widths, on the log scale, at which the coverage is 95 %.
+        corrected: The record's interval widened by this factor, if the coverage differs significantly from 95 %.
     """
 
     quantity: str
@@ -71,30 +76,33 @@ class ReplicaCoverage:
 def coverage_on_replicas(
     finding: Finding, job: Job, n: int, workers: Workers, on_replicas: OnReplicas
 ) -> tuple[ReplicaCoverage, ...]:
-    """Fit ``n`` replicas of a finding with its own method, and compare the intervals with the true values.
+    """Fit replicas with the method of a finding, and compare the intervals with the true values.
 
     Args:
-        finding: An answer with its fit.
-        job: Its method, with its settings; its seed is that of noise and random streams.
+        finding: Result with a fit.
+        job: Method and settings; its seed is that of noise and random streams.
         n: Number of replicas.
-        workers: Processes that fit.
-        on_replicas: Gets the progress.
+        workers: Worker processes.
+        on_replicas: Called with the progress.
+
+    Returns:
+        The coverage of each quantity for which enough replicas have an interval.
     """
     assert finding.fit is not None
-    batches = [range(low, min(low + TOGETHER, n)) for low in range(0, n, TOGETHER)]
+    batches = [range(low, min(low + BATCH, n)) for low in range(0, n, BATCH)]
     futures = {
         workers.submit(
-            LIMIT_S * len(some), answered, job, finding.fit, finding.problem, some, memory_mb=job.config.memory_mb
-        ): some
-        for some in batches
+            LIMIT_S * len(batch), fit_replicas, job, finding.fit, finding.problem, batch, memory_mb=job.config.memory_mb
+        ): batch
+        for batch in batches
     }
     answers: list[Intervals] = []
     done, compiled, since = 0, 0, time.monotonic()
     for i, future in enumerate(as_completed(futures), 1):
         done += len(futures[future])
-        with suppress(Died):  # its replicas have no answer
+        with suppress(Died):  # its replicas have no estimate
             answers += future.result()
-        if i == AT_ONCE:  # each process has compiled the programmes of the method, which the others find
+        if i == AT_ONCE:  # the first call of each process includes the compilation, and is excluded from the rate
             compiled, since = done, time.monotonic()
         known = i >= 2 * AT_ONCE
         on_replicas(done, (time.monotonic() - since) / (done - compiled) * (n - done) if known else math.nan)
@@ -105,7 +113,7 @@ def coverage_on_replicas(
 
 
 def determined_quantities(problem: Problem) -> tuple[Quantity, ...]:
-    """Return the quantities that data or prior determine: the groups alone where nothing determines the scale."""
+    """Return all quantities if a force or a prior determines the scale, or else the groups and modal quantities."""
     system = problem.system
     return system.quantities if problem.prior is not None or problem.scale_known else (*system.groups, *system.modal)
 
@@ -113,27 +121,31 @@ def determined_quantities(problem: Problem) -> tuple[Quantity, ...]:
 # ------------------------------------------------------------------------------------------------ drawing
 
 
-def true_values(at: LinearisedFit, problem: Problem) -> dict[str, float]:
-    """Return the parameters of all replicas, in the problem's units: those of the fit."""
-    units, natural = problem.natural_units(), at.model.parameters(at.theta)
+def true_values(fit: LinearisedFit, problem: Problem) -> dict[str, float]:
+    """Return the true parameters of the replicas, which are those of the fit, in the problem's units."""
+    units, natural = problem.natural_units(), fit.model.parameters(fit.theta)
     return {p.name: float(natural[p.name]) * units.of(p.dimension) for p in problem.system.parameters}
 
 
-def drawn(at: LinearisedFit, problem: Problem, numbers: Sequence[int], seed: int) -> Iterator[Problem]:
-    """Draw replicas of a problem, in its units; the i-th depends on the seed and on i alone.
+def draw_replicas(fit: LinearisedFit, problem: Problem, numbers: Sequence[int], seed: int) -> Iterator[Problem]:
+    """Draw replicas of a problem; the nominal values of a prior are drawn as well, about the true ones.
 
-    The nominal values of a prior are drawn too, about the true ones, as a prior assumes.
+    Args:
+        fit: Fit of the records.
+        problem: The records, in the user's units.
+        numbers: Numbers of the replicas; replica i depends on the seed and i only.
+        seed: Random seed.
     """
-    units, truth, motion = problem.natural_units(), true_values(at, problem), at.model.predict(at.theta)
+    units, truth, motion = problem.natural_units(), true_values(fit, problem), fit.model.predict(fit.theta)
     channels = [(c, units.of(MEASURED[c.measures])) for record in problem.records for c in record.channels]
     steps = [rounding_step(channel.values) for channel, _ in channels]
     for i in numbers:
         rng = np.random.default_rng([seed, i])
         made = []
-        for number, ((channel, size), step, samples) in enumerate(zip(channels, steps, at.channels, strict=True)):
-            colour, sigma = at.noises[number], float(at.sigma[number])
+        for number, ((channel, size), step, samples) in enumerate(zip(channels, steps, fit.channels, strict=True)):
+            colour, sigma = fit.noises[number], float(fit.sigma[number])
             noise = sigma * rng.standard_normal(samples.size) if colour is None else colour.drawn(samples.size, rng)
-            # the residuals contain the noise of rounding already, whose variance is step²/12
+            # The residuals contain the rounding noise already, whose variance is step²/12.
             noise *= np.sqrt(max(1.0 - (step / size / sigma) ** 2 / 12.0, LEAST_NOISE))
             values = size * (motion[samples] + noise)
             if step > 0:
@@ -143,8 +155,8 @@ def drawn(at: LinearisedFit, problem: Problem, numbers: Sequence[int], seed: int
 
 
 def _with(problem: Problem, made: list[Channel], truth: Mapping[str, float], rng: np.random.Generator) -> Problem:
-    left = iter(made)
-    records = tuple(replace(r, channels=tuple(next(left) for _ in r.channels)) for r in problem.records)
+    channels = iter(made)
+    records = tuple(replace(r, channels=tuple(next(channels) for _ in r.channels)) for r in problem.records)
     prior = problem.prior
     if prior is not None:
         moved = np.exp(prior.log_sds * rng.standard_normal(len(prior.names)))
@@ -154,9 +166,9 @@ def _with(problem: Problem, made: list[Channel], truth: Mapping[str, float], rng
 
 
 def rounding_step(values: np.ndarray) -> float:
-    """Return the step to whose multiples, and a constant, a sensor rounded its values; 0 where it did not.
+    """Return the rounding step of values; 0 if they are not rounded.
 
-    The smallest step between distinct values if most of the others are its multiples; then their mean over those.
+    It is the smallest difference between distinct values, if most others are multiples, averaged over all of them.
     """
     differences = np.diff(np.unique(values))
     differences = differences[differences > 1e-9 * np.ptp(values)] if differences.size else differences
@@ -172,10 +184,10 @@ def rounding_step(values: np.ndarray) -> float:
 # ------------------------------------------------------------------------------------------------ fitting
 
 
-def answered(job: Job, at: LinearisedFit, problem: Problem, numbers: Sequence[int]) -> list[Intervals]:
-    """Fit replicas and state the intervals of each answer; a replica without an answer has none."""
+def fit_replicas(job: Job, fit: LinearisedFit, problem: Problem, numbers: Sequence[int]) -> list[Intervals]:
+    """Fit replicas; return the intervals of those with an estimate. For the arguments see :func:`draw_replicas`."""
     seed, method = int(job.config.seed), make_method(job.config.method["name"], job.settings())
-    replicas = list(drawn(at, problem, numbers, seed))
+    replicas = list(draw_replicas(fit, problem, numbers, seed))
     streams = [anonymous_stream([seed, i, 1]) for i in numbers]
     estimates = method.identify_many(replicas, streams)
     answers: list[Intervals] = []
@@ -194,17 +206,26 @@ def answered(job: Job, at: LinearisedFit, problem: Problem, numbers: Sequence[in
 def coverage_of(
     quantity: Quantity, true: float, answers: Sequence[Intervals], finding: Finding
 ) -> ReplicaCoverage | None:
-    """Compare the intervals of answers with the true value of a quantity; None of fewer than twenty.
+    """Compare the intervals of a quantity on replicas with its true value.
 
-    They need correction where the share that covers it differs from 95 % (exact binomial test, two-sided).
+    The record's interval is corrected if the coverage differs from 95 % (exact binomial test, two-sided).
+
+    Args:
+        quantity: The quantity.
+        true: Its true value.
+        answers: Intervals of the replicas.
+        finding: Result of the record.
+
+    Returns:
+        The coverage; None for fewer than ``LEAST`` intervals.
     """
     from scipy.stats import binomtest
 
-    stated = [one[quantity.name] for one in answers if quantity.name in one]
+    stated = [intervals[quantity.name] for intervals in answers if quantity.name in intervals]
     if len(stated) < LEAST:
         return None
-    errors = [100.0 * abs(one.value / true - 1.0) for one in stated]
-    misses = np.array([miss(one.value, one.record_low, one.record_high, true) for one in stated])
+    errors = [100.0 * abs(i.value / true - 1.0) for i in stated]
+    misses = np.array([miss(i.value, i.record_low, i.record_high, true) for i in stated])
     misses = misses[~np.isnan(misses)]
     widening, interval, covered = widening_of(misses), finding.intervals.get(quantity.name), misses <= 1.0
     chance = binomtest(int(np.sum(covered)), misses.size, LEVEL).pvalue if misses.size >= LEAST else 1.0
@@ -216,9 +237,9 @@ def coverage_of(
 
 
 def miss(value: float, low: float, high: float, true: float) -> float:
-    """Return the distance of the true value over the half of the interval on its side; 1: at its end.
+    """Return the distance of the true value from the estimate over the half-width on its side.
 
-    On the log scale; in the quantity itself where the interval reaches zero. NaN where an end is.
+    The scale is logarithmic, or linear for an interval that includes zero. NaN if an end is NaN.
     """
     if low > 0 and value > 0:
         value, low, high, true = (float(np.log(v)) for v in (value, low, high, true))
@@ -229,16 +250,16 @@ def miss(value: float, low: float, high: float, true: float) -> float:
 
 
 def widening_of(misses: np.ndarray) -> float:
-    """Return the factor on half-widths at which 95 % of intervals cover the true value.
+    """Return the factor on half-widths at which 95 % of intervals cover the true value; NaN for too few.
 
-    The quantile of level 0.95 of the misses by the (n + 1) rule, at which one more interval covers its true value with
-    probability 0.95 (R. J. Hyndman, Y. Fan, Am. Stat. 50:361, 1996, definition 6); infinite misses stay so.
+    It is the 0.95 quantile of the misses (n,) by the (n + 1) rule, at which another interval covers its true value with
+    probability 0.95 (R. J. Hyndman, Y. Fan, Am. Stat. 50:361, 1996, definition 6).
     """
     return float(np.quantile(misses, LEVEL, method="weibull")) if misses.size >= LEAST else float("nan")
 
 
 def widened(value: float, low: float, high: float, by: float) -> tuple[float, float]:
-    """Return an interval with its half-widths multiplied, on the log scale where it does not reach zero."""
+    """Return an interval with half-widths multiplied by a factor, on the log scale if it does not include zero."""
     if low > 0 and value > 0:
         return value * float((low / value) ** by), value * float((high / value) ** by)
     return value + by * (low - value), value + by * (high - value)

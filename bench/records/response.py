@@ -1,4 +1,4 @@
-"""What is shown of a record's first channel, in the unit of its file: samples, fitted response, and residuals."""
+"""First channel of a record for display, in the unit of its file: samples, fitted response and residuals."""
 
 from __future__ import annotations
 
@@ -15,17 +15,24 @@ from bench.records.problem import Measured
 from bench.records.verdict import Trust
 
 A_CYCLE, FEWEST, MOST = 32, 1000, 20_000
-"""Points of the fitted response in a cycle, and on the whole curve at least and at most."""
+"""Points of the fitted response per cycle; least and largest number of points of the curve."""
 MOST_DRAWN = 800
-"""Points of a curve that are drawn at most."""
+"""Largest number of points of a curve after thinning."""
 BEST_FIRST = (Trust.TRUST, Trust.CAUTION, Trust.NO)
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelResiduals:
-    """Measured minus identified motion of the first channel in ``unit``: all ``values`` and what they amount to.
+    """Residuals (measured minus fitted) of a channel.
 
-    ``whiteness``: the p-value of the test that they are white noise.
+    Attributes:
+        values: Residuals, shape (n,), in ``unit``.
+        rms: Root mean square.
+        part_of_signal: Root mean square over that of the signal.
+        lag1_autocorrelation: Autocorrelation at lag 1.
+        whiteness: p-value of the test that they are white noise.
+        offset: Estimated offset of the sensor.
+        unit: Unit of the file.
     """
 
     values: np.ndarray
@@ -39,12 +46,12 @@ class ChannelResiduals:
 
 @dataclass(frozen=True, eq=False)
 class ChannelResponse:
-    """The fitted response of a channel, in its unit.
+    """Fitted response of a channel, in its unit.
 
     Attributes:
-        times: Of the curve (s), from the first sample to the last, close enough to show each cycle.
-        values: The curve.
-        residuals: Measured minus fitted, of each sample.
+        times: Times of the curve (s), from the first sample to the last.
+        values: Curve at these times.
+        residuals: Residuals of the samples.
     """
 
     times: np.ndarray
@@ -54,17 +61,17 @@ class ChannelResponse:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A record's first channel with a method's fit, if it found one.
+    """First channel of a record with the fit of a method.
 
     Attributes:
-        method: What the method is called.
-        trust: How far its answer is to be trusted.
-        measures: What the channel measures.
-        unit: In which unit, that of its file.
-        times: Of the samples (s).
-        values: The samples.
-        frequency: The strongest in the samples (Hz).
-        fit: None where there is no answer.
+        method: Name of the method.
+        trust: Verdict on the estimate.
+        measures: Kind of the channel.
+        unit: Unit of the file.
+        times: Times of the samples (s).
+        values: Samples.
+        frequency: Dominant frequency (Hz).
+        fit: Fitted response; None without an estimate.
     """
 
     method: str
@@ -78,8 +85,8 @@ class Response:
 
 
 def best_of(findings: Sequence[Finding]) -> Finding:
-    """The finding to be trusted most; of several, that which leaves least of the signal."""
-    return min(findings, key=lambda one: (BEST_FIRST.index(one.trust), _left(one)))
+    """Return the finding with the best verdict, or of several the one with the smallest residuals."""
+    return min(findings, key=lambda finding: (BEST_FIRST.index(finding.trust), _left(finding)))
 
 
 def _left(finding: Finding) -> float:
@@ -87,14 +94,14 @@ def _left(finding: Finding) -> float:
 
 
 def file_unit(measured: Measured) -> tuple[str, float]:
-    """Return the unit that the file of the first channel gives it, and how much one of it is in the problem's unit."""
+    """Return the unit of the first channel in its file, and its size in the problem's unit."""
     signals = [signal for recording in measured.recordings[:1] for signal in recording.signals]
     motion = next((signal for signal in signals if signal.measures != "force" and signal.written), None)
     return (motion.written, motion.size) if motion else (measured.unit, 1.0)
 
 
 def residuals_of(finding: Finding) -> ChannelResiduals | None:
-    """Return the residuals of the first channel; None where there is no fit."""
+    """Return the residuals of the first channel; None without a fit."""
     fit = finding.fit
     if fit is None:
         return None
@@ -112,7 +119,7 @@ def residuals_of(finding: Finding) -> ChannelResiduals | None:
 
 
 def response_of(finding: Finding) -> Response:
-    """Return the first channel of the first record, and what the finding makes of it."""
+    """Return the first channel of the first record with its fitted response."""
     channel = finding.problem.records[0].channels[0]
     unit, size = file_unit(finding.measured)
     frequency = dominant_frequency(channel.times, channel.values)
@@ -129,7 +136,7 @@ def response_of(finding: Finding) -> Response:
 
 
 def _fitted(finding: Finding, size: float, frequency: float) -> ChannelResponse | None:
-    """Return the response of the first channel, with its offset, over units of ``size``."""
+    """Return the fitted response of the first channel with its offset, in units of ``size``."""
     fit, residuals = finding.fit, residuals_of(finding)
     if fit is None or residuals is None:
         return None
@@ -143,12 +150,12 @@ def _fitted(finding: Finding, size: float, frequency: float) -> ChannelResponse 
         curve = finding.channel_size / size * compiled_output_error(problem, fit.model.gauge).predict(fit.theta)[:n]
     if np.all(np.isfinite(curve)):
         return ChannelResponse(np.linspace(shown.times[0], shown.times[-1], n), curve, residuals)
-    # the samples' own times are known to have a response
+    # At the times of the samples the response is finite.
     return ChannelResponse(shown.times, shown.values / size - residuals.values, residuals)
 
 
 def thinned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most :data:`MOST_DRAWN` points of a curve: the smallest and largest of every stretch, in order."""
+    """Thin a curve to at most :data:`MOST_DRAWN` points: the smallest and the largest value of each segment."""
     if x.size <= MOST_DRAWN:
         return x, y
     parts = np.array_split(np.arange(x.size), MOST_DRAWN // 2)

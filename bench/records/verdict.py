@@ -1,4 +1,4 @@
-"""The verdict on an answer: the worst of the reasons for caution."""
+"""Verdict on an estimate: the most severe of its reasons for caution."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class Trust(StrEnum):
-    """How far an answer can be trusted; the value is what is printed, the gravest last."""
+    """Trustworthiness of an estimate, from best to worst; the values are printed."""
 
     TRUST = "trust"
     CAUTION = "use with caution"
@@ -17,12 +17,12 @@ class Trust(StrEnum):
 
 @dataclass(frozen=True)
 class Reason:
-    """A reason for caution, in a sentence, and the verdict that it asks for."""
+    """Reason for caution: a sentence, and the verdict that it leads to."""
 
     verdict: Trust
     text: str
 
 
 def verdict(reasons: Sequence[Reason]) -> Trust:
-    """Return the worst verdict that the reasons ask for; trust without any."""
+    """Return the most severe verdict of the reasons; ``TRUST`` if there are none."""
     return max((reason.verdict for reason in reasons), key=list(Trust).index, default=Trust.TRUST)

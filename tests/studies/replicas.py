@@ -20,7 +20,7 @@ from bench.likelihood.autoregression import Autoregression
 from bench.records.finding import Finding
 from bench.records.identification import assess
 from bench.records.problem import Measured
-from bench.records.replicas import answered, coverage_of, true_values, widened
+from bench.records.replicas import coverage_of, fit_replicas, true_values, widened
 from bench.records.request import request_of
 from bench.reporting.tables.render import markdown_table
 from bench.scenario.truth import closed_form
@@ -74,7 +74,7 @@ def covers(finding: Finding, replicas: int, job: Job) -> dict[tuple[str, str], b
     """Decide whether the intervals cover the true value, by quantity and kind."""
     assert finding.fit is not None
     answers, truth = (
-        answered(job, finding.fit, finding.problem, range(replicas)),
+        fit_replicas(job, finding.fit, finding.problem, range(replicas)),
         true_values(finding.fit, finding.problem),
     )
     covered: dict[tuple[str, str], bool] = {}

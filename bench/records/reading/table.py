@@ -80,14 +80,17 @@ def slot(role: str) -> tuple[str, int]:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A frequency response as a file gives it: ``response`` over ``times``, which are Hz here, per unit of ``force``.
+    """Frequency response in a file.
 
-    ``at`` is where the force acts.
+    Attributes:
+        response: Complex values; its ``times`` are frequencies (Hz).
+        force: Header and unit of the force, without values.
+        force_point: Point at which the force acts.
     """
 
     response: Column
     force: Column
-    at: str
+    force_point: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import pytest
 
 from bench.contract.modal import Blows, FrequencyResponses
 from bench.errors import InputError
-from bench.records.forced_response import Forced, forced_motion, frequency_responses
+from bench.records.forced_response import ForcedData, forced_motion, frequency_responses
 from bench.records.modal_data import read_modal
 from bench.records.reading import ReadOptions, read_recordings
 from bench.records.reading.files import read_file
@@ -37,7 +37,7 @@ def written(path: Path, binary: int = 0, count: int = 2, **other: Any) -> Path:
     return path
 
 
-def read(path: Path, **options: Any) -> Forced:
+def read(path: Path, **options: Any) -> ForcedData:
     response = options.pop("response", None)
     return frequency_responses(read_file(path)[0].spectra, path.name, ReadOptions(**options), response)
 

@@ -25,7 +25,7 @@ from bench.records.replicas import (
     coverage_of,
     coverage_on_replicas,
     determined_quantities,
-    drawn,
+    draw_replicas,
     miss,
     rounding_step,
     true_values,
@@ -58,7 +58,7 @@ def finding_of(problem: Problem) -> Finding:
 def replicas(problem: Problem, n: int = 20, seed: int = 0) -> list[Problem]:
     finding = finding_of(problem)
     assert finding.fit is not None
-    return list(drawn(finding.fit, problem, range(n), seed))
+    return list(draw_replicas(finding.fit, problem, range(n), seed))
 
 
 def values(replica: Problem) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_a_replica_is_the_fit_with_as_much_noise() -> None:
     problem = record()
     finding = finding_of(problem)
     assert finding.fit is not None
-    made = np.array([values(replica) for replica in drawn(finding.fit, problem, range(400), 0)])
+    made = np.array([values(replica) for replica in draw_replicas(finding.fit, problem, range(400), 0)])
     size = problem.natural_units().length
     fit = problem.records[0].channels[0].values - size * finding.fit.residuals
     sigma = size * float(finding.fit.sigma[0])
@@ -112,7 +112,7 @@ def test_nominal_values_of_a_prior_are_drawn_about_the_truth() -> None:
     finding = finding_of(problem)
     assert finding.fit is not None
     truth = true_values(finding.fit, problem)
-    made = list(drawn(finding.fit, problem, range(300), 0))
+    made = list(draw_replicas(finding.fit, problem, range(300), 0))
     z = np.array([[math.log(t.prior.nominal[n] / truth[n]) / 0.1 for n in P] for t in made if t.prior])
     assert np.all(np.abs(z.mean(axis=0)) < 4.0 / math.sqrt(300))
     assert z.std() == pytest.approx(1.0, rel=0.1)
@@ -134,7 +134,7 @@ def test_rounding_adds_no_noise() -> None:
     assert finding.fit is not None
     size = problem.natural_units().length
     fit = problem.records[0].channels[0].values - size * finding.fit.residuals
-    left = np.array([values(replica) - fit for replica in drawn(finding.fit, problem, range(200), 0)])
+    left = np.array([values(replica) - fit for replica in draw_replicas(finding.fit, problem, range(200), 0)])
     assert np.sqrt(np.mean(left**2)) == pytest.approx(size * float(finding.fit.sigma[0]), rel=0.05)
 
 
@@ -152,7 +152,7 @@ def test_noise_of_a_replica_has_the_residuals_colour() -> None:
     assert noise is not None
     size = problem.natural_units().length
     fit = problem.records[0].channels[0].values - size * finding.fit.residuals
-    drawn_noise = [values(replica) - fit for replica in drawn(finding.fit, problem, range(100), 0)]
+    drawn_noise = [values(replica) - fit for replica in draw_replicas(finding.fit, problem, range(100), 0)]
     lag_one = np.mean([r[1:] @ r[:-1] / (r @ r) for r in drawn_noise])
     covariance = noise.autocovariance(2)
     assert lag_one == pytest.approx(covariance[1] / covariance[0], abs=0.03)

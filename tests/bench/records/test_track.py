@@ -19,7 +19,7 @@ from bench import InputError
 from bench.commands.declaration import read_arguments
 from bench.commands.measured_track import measured
 from bench.engine import pool
-from bench.records.free_run import free_run_error, free_runs, part_problem
+from bench.records.free_run import free_run_error, free_runs, span_problem
 from bench.records.intervals import StatedInterval
 from bench.records.reading import Recording, Signal
 from bench.records.sets import Known, MeasuredSet, measured_set, set_names
@@ -223,7 +223,7 @@ def test_a_free_run_of_the_right_model_has_no_error(tmp_path: Path) -> None:
     known = {"m": Known(value=1.0, source=""), "c": Known(value=1e-9, source="")}
     stated = {"systems": ["viscous"], "columns": "t:0,x:1,f:2", "tests": part, "known": known, "folder": "."}
     of = MeasuredSet(**{**TINY, **stated})
-    system, record = part_problem(of, "viscous", of.tests["all"], tmp_path)
+    system, record = span_problem(of, "viscous", of.tests["all"], tmp_path)
     assert free_run_error(system, {"m": 2.0, "c": 1e-9}, record) < 1e-8
     fits = [
         {"sibling": sibling, "method": "shooting", "quantity": name, "value": value, "offset": 0.0, "withdrawn": 0}
