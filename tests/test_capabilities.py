@@ -691,7 +691,7 @@ def test_the_system_is_chosen(record: Path, tmp_path: Path) -> None:
     """``system=auto``"""
     line = cells("method=shooting", f"data={record}", "system=auto")
     text = run(line, tmp_path).stdout
-    assert "auto chose system=" in text
+    assert "auto selected system=" in text
     assert "k/m" in text
 
 

@@ -19,7 +19,7 @@ from bench.dynamics.stepper import compiled_path
 from bench.records.reading import read_recording
 from bench.records.request import AUTO, request_of
 from bench.records.sets import MeasuredSet, SimulatedSpan
-from bench.records.track import described
+from bench.records.track import problem_of_set
 from bench.systems import System
 
 STEPS = 4
@@ -69,7 +69,7 @@ def span_problem(measured_set: MeasuredSet, system: str, span: SimulatedSpan, fo
     whole = measured_set.model_copy(update={"first": span.first, "last": span.last})
     path = folder / span.file
     request = request_of(whole.overrides(system, [primary_method()], path, 60.0))
-    problem = described(whole, request, read_recording(path, request.options)).problem
+    problem = problem_of_set(whole, request, read_recording(path, request.options)).problem
     return problem.system, problem.records[0]
 
 

@@ -1,7 +1,7 @@
-"""Modes of measured records: what a modal method finds, what it leaves of the record, and how far to trust it.
+"""Modal identification of measured records: modes with intervals, residuals, and reasons for caution.
 
-Record and fit are compared line by line of their spectra, inside the band, so free decays and frequency responses are
-judged alike. Intervals are of this record: what its noise leaves open.
+Record and fit are compared by their spectra inside the band, for free decays and frequency responses alike. Intervals
+are for this record.
 """
 
 from __future__ import annotations
@@ -46,29 +46,34 @@ from bench.records.workers import Workers
 from bench.scoring.statistics import whiteness
 
 FREE_METHOD, FORCED_METHOD = "waves", "spectra"
-"""Methods where none is named."""
+"""Default methods."""
 NOISE_CHANCE = 1e-3
-"""Chance at which a mode may be noise, beyond which that is said."""
-NEAR, BESIDE, FEWEST_LINES = 2.0, 8.0, 3
-"""Half-power bandwidths from a mode up to which the residuals are its own, and up to which they are the noise beside
-it; and the least lines to either side."""
+"""p-value of a mode under noise above which it is reported as possible noise."""
+NEAR, NEIGHBOURHOOD, FEWEST_LINES = 2.0, 8.0, 3
+"""Distances from a mode, in half-power bandwidths, up to which residuals belong to it, and up to which they estimate
+the noise nearby; least number of lines on either side."""
 UNEXPLAINED = 2.0
-"""Root mean square of the residuals near a mode over the noise beside it, beyond which the noise does not explain them:
-intervals that assume that noise are then as much too narrow."""
+"""Ratio of the residuals near a mode to the noise nearby (root mean square) above which noise does not explain them;
+intervals are then widened by this ratio."""
 LATER, FEWEST_LEFT = (0, 1, 2, 4, 8), 8
-"""Cycles after the largest value from which a motion is described that is not from its start; least cycles left."""
+"""Cycles after the largest value at which the fitted part of a free motion may begin; least cycles of this part."""
 FEW_CYCLES = 2.0
+"""Cycles of the lowest mode below which caution is advised."""
 ALIKE = 0.9
-"""Modal assurance criterion beyond which two shapes count as the same, as is usual; of one sensor it is 1."""
+"""Modal assurance criterion above which two shapes count as equal; for a single sensor it is 1."""
 REAL = 10.0
-"""Degrees from 0 or 180 within which a part of a shape counts as in phase or opposed."""
+"""Angle (degrees) from 0 or 180 within which a component of a shape counts as in phase or in antiphase."""
 
 
 @dataclass(frozen=True)
 class Component:
-    """What a sensor has of a mode over the largest: signed where in phase or opposed, else beside its phase (degrees).
+    """Component of a mode shape relative to the largest one.
 
-    ``half``: half of the 95 % interval.
+    Attributes:
+        sensor: Role of the sensor.
+        ratio: Amplitude ratio, signed if in phase or in antiphase.
+        half: Half-width of its 95 % interval.
+        phase: Phase (degrees); 0 if in phase or in antiphase.
     """
 
     sensor: str
@@ -79,7 +84,7 @@ class Component:
 
 @dataclass(frozen=True)
 class ModalParameter:
-    """Modal mass, damping or stiffness where the only sensor is at the force; ``half`` of the 95 % interval."""
+    """Modal mass, damping or stiffness at a drive point; ``half`` is the half-width of the 95 % interval."""
 
     name: str
     value: float
@@ -89,9 +94,15 @@ class ModalParameter:
 
 @dataclass(frozen=True)
 class ShapedMode(OfferedMode):
-    """A mode with its amplitude at the first sample, of the sensor where it is largest, and its shape if several.
+    """Mode with its amplitude and shape, or its modal parameters.
 
-    Of a force and one sensor it has ``parameters`` in place of an amplitude.
+    Attributes:
+        amplitude: Amplitude of a free decay at the first sample, at the sensor where it is largest.
+        amplitude_low: Lower end of its 95 % interval.
+        amplitude_high: Upper end.
+        amplitude_unit: Unit.
+        shape: Components of the mode shape, for several sensors.
+        parameters: Modal mass, damping and stiffness, for a force and one sensor.
     """
 
     amplitude: float = math.nan
@@ -104,7 +115,7 @@ class ShapedMode(OfferedMode):
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Spectra of record and fit, shape (channels, lines), at ``frequencies`` (lines,) in Hz inside the band."""
+    """Spectra of record and fit, shape (channels, lines), at ``frequencies`` (lines,) inside the band (Hz)."""
 
     frequencies: np.ndarray
     measured: np.ndarray
@@ -112,19 +123,20 @@ class Comparison:
 
     @cached_property
     def power(self) -> np.ndarray:
-        """Power (lines,) of the residuals over that of the record in the band, averaged over channels; its sum is 1."""
+        """Power (lines,) of the residuals over the total power of the record, averaged over channels."""
         size = np.sum(np.abs(self.measured) ** 2, axis=1, keepdims=True)
         return np.asarray(np.mean(np.abs(self.measured - self.fitted) ** 2 / np.where(size > 0, size, 1.0), axis=0))
 
     @property
     def left(self) -> float:
-        """Root mean square of the residuals over that of the record."""
+        """Ratio of residuals to record (root mean square)."""
         return float(np.sqrt(np.sum(self.power)))
 
     def line(self, modes: Sequence[Mode]) -> tuple[float, float]:
-        """Return frequency and root mean square, over the record's, of a significant line away from modes; 0 if none.
+        """Test for a line in the residuals away from the modes (R. A. Fisher, Proc. R. Soc. A 125:54, 1929).
 
-        By the test of R. A. Fisher, Proc. R. Soc. A 125:54, 1929.
+        Returns:
+            Frequency (Hz) of the largest line, and its root mean square over that of the record; 0 if not significant.
         """
         power = np.where(np.min([self.distance(mode) for mode in modes], axis=0) > NEAR, self.power, 0.0)
         largest, lines = float(np.max(power)), power.size
@@ -132,27 +144,37 @@ class Comparison:
         return float(self.frequencies[np.argmax(power)]), math.sqrt(largest) if chance < LINE_LEVEL else 0.0
 
     def distance(self, mode: Mode) -> np.ndarray:
-        """Return the distance of each line from a mode over its bandwidth, or over a line's where this is wider."""
+        """Return the distance (lines,) from a mode in bandwidths, or in line spacings if these are wider."""
         width = max(mode.bandwidth, FEWEST_LINES / NEAR * float(self.frequencies[1] - self.frequencies[0]))
         return np.asarray(np.abs(self.frequencies - mode.frequency) / width)
 
     def near(self, mode: Mode) -> tuple[float, float]:
-        """Return the residuals near a mode, as root mean squares: over the noise beside it, and over the record there.
+        """Return the ratios of the residuals near a mode to the noise nearby and to the record (root mean square).
 
         The power of a line of noise is exponentially distributed, so its mean is the median over log 2.
         """
         distance = self.distance(mode)
-        near, beside = distance <= NEAR, (distance > NEAR) & (distance <= BESIDE)
-        if np.count_nonzero(beside) < 2 * FEWEST_LINES or not np.any(near):
+        near, nearby = distance <= NEAR, (distance > NEAR) & (distance <= NEIGHBOURHOOD)
+        if np.count_nonzero(nearby) < 2 * FEWEST_LINES or not np.any(near):
             return 1.0, 0.0
-        noise = float(np.median(self.power[beside])) / math.log(2.0)
+        noise = float(np.median(self.power[nearby])) / math.log(2.0)
         left, record = (np.linalg.norm(part[:, near]) for part in (self.measured - self.fitted, self.measured))
         return float(np.sqrt(np.mean(self.power[near]) / (noise or 1.0))), float(left / (record or 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class ModalFinding:
-    """The answer of a modal method to a record; ``comparison`` is None without modes."""
+    """Result of a modal method on a record.
+
+    Attributes:
+        method: Name of the method.
+        record: The record.
+        estimate: The method's estimate, or a failed one.
+        wall_s: Computing time (s).
+        comparison: Spectra of record and fit; None without modes.
+        reasons: Reasons for caution.
+        notes: Notes on the record and the fit.
+    """
 
     method: str
     record: ModalRecord
@@ -164,18 +186,18 @@ class ModalFinding:
 
     @property
     def trust(self) -> Trust:
-        """The verdict."""
+        """Verdict of the reasons."""
         return verdict(self.reasons)
 
     @cached_property
     def unexplained(self) -> tuple[float, ...]:
-        """Residuals near each mode over the noise beside it, where that is beyond :data:`UNEXPLAINED`; else 1."""
+        """Ratio of the residuals near each mode to the noise nearby if above :data:`UNEXPLAINED`, otherwise 1."""
         over = [self.comparison.near(mode)[0] for mode in self.estimate.modes] if self.comparison else []
         return tuple(value if value > UNEXPLAINED else 1.0 for value in over)
 
     @property
     def describes(self) -> bool:
-        """Return whether fewer modes than the largest number leave residuals that noise explains."""
+        """Whether noise explains the residuals of fewer than the largest number of modes."""
         comparison, modes = self.comparison, self.estimate.modes
         if comparison is None or len(modes) == MOST_MODES or max(self.unexplained) > 1.0:
             return False
@@ -185,17 +207,17 @@ class ModalFinding:
 
     @property
     def alike(self) -> list[tuple[Mode, Mode]]:
-        """Modes that are close and of one shape, so that they may be one."""
+        """Pairs of close modes with equal shapes, which may be a single mode."""
         return _alike(self.estimate.modes)
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Order of answers to one record, the best first."""
+        """Sort key of results of a record, the best first."""
         return list(Trust).index(self.trust), max(self.unexplained, default=math.inf)
 
     @cached_property
     def modes(self) -> tuple[ShapedMode, ...]:
-        """The modes with 95 % intervals, wider by what is unexplained; without them where the answer is not trusted."""
+        """Modes with 95 % intervals, widened by :attr:`unexplained`; NaN if the estimate is not trusted."""
         from scipy.stats import t as student
 
         quantile = math.nan if self.trust is Trust.NO else float(student.ppf(0.975, self.estimate.degrees))
@@ -204,22 +226,28 @@ class ModalFinding:
 
 
 def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False) -> list[ModalFinding]:
-    """Return what each method of a request makes of a record; ``others``: where none is named, all that can serve.
+    """Identify the modes of a record with each method of a request, in separate processes with limits.
 
-    Each answers in a process of its own, within the limits of time and memory; one that does not is said to have none.
+    Args:
+        request: Methods, number of modes, band and limits.
+        record: The record.
+        others: Whether to use all applicable methods if the request names none.
+
+    Returns:
+        A result per method, failed if the method has no estimate.
     """
     default = FREE_METHOD if isinstance(record.data, FreeDecays) else FORCED_METHOD
     problem = ModalProblem(record.data, request.count, request.band)
     methods = dict(request.methods) or {default: make_modal(default)}
-    begins = isinstance(record.data, FreeDecays) and request.count is None and request.options.start is None
+    selectable = isinstance(record.data, FreeDecays) and request.count is None and request.options.start is None
     if others and not request.methods:
         able = ((name, make_modal(name)) for name in registered_modal())
         methods |= {name: method for name, method in able if not (_lacking(method) or method.objection(problem))}
-    answer, config = _free if begins else _find, request.config
+    work, config = _best_start if selectable else _identify, request.config
     findings = []
     with Workers(preload=(__name__,)) as workers:
         tasks = {
-            name: workers.submit(config.timeout_s, answer, name, method, problem, record, memory_mb=config.memory_mb)
+            name: workers.submit(config.timeout_s, work, name, method, problem, record, memory_mb=config.memory_mb)
             for name, method in methods.items()
         }
         for name, task in tasks.items():
@@ -235,11 +263,11 @@ def find_modes(request: ModalRequest, record: ModalRecord, others: bool = False)
 
 def _without_modes(finding: ModalFinding) -> ModalFinding:
     estimate = finding.estimate
-    why = f"no answer ({estimate.status.value}): {estimate.message or 'no mode stands out of the noise'}"
-    return replace(finding, reasons=(Reason(Trust.NO, why),))
+    reason = f"no estimate ({estimate.status.value}): {estimate.message or 'no mode is significant'}"
+    return replace(finding, reasons=(Reason(Trust.NO, reason),))
 
 
-def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
+def _identify(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
     started = time.perf_counter()
     if lacking := _lacking(method):
         estimate = ModalEstimate((), status=Status.MISSING_DEPENDENCY, message=f"pip install {lacking}")
@@ -253,24 +281,25 @@ def _find(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
         return _without_modes(finding)
     if close := _close(modes):
         pairs = "; ".join(_named(*pair) for pair in close)
-        notes.append(f"modes that are close, nearer than their half-power bandwidths: {pairs}")
+        notes.append(f"close modes, within their half-power bandwidths: {pairs}")
     comparison = compare(record, modes, problem.band)
     reasons = tuple(_reasons(record, modes, comparison, problem))
     return replace(finding, comparison=comparison, reasons=reasons, notes=(*record.notes, *notes))
 
 
-def _free(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
-    """Answer a free motion; where the modes leave more than noise, from a later start, with as few as leave no line.
+def _best_start(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
+    """Identify a free motion from its first sample, or from a later one if noise does not explain the residuals.
 
-    The earliest start is taken from which they describe the motion, or that from which they leave least: before it are
-    a hand, a start-up or large amplitudes. There the method's own number of modes stands if it describes the motion.
+    The earliest start from which the modes describe the motion is used, or else that with the smallest residuals, as
+    contact by a hand, a start-up or large amplitudes may precede it. Later starts are fitted with as few modes as leave
+    no line in the residuals, unless the method's choice describes the motion.
     """
     started, data = time.perf_counter(), problem.data
-    whole = _find(name, method, problem, record)
+    whole = _identify(name, method, problem, record)
     if whole.describes or whole.estimate.status in (Status.MISSING_DEPENDENCY, Status.UNSUPPORTED):
         return whole
     assert isinstance(data, FreeDecays)
-    if growth_of(data.values) > GROWTH:  # no start makes it free
+    if growth_of(data.values) > GROWTH:  # it is not a free motion from any start
         return whole
     best, span = whole, float(np.ptp(data.times))
     for start in _starts(data):
@@ -283,19 +312,19 @@ def _free(name: str, method: ModalIdentifier, problem: ModalProblem, record: Mod
             break
     if best is whole:
         return whole
-    again = _find(name, method, replace(problem, data=best.record.data), best.record)
+    again = _identify(name, method, replace(problem, data=best.record.data), best.record)
     if again.describes and again.rank <= best.rank and not again.alike:
         best = again
-    said = f"the modes describe only the last {left:.3g} of {span:.3g} s"
-    why = "a hand, a start-up or large amplitudes, at which they may be others, are left out; from= sets another start"
-    number = f"their number is the least that leaves no line above {SECOND_MODE:.0%} of the signal"
+    fitted = f"the modes describe only the last {left:.3g} of {span:.3g} s"
+    cause = "contact by a hand, a start-up or large amplitudes are excluded; from= sets another start"
+    number = f"number of modes: the smallest without a line above {SECOND_MODE:.0%} of the signal in the residuals"
     notes = best.notes if best is again else (*(n for n in best.notes if n != best.estimate.message), number)
-    reasons = (Reason(Trust.CAUTION, f"{said}: {why}"), *best.reasons)
+    reasons = (Reason(Trust.CAUTION, f"{fitted}: {cause}"), *best.reasons)
     return replace(best, reasons=reasons, notes=notes, wall_s=time.perf_counter() - started)
 
 
 def _starts(data: FreeDecays) -> Iterator[float]:
-    """Yield the time of the largest value, and times by so many cycles later, while enough cycles are left."""
+    """Yield the time of the largest value, and times ``LATER`` cycles after it, while enough cycles follow."""
     size = np.std(data.values, axis=1, keepdims=True)
     motion = np.abs(data.values - np.mean(data.values, axis=1, keepdims=True)) / np.where(size > 0, size, 1.0)
     channel, largest = np.unravel_index(np.argmax(motion), motion.shape)
@@ -306,11 +335,11 @@ def _starts(data: FreeDecays) -> Iterator[float]:
 
 
 def _fewest(name: str, method: ModalIdentifier, problem: ModalProblem, record: ModalRecord) -> ModalFinding:
-    """Return the answer with as few modes as leave no line, of which no two are close and of one shape."""
-    best = _find(name, method, replace(problem, count=1), record)
+    """Return the result with the fewest modes that leave no line in the residuals and have no close, equal shapes."""
+    best = _identify(name, method, replace(problem, count=1), record)
     while best.comparison is not None and best.comparison.line(best.estimate.modes)[1] > SECOND_MODE:
         count = len(best.estimate.modes) + 1
-        longer = _find(name, method, replace(problem, count=count), record)
+        longer = _identify(name, method, replace(problem, count=count), record)
         if longer.alike or not count == len(longer.estimate.modes) <= MOST_OFFERED:
             break
         best = longer
@@ -325,25 +354,36 @@ def _named(*modes: Mode) -> str:
     return f"{', '.join(f'{mode.frequency:.4g}' for mode in modes)} Hz"
 
 
-# ------------------------------------------------------------------------------- what is left of the record
+# ------------------------------------------------------------------------------- residuals
 
 
 def motion(data: FreeDecays, modes: Sequence[Mode], times: np.ndarray) -> np.ndarray:
-    """Compute the free motion (channels, n) of modes at times, whose amplitudes are those at the data's first."""
+    """Compute the free motion (channels, n) of modes, whose amplitudes refer to the first sample of ``data``.
+
+    Args:
+        data: The record.
+        modes: Modes.
+        times: Times (s), shape (n,).
+    """
     waves = np.exp(np.multiply.outer([mode.pole for mode in modes], times - data.times[0]))
     return np.asarray(np.real(np.stack([mode.shape for mode in modes], axis=1) @ waves))
 
 
 def _left(data: FreeDecays, modes: Sequence[Mode]) -> tuple[np.ndarray, np.ndarray]:
-    """Return what modes leave of each channel, and its samples, both (channels, n)."""
+    """Return the residuals of modes and the samples, both (channels, n)."""
     return data.values - motion(data, modes, data.times), data.values
 
 
 def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float] | None) -> Comparison:
-    """Return the spectra of a record, about its mean, and of the modes; of forced motion its frequency responses.
+    """Return the spectra of a free decay and of its modes, or the frequency responses of a forced motion.
 
-    To these the poles are fitted with any residues, as noise of a blow's force scales them, and with what modes below
-    and above the band leave in it, ``a / s² + b`` (D. J. Ewins, Modal Testing, 2nd ed., section 4.4).
+    Frequency responses are fitted with free residues, as noise of a blow's force scales them, and with the residual
+    terms of modes below and above the band, ``a / s² + b`` (D. J. Ewins, Modal Testing, 2nd ed., section 4.4).
+
+    Args:
+        record: The record.
+        modes: Modes.
+        band: Lower and upper frequency (Hz).
     """
     data, (low, high) = record.data, band or (0.0, math.inf)
     if isinstance(data, FreeDecays):
@@ -360,7 +400,7 @@ def compare(record: ModalRecord, modes: Sequence[Mode], band: tuple[float, float
         frequencies, measured = data.frequencies, data.values
     inside = (frequencies > 0) & (frequencies >= low) & (frequencies <= high)
     if isinstance(record.data, Blows):
-        inside &= mean.reach  # beyond, noise over hardly any force looks like lines
+        inside &= mean.reach  # elsewhere the force is too weak
     frequencies, measured = frequencies[inside], measured[:, inside]
     if isinstance(data, FreeDecays):
         return Comparison(frequencies, measured, fitted[:, inside])
@@ -376,54 +416,48 @@ def _reasons(
 ) -> Iterator[Reason]:
     """Yield reasons for caution."""
     if problem.count is None and len(modes) == MOST_MODES:
-        said = (
-            f"{MOST_MODES} modes are as many as are sought: what is there is no sum of modes, or too much for one fit"
-        )
-        yield Reason(Trust.NO, f"{said}; leave a start-up out by from=, choose a band= or a number of modes=")
+        text = f"the largest number of modes, {MOST_MODES}, was reached: the record is no sum of modes or too complex"
+        yield Reason(Trust.NO, f"{text}; exclude a start-up with from=, or set band= or modes=")
     data, power, left = record.data, comparison.power, comparison.left
     if noise := [mode for mode in modes if _chance_of_noise(mode, power.size) > NOISE_CHANCE]:
         yield Reason(Trust.NO if len(noise) == len(modes) else Trust.CAUTION, f"may be noise: {_named(*noise)}")
     frequency, share = comparison.line(modes)
     if share > SECOND_MODE:
-        said = f"the residuals hold a line at {frequency:.4g} Hz, {share:.0%} of the signal"
-        yield Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{said}: modes={len(modes) + 1}, or a band=")
+        text = f"the residuals have a line at {frequency:.4g} Hz, {share:.0%} of the signal"
+        yield Reason(Trust.NO if share > MOST_LEFT else Trust.CAUTION, f"{text}: try modes={len(modes) + 1} or band=")
     if left > 1.0:
-        yield Reason(Trust.NO, "the modes leave more than the record holds")
+        yield Reason(Trust.NO, "residual RMS exceeds signal RMS")
     worst = max(modes, key=lambda mode: comparison.near(mode)[0])
     over, there = comparison.near(worst)
     if over > UNEXPLAINED:
-        said = f"near {_named(worst)} the residuals are {over:.2g} times the noise beside it, {there:.0%} of the motion"
-        why = "another mode is close, it does not decay as a mode, or the start does not belong to it (from=)"
-        yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{said}: {why}; intervals are wider by as much")
+        text = f"near {_named(worst)} the residuals are {over:.2g} times the noise nearby, {there:.0%} of the motion"
+        cause = "a close mode, nonlinear decay, or a start-up (from=); intervals are widened accordingly"
+        yield Reason(Trust.NO if there > MOST_LEFT else Trust.CAUTION, f"{text}: {cause}")
     elif left > MOST_LEFT and share <= SECOND_MODE:
-        yield Reason(Trust.CAUTION, f"the residuals are {left:.0%} of the signal: much noise")
+        yield Reason(Trust.CAUTION, f"residual RMS is {left:.0%} of signal RMS: strong noise")
     if alike := _alike(modes):
         pairs = "; ".join(_named(*pair) for pair in alike)
-        said = "close and of one shape, so they may be one that does not decay as a mode"
-        yield Reason(Trust.CAUTION, f"{said}: {pairs}")
+        yield Reason(Trust.CAUTION, f"close modes of equal shape, which may be one mode with nonlinear decay: {pairs}")
     if wide := [mode for mode in modes if 2.0 * mode.damping_ratio_sd > WIDE * mode.damping_ratio]:
-        yield Reason(Trust.CAUTION, f"damping ratios are known to an order of magnitude at most: {_named(*wide)}")
+        yield Reason(Trust.CAUTION, f"only the order of magnitude of damping ratios is determined: {_named(*wide)}")
     if not isinstance(data, FreeDecays):
         return
     if left > MOST_LEFT and (growth := growth_of(data.values)) > GROWTH:
-        yield Reason(Trust.NO, f"the motion grows {growth:.2g} times over the record, as no free vibration does")
+        yield Reason(Trust.NO, f"the motion grows by a factor of {growth:.2g}: this is not a damped free vibration")
     yield from start_up(*_left(data, modes))
     if any(np.any(at_limit(values)) for values in data.values):
-        yield Reason(Trust.NO, "the sensor is clipped: samples stay at its largest or smallest value")
+        yield Reason(Trust.NO, "the sensor is clipped: samples repeat its largest or smallest value")
     if (cycles := float(np.ptp(data.times)) * modes[0].frequency) < FEW_CYCLES:
-        yield Reason(Trust.CAUTION, f"the record holds {cycles:.2g} cycles of the mode at {_named(modes[0])}")
+        yield Reason(Trust.CAUTION, f"the record has {cycles:.2g} cycles of the mode at {_named(modes[0])}")
 
 
 def _close(modes: Sequence[Mode]) -> list[tuple[Mode, Mode]]:
-    """Return neighbours that are nearer than their half-power bandwidths."""
+    """Return neighbouring modes within their half-power bandwidths."""
     return [(a, b) for a, b in pairwise(modes) if b.frequency - a.frequency < (a.bandwidth + b.bandwidth) / 2.0]
 
 
 def _alike(modes: Sequence[Mode]) -> list[tuple[Mode, Mode]]:
-    """Return close modes of one shape, by the modal assurance criterion.
-
-    R. J. Allemang, Sound and Vibration 37(8):14, 2003.
-    """
+    """Return close modes of equal shape, by the modal assurance criterion (Allemang, Sound Vib. 37(8):14, 2003)."""
 
     def criterion(a: np.ndarray, b: np.ndarray) -> float:
         return float((np.abs(np.vdot(a, b)) / np.linalg.norm(a) / np.linalg.norm(b)) ** 2)
@@ -432,9 +466,9 @@ def _alike(modes: Sequence[Mode]) -> list[tuple[Mode, Mode]]:
 
 
 def _chance_of_noise(mode: Mode, lines: int) -> float:
-    """Compute the chance that the best of so many lines of noise has a mode as strong, by Bonferroni's bound.
+    """Compute the p-value of a mode under noise, corrected for the choice among a number of lines (Bonferroni).
 
-    Squares of real and imaginary parts over their variances are of chi square; the pole was chosen, too.
+    The shape has a chi-square distribution, with two more degrees of freedom for the estimated pole.
     """
     from scipy.stats import chi2
 
@@ -443,11 +477,11 @@ def _chance_of_noise(mode: Mode, lines: int) -> float:
     return min(1.0, lines * float(chi2.sf(statistic, 2 * np.count_nonzero(known) + 2))) if np.any(known) else 0.0
 
 
-# ------------------------------------------------------------------------------- what is shown
+# ------------------------------------------------------------------------------- display
 
 
 def _shaped(mode: Mode, quantile: float, record: ModalRecord) -> ShapedMode:
-    """Return a mode as it is shown, with intervals of ``quantile`` standard errors; of a ratio by propagation."""
+    """Return a mode for display, with intervals of ``quantile`` standard errors."""
     f, half, ratio, ratio_half = (
         mode.frequency, quantile * mode.frequency_sd, mode.damping_ratio, quantile * mode.damping_ratio_sd
     )  # fmt: skip
@@ -471,7 +505,7 @@ def _shaped(mode: Mode, quantile: float, record: ModalRecord) -> ShapedMode:
 
 
 def _parameters(mode: Mode, quantile: float, record: ModalRecord) -> tuple[ModalParameter, ...]:
-    """Return modal mass, damping and stiffness; none of free motion, of several sensors and of a residue not real."""
+    """Return modal mass, damping and stiffness for one sensor at a drive point; empty in other cases."""
     if isinstance(record.data, FreeDecays) or len(record.channels) > 1 or not np.isfinite(mode.shape_sd[0]):
         return ()
     by = modal_parameters(mode)
@@ -480,13 +514,13 @@ def _parameters(mode: Mode, quantile: float, record: ModalRecord) -> tuple[Modal
 
 
 def residuals_of_modes(finding: ModalFinding, i: int = 0) -> ChannelResiduals | None:
-    """Return what the modes leave of a channel of free motion; None of other records, and without modes."""
+    """Return the residuals of channel ``i`` of a free decay; None for other records and without modes."""
     data, modes = finding.record.data, finding.estimate.modes
     if not (isinstance(data, FreeDecays) and modes):
         return None
     rest = _left(data, modes)[0][i]
     offset, rms = float(np.mean(rest)), float(np.std(rest))
-    kept = data.times[:2000] - data.times[0]  # as for one mode: the test draws white noise as long as the record
+    kept = data.times[:2000] - data.times[0]  # the test simulates white noise of this length
     waves = np.exp(np.multiply.outer(kept, [mode.pole for mode in modes]))
     slopes = np.column_stack([waves.real, waves.imag, kept[:, None] * waves.real, kept[:, None] * waves.imag])
     level = float(whiteness(rest[None, : kept.size] - offset, np.column_stack([slopes, np.ones(kept.size)]))[0])
@@ -495,7 +529,7 @@ def residuals_of_modes(finding: ModalFinding, i: int = 0) -> ChannelResiduals | 
 
 
 def modal_response(finding: ModalFinding) -> Response | None:
-    """Return the free motion of the first channel with its fit; None where the record is none of free motion."""
+    """Return the first channel of a free decay with its fit; None for other records."""
     data, record, modes = finding.record.data, finding.record, finding.estimate.modes
     if not isinstance(data, FreeDecays):
         return None

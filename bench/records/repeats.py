@@ -1,10 +1,10 @@
 """Repeats of a test: each record is identified separately, and a random-effects model combines the results.
 
 The logarithm of a quantity in run i is ``y_i = mean + u_i + e_i``. The variance of ``e_i`` is that of the run's
-interval, that of ``u_i`` the variance between runs (R. C. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982);
-shrunk towards the prior of :mod:`bench.records.intervals` for few runs. The interval of another repeat is the prediction
-interval (J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Stat. Soc. A 172:137, 2009). A run with a large
-deleted residual (W. Viechtbauer, M. W.-L. Cheung, Res. Synth. Methods 1:112, 2010) is excluded.
+interval, that of ``u_i`` the variance between runs (R. C. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87:377, 1982),
+which is shrunk towards the prior of :mod:`bench.records.intervals` for few runs. The interval of another repeat is the
+prediction interval (J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Stat. Soc. A 172:137, 2009). A run
+with a large deleted residual (W. Viechtbauer, M. W.-L. Cheung, Res. Synth. Methods 1:112, 2010) is excluded.
 """
 
 from __future__ import annotations

@@ -189,9 +189,7 @@ def _check(given: Mapping[str, Sequence[Any]]) -> None:
     """Raise InputError for several values of a field, and for fields that do not apply to measured records."""
     _check_single(given)
     if "modes" in given:
-        raise InputError(
-            "modes", given["modes"][0], "not supported by this command; use python -m bench data=..."
-        )
+        raise InputError("modes", given["modes"][0], "not supported by this command; use python -m bench data=...")
     for key in ("band", "response", "window"):
         if key in given:
             raise InputError(key, given[key][0], "it applies to modes only; add modes=auto")

@@ -1,8 +1,8 @@
-"""Samples at the limit of a sensor, unlike turning points that are flat because digits are coarse or the motion slow.
+"""Detection of clipped samples, at the limit of a sensor.
 
-At a turning point the values of a smooth motion are dense: in equal steps from the extreme down, the first holds up to
-twice the mean of the next three, whatever the amplitude, resolution and rate. A limit that cuts tops off puts many
-times as many samples into the first step, also where small noise is added behind the limit.
+In a histogram of a smooth motion with equal bins below its maximum, the first bin has up to twice the mean of the next
+three, for any amplitude, resolution and sampling rate, as values are dense at turning points. With clipping the first
+bin has many times as many samples, even if small noise is added after the clipping.
 """
 
 from __future__ import annotations
@@ -10,21 +10,21 @@ from __future__ import annotations
 import numpy as np
 
 STEPS = np.geomspace(2e-4, 0.02, 7)
-"""Widths of a step over the range of the values; steps finer than the resolution are not used."""
+"""Widths of the bins over the range of the values; bins narrower than the resolution are not used."""
 PILED = 6.0
-"""Least samples in the first step over the mean of the next three, and one more."""
+"""Least samples in the first bin over the mean of the next three plus one."""
 OTHERS = 2.0
-"""Least samples in the first step over any other near the limit: a motion sampled in step with itself has as many."""
+"""Least samples in the first bin over any other bin; synchronous sampling fills other bins as well."""
 COARSEST = 0.05
-"""Largest width of a step over the range."""
-APART = 0.25
-"""Part of the range that the values leave a limit by, before and after it, so that it is no rest and no hold."""
+"""Largest width of a bin over the range."""
+DEPTH = 0.25
+"""Fraction of the range below the maximum to which values must fall before and after clipping; excludes rests."""
 BETWEEN = 0.2
-"""Least part of samples between both limits; a square wave, a step or a pulse has fewer."""
+"""Least share of samples between both limits; square waves, steps and pulses have fewer."""
 
 
 def at_limit(values: np.ndarray) -> np.ndarray:
-    """Return which values (n,) are at the limit of their sensor, as a mask; nowhere where none is cut off."""
+    """Return a mask (n,) of the values at the limit of their sensor, empty if there is no clipping."""
     masks = [_at_top(values), _at_top(-values)]
     mask = masks[0] | masks[1]
     return mask if np.mean(~mask) >= BETWEEN else np.zeros(values.size, bool)
@@ -33,7 +33,7 @@ def at_limit(values: np.ndarray) -> np.ndarray:
 def _at_top(values: np.ndarray) -> np.ndarray:
     nowhere = np.zeros(values.size, bool)
     top, size = float(np.max(values)), float(np.ptp(values))
-    inner = _visits(values, top - APART * size)
+    inner = _visits(values, top - DEPTH * size)
     if size == 0 or not np.any(inner):
         return nowhere
     resolution = float(np.min(np.diff(np.unique(values))))
@@ -47,7 +47,7 @@ def _at_top(values: np.ndarray) -> np.ndarray:
 
 
 def _visits(values: np.ndarray, level: float) -> np.ndarray:
-    """Return where values (n,) are above a level, in stretches that begin and end below it."""
+    """Return a mask (n,) of the values above a level, in segments that begin and end below it."""
     above = values > level
     if np.all(above):
         return np.zeros(values.size, bool)

@@ -1,4 +1,4 @@
-"""The sets of the measured track: files of ``conf/measured``, each the definition of a real record and its siblings."""
+"""Sets of the measured track: files of ``conf/measured``, which define real records and their siblings."""
 
 from __future__ import annotations
 
@@ -16,15 +16,12 @@ from bench.scenario.declaration import validated
 
 GROUP = "measured"
 NOT_OF_FITS = {"title", "licence", "source", "note", "systems", "known", "tests", "quoted", "unscored"}
-"""Fields on which no fit depends; the system is part of a fit's key."""
+"""Fields that do not affect a fit, or in the case of the system are part of its key already."""
 STRICT = ConfigDict(extra="forbid", frozen=True)
 
 
 class Known(BaseModel):
-    """A value that somebody else states of a quantity, and who.
-
-    A certified one has a standard deviation ``sd`` with ``dof`` degrees of freedom, by which intervals are compared.
-    """
+    """Published value of a quantity and its source; a certified one has a standard deviation and degrees of freedom."""
 
     model_config = STRICT
     value: float
@@ -34,7 +31,7 @@ class Known(BaseModel):
 
 
 class SimulatedSpan(BaseModel):
-    """A record that fitted models are simulated over, from ``from`` to ``to`` (s) of a file's clock."""
+    """Test record of a free-run simulation: the samples of a file from ``from`` to ``to`` (s)."""
 
     model_config = STRICT
     file: str
@@ -43,7 +40,7 @@ class SimulatedSpan(BaseModel):
 
 
 class Quoted(BaseModel):
-    """Errors over the test parts that others have published, in the order of the parts."""
+    """Published errors on the test records, in their order."""
 
     model_config = STRICT
     model: str
@@ -52,13 +49,13 @@ class Quoted(BaseModel):
 
 
 class MeasuredSet(BaseModel):
-    """A set: where its files are, how they are read, cut into siblings and described, and what is known of them.
+    """Set of measured records: files, reading options, division into siblings, systems, and known values.
 
-    ``parts``: consecutive pieces of equal length that each file is cut into; with 1 each file is a sibling. ``thin``:
-    every so many samples of the motion are kept; ``thin_force``: means of so many samples of the force.
-    ``time_scale``: what the file's times are multiplied with after ``from`` and ``to`` have cut them. ``bias_sign``:
-    the sign of a bias, whose size is positive. ``tests``: what fitted models are simulated over, without the first
-    ``unscored`` samples.
+    ``parts`` is the number of consecutive pieces of equal length into which each file is cut; with 1 each file is a
+    sibling. Every ``thin``-th sample of a motion is kept, and means of ``thin_force`` samples of a force. Times are
+    multiplied by ``time_scale`` after they were cut by ``from`` and ``to``. ``bias_sign`` is the sign of a constant
+    force, whose magnitude is a parameter. ``tests`` are records for free-run simulation, whose first ``unscored``
+    samples are excluded.
     """
 
     model_config = STRICT
@@ -89,17 +86,17 @@ class MeasuredSet(BaseModel):
     quoted: list[Quoted] = []
 
     def definition(self) -> dict[str, Any]:
-        """Return what its fits depend on, beside the bytes of its files, as JSON holds it."""
+        """Return the fields that affect a fit, in types of JSON."""
         return self.model_dump(mode="json", exclude=NOT_OF_FITS)
 
     def paths(self, data_root: Path | None) -> tuple[Path, ...]:
-        """Return its files in the package or below ``data_root``: all of them, or none where one is not there."""
+        """Return the paths of the files in the package or below ``data_root``; empty if a file is missing."""
         root = Path(str(resources("bench").joinpath("data", GROUP))) if self.packaged else data_root
         paths = () if root is None else tuple(root / self.folder / name for name in self.files)
         return paths if all(path.is_file() for path in paths) else ()
 
     def overrides(self, system: str, methods: Sequence[str], path: Path, timeout_s: float) -> dict[str, list[Any]]:
-        """Return the fields that ask for a file of it on the command line."""
+        """Return the command-line fields by which a file of the set is identified."""
         given: dict[str, Any] = {
             "data": str(path), "system": system, "columns": self.columns, "units": self.units, "rate": self.rate,
             "from": self.first, "to": self.last, "force_gain": self.force_gain, "hold": self.hold,
@@ -109,7 +106,7 @@ class MeasuredSet(BaseModel):
 
 
 def set_names() -> list[str]:
-    """Return the names of the sets."""
+    """Return the names of all sets."""
     return sorted(file_names(GROUP))
 
 

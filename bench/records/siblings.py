@@ -1,11 +1,11 @@
-"""Scores of intervals on siblings: records of one rig, or parts of one record, that determine the same quantities.
+"""Scores of intervals on siblings: records of one test rig, or parts of one record, with the same true parameters.
 
-There is no truth of a measured record. Its siblings are what an interval of a repeat can be scored on: by the interval
-score of its logarithm against the mean of the other siblings, over that of the ideal interval, which is as wide as the
-siblings scatter. 1 is ideal; too narrow and too wide intervals both have more. Beside it stand how many intervals cover
-that mean, ``R``, the standard deviation between siblings over the median stated standard error, and the median width.
+The true parameters of measured records are unknown, so an interval is compared with the mean of the other siblings: by
+its interval score on the log scale over that of the ideal interval, whose width is the scatter of the siblings. The
+score of an ideal interval is 1; overconfident and underconfident intervals score higher. Further scores are the
+coverage of that mean, ``R`` (standard deviation between siblings over the median standard error) and the median width.
 
-Intervals are rows of a frame whose columns are the fields of :class:`bench.records.intervals.StatedInterval`.
+Intervals are rows of a data frame whose columns are the fields of :class:`bench.records.intervals.StatedInterval`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,19 @@ import pandas as pd
 from bench.records.intervals import ENDS, HALF
 
 KINDS = {"repeat": "", "record": "record_", "white": "white_"}
-"""Kinds of interval, and how the names of their ends begin."""
+"""Kinds of interval, with the prefix of the columns of their ends."""
 LEAST_END = 1e-3
-"""An end below this part of the value, or below zero, counts as this: a logarithm is needed."""
+"""Lower limit of an end over the value, as logarithms are compared."""
 
 
 class IntervalScore(NamedTuple):
-    """How intervals of one kind do: ``score`` over the ideal's, how many are ``covered``, R, and the median width.
+    """Scores of intervals of one kind.
 
-    ``width`` is the factor by which an interval reaches to either side of its value.
+    Attributes:
+        score: Mean interval score over that of the ideal interval.
+        covered: Number of intervals that cover the mean of the other siblings.
+        ratio: R, the standard deviation between siblings over the median standard error.
+        width: Median factor between the value and either end.
     """
 
     score: float = math.nan
@@ -37,7 +41,7 @@ class IntervalScore(NamedTuple):
 
 
 def interval_score(stated: pd.DataFrame, kind: str) -> IntervalScore:
-    """Score the intervals of a kind of two or more siblings with positive values, on the scale of the logarithm."""
+    """Score the intervals of a kind on the log scale, for two or more siblings with positive values."""
     sizes = stated["value"].to_numpy(float)
     ends = (stated[f"{KINDS[kind]}{end}"].to_numpy(float) for end in ("low", "high"))
     values, (low, high) = np.log(sizes), (np.log(np.maximum(end, LEAST_END * sizes)) for end in ends)
@@ -53,7 +57,7 @@ def interval_score(stated: pd.DataFrame, kind: str) -> IntervalScore:
 
 
 def _gneiting_raftery(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the width of 95 % intervals, and forty times the distance by which they miss the truth.
+    """Return the interval scores: the width of 95 % intervals plus forty times the distance to an uncovered value.
 
     T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102:359, 2007, section 6.2.
     """
@@ -62,12 +66,16 @@ def _gneiting_raftery(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> n
 
 
 def compare_siblings(stated: pd.DataFrame, known: float | None = None) -> dict[str, Any]:
-    """Compare siblings whose answers for one quantity stand.
+    """Compare the intervals of a quantity between siblings.
+
+    Args:
+        stated: Intervals of trusted estimates, one row per sibling.
+        known: Published value.
 
     Returns:
-        ``n`` answers with their median ``value``; ``error_pct``, the median distance to the known value over it, NaN
-        where nothing is known; how many are ``counted``, which have two ends that can be compared, and how many state
-        one end only (``limits``); and each field of :class:`IntervalScore` with the kind of interval behind it.
+        The number ``n`` of intervals and their median ``value``; ``error_pct``, the median relative distance to the
+        published value (%), NaN without one; ``counted``, the number of two-sided intervals that are scored, and
+        ``limits``, that of one-sided ones; and the fields of :class:`IntervalScore` with the kind as a suffix.
     """
     compared = stated[(stated["limit"] == "") & (stated["value"] > 0) & np.isfinite(stated[list(ENDS)]).all(axis=1)]
     counted = len(compared) if len(compared) > 1 else 0
@@ -83,7 +91,7 @@ def compare_siblings(stated: pd.DataFrame, known: float | None = None) -> dict[s
 
 
 def total(agreements: pd.DataFrame, kind: str) -> dict[str, float]:
-    """Take agreements together: median and worst score, sums of the counts, medians of R and of the width."""
+    """Summarise comparisons: median and worst score, sums of the counts, medians of R and of the width."""
     several = agreements[agreements["counted"] > 0]
     column = {name: several[f"{name}_{kind}"] for name in IntervalScore._fields}
     return {

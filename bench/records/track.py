@@ -1,7 +1,7 @@
-"""The measured track: every set, sibling and method fitted once, and stored as rows of Table 11.
+"""Measured track: every sibling of every set, fitted by every method and stored as rows of Table 11.
 
-A fit is stored under a digest of all that it depends on: the definition of its set, the bytes of its file, the system,
-the part of the record, and the method with all its settings.
+A fit is stored under a digest of its inputs: definition of the set, bytes of the file, system, part of the record, and
+method with its settings.
 """
 
 from __future__ import annotations
@@ -33,19 +33,30 @@ from bench.store.results import read_result, write_result
 from bench.systems.sums import Sum
 
 ROWS = 1
-"""Version of the stored rows; what :meth:`MeasuredFit.rows` returns counts it up."""
+"""Version of the stored rows; to be raised if :meth:`MeasuredFit.rows` changes."""
 ANALYSES, ANALYSIS_S = 50.0, 3600.0
-"""Limit of a fit with all its diagnostics: so many times the limit of the fit alone, and so many seconds more."""
+"""Time limit of a fit with its diagnostics: a multiple of that of the fit alone, plus a constant (s)."""
 Row = dict[str, Any]
-"""A row of the table: a quantity of a fit with its intervals; of a fit without an answer there is one."""
+"""Row of the table: a quantity of a fit with its intervals, or a failed fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFit:
-    """A task of the engine: the fit of a sibling of a set by a method, within ``timeout_s``."""
+    """Task of the engine: the fit of a sibling of a set by a method.
+
+    Attributes:
+        name: Name of the set.
+        measured_set: The set.
+        request: The request that reads the sibling.
+        job: The method and its settings.
+        sibling: Name of the sibling.
+        recording: The sibling's signals.
+        timeout_s: Time limit of the fit (s).
+        size: Number of fits.
+    """
 
     name: str
-    of: MeasuredSet
+    measured_set: MeasuredSet
     request: Request
     job: Job
     sibling: str
@@ -55,11 +66,11 @@ class MeasuredFit:
 
     @cached_property
     def key(self) -> str:
-        """Return a digest of all that the fit depends on but its limit of time."""
+        """Digest of all inputs of the fit except its time limit."""
         settings = {name: str(value) for name, value in self.job.settings().items()}
         method = self.job.config.method["name"]
         parts = [
-            ROWS, [field.name for field in fields(StatedInterval)], self.name, self.of.definition(),
+            ROWS, [field.name for field in fields(StatedInterval)], self.name, self.measured_set.definition(),
             self.request.system, self.sibling, self.recording.sha256, method, load_method(method).version, settings,
             self.job.config.seed,
         ]  # fmt: skip
@@ -67,41 +78,41 @@ class MeasuredFit:
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Return the method and the set."""
+        """The method and the sibling."""
         return self.job.label, f"{self.name} {self.request.system}, {self.sibling}"
 
     @property
     def limit_s(self) -> float:
-        """Return the limit of the fit with all its diagnostics, whose fits of replicas have limits of their own."""
+        """Time limit (s) of the fit with its diagnostics."""
         return ANALYSES * self.timeout_s + ANALYSIS_S
 
     @property
     def head(self) -> Row:
-        """Return what every row of the fit states."""
+        """Columns that all rows of the fit share."""
         system, method = self.request.system, self.job.label
         return {"set": self.name, "system": system, "sibling": self.sibling, "method": method}
 
     def read(self, folder: Path) -> list[Row] | None:
-        """Return the stored rows; None where there are none, or the fit ran out of a shorter time than is allowed."""
+        """Return the stored rows; None if there are none, or the fit exceeded a time limit that is now longer."""
         content = read_result(folder, self.key)
         rows: list[Row] | None = None if content is None else json.loads(content)
         late = rows is not None and rows[0]["status"] == "timeout" and rows[0]["timeout_s"] < self.timeout_s
         return None if late else rows
 
     def stored(self, folder: Path) -> bool:
-        """Return whether the rows are stored whole."""
+        """Return whether :meth:`read` has rows."""
         return self.read(folder) is not None
 
     def compute(self, folder: Path) -> None:
-        """Fit and store; raises InputError where the folder cannot be written."""
+        """Fit the sibling and store the rows; raises InputError if the folder is not writable."""
         write_result(folder, self.key, json.dumps(self.rows()).encode())
 
     def measured(self) -> Measured:
         """Return the sibling as a problem."""
-        return described(self.of, self.request, self.recording)
+        return problem_of_set(self.measured_set, self.request, self.recording)
 
     def rows(self) -> list[Row]:
-        """Fit the sibling; return a row for each quantity, or one that says why there is none."""
+        """Fit the sibling; return a row per quantity, or a single row with the reason of the failure."""
         head = {**self.head, "timeout_s": self.timeout_s}
         try:
             (finding,) = identify_all(replace(self.request, jobs=(self.job,)), self.measured())
@@ -123,55 +134,67 @@ class MeasuredFit:
         return [{**head, **quantity} for quantity in quantities or [{"message": estimate.message}]]
 
 
-def described(of: MeasuredSet, request: Request, recording: Recording) -> Measured:
-    """Return a recording as a problem of a set; raises InputError."""
+def problem_of_set(measured_set: MeasuredSet, request: Request, recording: Recording) -> Measured:
+    """Return a recording of a set as a problem; raises InputError."""
     measured = read_measured(request, (recording,))
     system = measured.problem.system
-    if isinstance(system, Sum) and of.bias_sign != system.bias_sign:
-        return with_system(measured, replace(system, bias_sign=of.bias_sign))
+    if isinstance(system, Sum) and measured_set.bias_sign != system.bias_sign:
+        return with_system(measured, replace(system, bias_sign=measured_set.bias_sign))
     return measured
 
 
 def tasks(
-    name: str, of: MeasuredSet, methods: Sequence[str], data_root: Path | None, timeout_s: float
+    name: str, measured_set: MeasuredSet, methods: Sequence[str], data_root: Path | None, timeout_s: float
 ) -> Iterator[MeasuredFit]:
-    """Yield the fits of a set, sibling by sibling; none where its files are not there. Raises InputError."""
-    for system in of.systems:
-        for path in of.paths(data_root):
-            request = request_of(of.overrides(system, methods, path, timeout_s))
-            for i, piece in enumerate(pieces(read_recording(path, request.options), of), 1):
+    """Yield the fits of a set, sibling by sibling; none if a file is missing.
+
+    Args:
+        name: Name of the set.
+        measured_set: The set.
+        methods: Names of the methods.
+        data_root: Folder of data that are not part of the package.
+        timeout_s: Time limit of a fit (s).
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    for system in measured_set.systems:
+        for path in measured_set.paths(data_root):
+            request = request_of(measured_set.overrides(system, methods, path, timeout_s))
+            for i, piece in enumerate(pieces(read_recording(path, request.options), measured_set), 1):
                 for job in request.jobs:
-                    sibling = f"{path.name} {i}/{of.parts}"
-                    yield MeasuredFit(name, of, request, job, sibling, piece, timeout_s)
+                    sibling = f"{path.name} {i}/{measured_set.parts}"
+                    yield MeasuredFit(name, measured_set, request, job, sibling, piece, timeout_s)
 
 
-def pieces(recording: Recording, of: MeasuredSet) -> list[Recording]:
-    """Cut a recording of a set into its parts, thinned, each from time 0."""
-    end = of.time_scale * max(float(signal.times[-1]) for signal in recording.signals)
-    edges = np.linspace(0.0, end * (1.0 + 1e-12), of.parts + 1)
+def pieces(recording: Recording, measured_set: MeasuredSet) -> list[Recording]:
+    """Cut a recording of a set into its parts, thinned, with times that begin at 0."""
+    end = measured_set.time_scale * max(float(signal.times[-1]) for signal in recording.signals)
+    edges = np.linspace(0.0, end * (1.0 + 1e-12), measured_set.parts + 1)
     edges[-1] = np.inf
     cut = []
     for low, high in pairwise(edges):
         part = []
         for signal in recording.signals:
-            times = signal.times * of.time_scale
+            times = signal.times * measured_set.time_scale
             inside = (times >= low) & (times < high)
             part.append(replace(signal, times=times[inside], values=signal.values[inside]))
         start = min(float(signal.times[0]) for signal in part)
-        thinned = (_thinned(replace(signal, times=signal.times - start), of) for signal in part)
+        thinned = (_thin(replace(signal, times=signal.times - start), measured_set) for signal in part)
         cut.append(replace(recording, signals=tuple(thinned)))
     return cut
 
 
-def _thinned(signal: Signal, of: MeasuredSet) -> Signal:
-    """Keep some samples of a motion, means of some of a force and its ends."""
+def _thin(signal: Signal, measured_set: MeasuredSet) -> Signal:
+    """Keep every ``thin``-th sample of a motion; average ``thin_force`` samples of a force, but keep its ends."""
+    step, block = measured_set.thin, measured_set.thin_force
     if signal.measures != "force":
-        return replace(signal, times=signal.times[:: of.thin], values=signal.values[:: of.thin])
-    n = signal.values.size // of.thin_force * of.thin_force
-    if of.thin_force == 1 or n == 0:
+        return replace(signal, times=signal.times[::step], values=signal.values[::step])
+    n = signal.values.size // block * block
+    if block == 1 or n == 0:
         return signal
     times, values = (
-        np.concatenate([samples[:1], samples[:n].reshape(-1, of.thin_force).mean(axis=1), samples[-1:]])
+        np.concatenate([samples[:1], samples[:n].reshape(-1, block).mean(axis=1), samples[-1:]])
         for samples in (signal.times, signal.values)
     )
     return replace(signal, times=times, values=values)

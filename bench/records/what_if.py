@@ -1,8 +1,8 @@
-"""What more, denser or quieter data would make of the errors of a record's answer, before anybody measures them.
+"""Errors expected from a longer, denser or less noisy record.
 
-The covariance of the fit of a changed record follows from its derivatives at today's answer (Fisher information, R. A.
-Fisher, Proc. Camb. Phil. Soc. 22:700, 1925; with coloured noise as in ``linearised_fit``). The noise is
-taken to stay as it is, its colour too.
+The covariance of a fit to the changed record follows from its derivatives at the present estimate (Fisher information,
+R. A. Fisher, Proc. Camb. Phil. Soc. 22:700, 1925; with coloured noise as in ``linearised_fit``). The spectrum of the
+noise is assumed to be unchanged.
 """
 
 from __future__ import annotations
@@ -19,15 +19,19 @@ from bench.records.linearised_fit import LinearisedFit
 from bench.records.replicas import determined_quantities
 
 LONGER_S = 10.0
+"""Extension of a record (s)."""
 ALIKE = 100.0
-"""A record longer or shorter than ``LONGER_S`` by more than this is taken as long again instead."""
+"""If the duration differs from ``LONGER_S`` by more than this factor, the record is doubled instead."""
 
 
 @dataclass(frozen=True)
 class WhatIf:
-    """A change of the record, and the standard errors over the value that it would give, by quantity.
+    """Change of a record and its effect.
 
-    ``today``: the same of the record as it is.
+    Attributes:
+        change: Description of the change.
+        relative_errors: Expected standard errors over the values, by quantity.
+        today: Present standard errors over the values.
     """
 
     change: str
@@ -36,14 +40,14 @@ class WhatIf:
 
 
 class Interpolated(Autoregression):
-    """The noise of an autoregression with a sample more between any two; white noise stays white.
+    """Noise of an autoregression at twice the sampling rate; white noise remains white.
 
-    Its autocovariance lies on the straight line between two lags, so that its spectrum is that of the old samples, the
-    upper half mirrored from the lower, times ``1 + cos w``.
+    Its autocovariance is interpolated linearly between lags, so the spectrum is that of the autoregression, repeated
+    above its Nyquist frequency, times ``1 + cos w``.
     """
 
     def spectrum(self, n: int) -> np.ndarray:
-        """Variance by frequency at the n // 2 + 1 frequencies of a transform of length n, a multiple of 4."""
+        """Return the variance at the n // 2 + 1 frequencies of a transform of length n, a multiple of 4."""
         if self.order == 0:
             return super().spectrum(n)
         lower = super().spectrum(n // 2)
@@ -52,16 +56,16 @@ class Interpolated(Autoregression):
 
 
 def what_if(finding: Finding) -> tuple[WhatIf, ...]:
-    """Predict the errors of three changed records; none where the finding has no fit, or the data leave it open.
+    """Predict the errors of three changed records; empty without a fit, or if the fit is singular.
 
-    A longer record goes on at the same rate; a force is repeated from its first sample, which the change then says. At
-    uneven times, errors are those of white noise times what they are more today. What parts of the record differ by, or
-    the model lacks, is left out: no more data help there.
+    A longer record continues at the same sampling rate, and its force is repeated. At uneven times, errors are those
+    for white noise times the present ratio of coloured to white. Errors of the model and differences between parts are
+    not included, as more data do not reduce them.
     """
-    at = finding.fit
-    if at is None or at.coloured is None:
+    fit = finding.fit
+    if fit is None or fit.coloured is None:
         return ()
-    problem, noises = at.model.problem, [noise or Autoregression(np.zeros(0), np.nan) for noise in at.noises]
+    problem, noises = fit.model.problem, [noise or Autoregression(np.zeros(0), np.nan) for noise in fit.noises]
     unit = finding.problem.natural_units().time
     duration = unit * max(record.duration for record in problem.records)
     extra = LONGER_S if duration / ALIKE < LONGER_S < duration * ALIKE else duration
@@ -73,28 +77,28 @@ def what_if(finding: Finding) -> tuple[WhatIf, ...]:
          [Interpolated(noise.coefficients, noise.variance) for noise in noises]),
         ("half the noise", problem, 0.5, [replace(noise, variance=noise.variance / 4.0) for noise in noises]),
     ]  # fmt: skip
-    errors = {change: _errors(finding, at, changed, factor, noise) for change, changed, factor, noise in changes}
+    errors = {change: _errors(finding, fit, changed, factor, noise) for change, changed, factor, noise in changes}
     today = errors.pop("")
     return tuple(WhatIf(change, changed, today) for change, changed in errors.items())
 
 
 def _errors(
-    finding: Finding, at: LinearisedFit, problem: Problem, factor: float, noises: list[Autoregression]
+    finding: Finding, fit: LinearisedFit, problem: Problem, factor: float, noises: list[Autoregression]
 ) -> dict[str, float]:
-    """Return the standard deviations of the logarithms of what is determined, with ``factor`` times the noise."""
-    model = replace(at.model, problem=problem)
-    _, slopes = model.jacobian(at.theta)
+    """Return the standard errors of the logarithms of the determined quantities, for noise scaled by ``factor``."""
+    model = replace(fit.model, problem=problem)
+    _, slopes = model.jacobian(fit.theta)
     n = model.data.size
-    residuals = factor * at.sigma[model.channel_of] * np.sqrt(max(1.0 - at.used / n, 1.0 / n))  # their size is used
-    changed = LinearisedFit(model, at.theta, residuals, slopes, tuple(noises))
-    if changed.white is None or at.white is None or at.coloured is None:
+    residuals = factor * fit.sigma[model.channel_of] * np.sqrt(max(1.0 - fit.used / n, 1.0 / n))  # sets the noise level
+    changed = LinearisedFit(model, fit.theta, residuals, slopes, tuple(noises))
+    if changed.white is None or fit.white is None or fit.coloured is None:
         return {}
-    uneven = any(noise is None for noise in at.noises)
+    uneven = any(noise is None for noise in fit.noises)
     covariance = changed.white if uneven or changed.coloured is None else changed.coloured
     errors = {}
     for quantity in determined_quantities(finding.problem):
-        g = at.gradient(quantity)
-        more = (g @ at.coloured @ g) / (g @ at.white @ g) if uneven and np.any(g) else 1.0
+        g = fit.gradient(quantity)
+        more = (g @ fit.coloured @ g) / (g @ fit.white @ g) if uneven and np.any(g) else 1.0
         error = float(np.sqrt(more * (g @ covariance @ g)))
         if error > 0 and np.isfinite(error):
             errors[quantity.name] = error
@@ -106,7 +110,7 @@ def _changed(problem: Problem, change: Callable[[Record], Record]) -> Problem:
 
 
 def _longer(record: Record, extra: float) -> Record:
-    """Go on with the sampling of a record for a time, with each force repeated until then."""
+    """Extend a record by a time at the same sampling rate, and repeat its forces."""
     channels = []
     for channel in record.channels:
         step = float(np.ptp(channel.times)) / max(channel.n - 1, 1)
@@ -117,7 +121,7 @@ def _longer(record: Record, extra: float) -> Record:
 
 
 def _denser(record: Record) -> Record:
-    """Put a sample more between any two."""
+    """Add a sample between any two."""
     middles = [(channel.times[1:] + channel.times[:-1]) / 2.0 for channel in record.channels]
     channels = [
         _sampled(channel, np.sort(np.append(channel.times, middle)))
@@ -127,12 +131,12 @@ def _denser(record: Record) -> Record:
 
 
 def _sampled(channel: Channel, times: np.ndarray) -> Channel:
-    """Return the channel at other times; no derivative needs its values."""
+    """Return the channel at other times; the values do not affect derivatives."""
     return replace(channel, times=times, values=np.interp(times, channel.times, channel.values))
 
 
 def _repeated(force: Force, end: float) -> Force:
-    """Repeat the force until a time, one mean step between its last sample and its first."""
+    """Repeat a force until a time, with one mean step between the last sample and the first."""
     n, span = force.times.size, float(np.ptp(force.times))
     period = span * n / (n - 1)
     repeats = max(int(np.ceil((end - force.times[0]) / period)), 1)

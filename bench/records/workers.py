@@ -1,6 +1,6 @@
-"""Calls on measured records in processes that are kept, some side by side, each call within its limits.
+"""Worker processes for measured records, which perform calls in parallel within limits of time and memory.
 
-The process that asks only waits, so that a signal ends it at once, and with it all processes.
+The parent process only waits, so that a signal ends it and its workers at once.
 """
 
 from __future__ import annotations
@@ -14,22 +14,25 @@ from bench.errors import InputError
 from bench.isolation.processes import Child, Children
 
 AT_ONCE = 2
-"""Processes side by side."""
+"""Number of processes."""
 MEMORY_MB = 4096.0
-"""Limit of the resident memory of a process, where a call names none."""
+"""Default limit of the resident memory of a process (MB)."""
 PRELOADED = ("bench.records.identification", "bench.records.replicas", "bench.records.what_if")
-"""Modules that the processes find imported."""
+"""Modules imported by the server from which the processes are forked."""
 
 
 class Workers:
-    """Processes that perform calls; to be used in a ``with`` block, at whose end they are killed.
+    """Worker processes, to be used in a ``with`` block, at whose end they are killed.
 
-    A process performs one call after another, and finds imported and compiled what an earlier one needed.
+    A process performs several calls in turn and keeps its imports and compiled functions.
+
+    Args:
+        preload: Modules imported by the server from which the processes are forked.
     """
 
     def __init__(self, preload: Sequence[str] = PRELOADED) -> None:
         self._children = Children(preload)
-        self._threads = ThreadPoolExecutor(AT_ONCE)  # a thread for each process, which waits for its answer
+        self._threads = ThreadPoolExecutor(AT_ONCE)  # each waits for the result of a process
         self._idle: list[Child] = []
 
     def __enter__(self) -> Workers:
@@ -42,9 +45,17 @@ class Workers:
     def submit(
         self, limit_s: float, work: Callable[..., Any], *arguments: Any, memory_mb: float = MEMORY_MB
     ) -> Future[Any]:
-        """Call a module's function as soon as a process is free, within a limit of time (s) and of memory.
+        """Call a function of a module as soon as a process is free.
 
-        The future raises Died where the call went beyond a limit or its process ended, and InputError where it did.
+        Args:
+            limit_s: Time limit (s).
+            work: The function.
+            arguments: Its arguments.
+            memory_mb: Memory limit (MB).
+
+        Returns:
+            A future of the result; it raises Died if the call exceeds a limit or its process dies, and InputError if
+            the function does.
         """
         return self._threads.submit(self._perform, limit_s, memory_mb, (work, arguments))
 
@@ -59,7 +70,7 @@ class Workers:
 
 
 def _serve(connection: Any) -> None:
-    """Perform one call after another until nobody asks any more."""
+    """Perform calls until the connection closes."""
     while True:
         work, arguments = pickle.loads(connection.recv_bytes())
         try:

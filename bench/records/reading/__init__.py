@@ -1,4 +1,4 @@
-"""Reading measured records: :func:`read_recording` makes signals of a file, and refuses what it would have to guess."""
+"""Reading of measured records: signals of files and arrays; ambiguous files are rejected."""
 
 from bench.records.reading.recording import of_arrays, read_recording, read_recordings
 from bench.records.reading.table import ReadOptions, Recording, Signal

@@ -1,7 +1,7 @@
-"""A file of any kind to a table: its first bytes, not its name, say what it is.
+"""Reading of files of any format, which is detected by the first bytes rather than the name.
 
-What is packed or large is read in a process of its own, which ends where it takes more memory or time than any record
-needs; see ``formats`` for what is bounded before it is read.
+Compressed and large files are read in a separate process with limits of time and memory; for limits on the size of the
+content see ``formats``.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from bench.records.reading.text import read_text
 from bench.records.workers import Workers
 
 MAX_BYTES = 256 * 2**20
-"""Largest file, packed or unpacked."""
+"""Largest size of a file, compressed or uncompressed (bytes)."""
 SMALL = 4 * 2**20
-"""A plain text or array up to here is read at once: it takes at most some twenty times its size in memory."""
+"""Largest text or array that is read in the calling process (bytes); it needs up to twenty times its size in memory."""
 MEMORY_MB, TIME_S = 1500.0, 120.0
-"""Limits of the process that reads: about twice what the largest record allowed takes."""
+"""Limits of the reading process, about twice the needs of the largest record."""
 
 
 def read_file(path: Path) -> tuple[Table, str]:
     """Return the table in a file and the sha256 of its bytes.
 
     Raises:
-        InputError: it is not there, too large, damaged, or of no kind that is read.
+        InputError: The file is missing, too large, damaged, or of an unknown format.
     """
     data = _bytes(path)
     plain = len(data) <= SMALL and _reader(data, path) in (read_text, formats.read_numpy)
-    alone = plain or multiprocessing.current_process().daemon  # which has limits, and may start no other
-    return (_table(data, path) if alone else _table_of_child(path)), hashlib.sha256(data).hexdigest()
+    direct = plain or multiprocessing.current_process().daemon  # a worker has limits already and may not start others
+    return (_table(data, path) if direct else _table_of_child(path)), hashlib.sha256(data).hexdigest()
 
 
 def _bytes(path: Path) -> bytes:
     try:
         status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # a pipe is waited on, a device may have no end
+        if not stat.S_ISREG(status.st_mode):  # reading a pipe may block, and a device may have no end
             raise InputError("data", path, "cannot be read: it is a folder, a pipe or a device; name a file")
         if (size := status.st_size) > MAX_BYTES:
-            raise InputError("data", path, f"{size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20}, thin or cut it")
+            raise InputError("data", path, f"{size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20}: shorten the record")
         data = path.read_bytes()
     except OSError as error:
         raise InputError("data", path, f"cannot be read: {error.strerror}") from None
@@ -70,9 +70,9 @@ def _table(data: bytes, path: Path) -> Table:
         raise
     except MemoryError:
         raise _too_large(path) from None
-    except Exception as error:  # what damaged bytes raise in a library is anything
+    except Exception as error:  # libraries raise any exception for damaged files
         reason = " ".join(str(error).split())[:80] or type(error).__name__
-        remedy = f"it is damaged or not of the kind it seems ({reason}); write it again"
+        remedy = f"the file is damaged or not of the format it seems ({reason}); export it again"
         raise InputError("data", path, remedy) from None
 
 
@@ -83,18 +83,18 @@ def _table_of_child(path: Path) -> Table:
         except Died as died:
             if died.reason in ("oom", "timeout"):
                 raise _too_large(path) from None
-            raise InputError("data", path, f"it is damaged: {died.message}; write it again") from None
+            raise InputError("data", path, f"the file is damaged: {died.message}; export it again") from None
     return table
 
 
 def _limited(path: Path, memory_mb: float) -> Table:
-    """Read a file in a process of its own."""
+    """Read a file in a worker process."""
     limit_memory(memory_mb)
     return _table(_bytes(path), path)
 
 
 def _too_large(path: Path) -> InputError:
-    remedy = f"reading it takes more than {MEMORY_MB:g} MB or {TIME_S:g} s; keep the columns that matter, as csv or npz"
+    remedy = f"reading needs more than {MEMORY_MB:g} MB or {TIME_S:g} s; export the needed columns as csv or npz"
     return InputError("data", path, remedy)
 
 
@@ -103,9 +103,9 @@ def _read_gzip(data: bytes, source: Path) -> Table:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
             text = file.read(MAX_BYTES + 1)
     except (OSError, EOFError, zlib.error):
-        raise InputError("data", source, "the gzip file is damaged; write it again") from None
+        raise InputError("data", source, "the gzip file is damaged; compress it again") from None
     if len(text) > MAX_BYTES:
-        raise InputError("data", source, f"more than {MAX_BYTES // 2**20} MiB when unzipped; thin or cut it")
+        raise InputError("data", source, f"more than {MAX_BYTES // 2**20} MiB uncompressed; shorten the record")
     return read_text(text, source)
 
 
@@ -120,4 +120,4 @@ MAGIC: dict[bytes, formats.Reader] = {
     rb"RIFF....WAVE|RF64|fLaC|FORM....AIF": formats.read_sound,
     rb"[\r\n]* {4}-1 *\r?\n {1,5}\d{1,4}[b \r\n]": formats.read_universal,
 }
-"""Patterns of a file's first bytes; a universal file starts with the mark of a data set and the number of its type."""
+"""Readers by pattern of a file's first bytes; a universal file starts with the delimiter and type of a data set."""

@@ -1,7 +1,7 @@
-"""Records that are no text: spreadsheets, MATLAB, NumPy, Parquet, universal files, TDMS and sound.
+"""Readers of binary formats: spreadsheets, MATLAB, NumPy, Parquet, universal files, TDMS and sound.
 
-Libraries read them; here stands how much is read at most, and which of what they hold are columns. Sizes are checked
-before anything of that size is in memory.
+The files are parsed by libraries; this module limits the size and selects the columns. Sizes are checked before memory
+is allocated.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ from bench.records.reading.table import MAX_COLUMNS, PREAMBLE, Spectrum, Table, 
 from bench.records.reading.units import Measures, unit_of
 
 Reader = Callable[[bytes, Path], Table]
-"""From the bytes of a file and its path to its table; raises InputError."""
+"""Function of the bytes of a file and its path that returns its table; raises InputError."""
 MAX_UNPACKED, MAX_WORKBOOK = 256 * 2**20, 64 * 2**20
-"""Bytes; those of a workbook take openpyxl a microsecond each."""
+"""Largest uncompressed sizes (bytes); openpyxl needs about a microsecond per byte of a workbook."""
 NESTED = 8
-"""Structures in structures that are looked into."""
+"""Largest depth of nested structures."""
 
 
 def optional(package: str, source: Path) -> Any:
-    """Import a package that only some kinds of file need; raise InputError that says how to install it."""
+    """Import a package that a file format needs; raise InputError with the command to install it if it is missing."""
     try:
         return importlib.import_module(package)
     except ImportError:
-        remedy = f'this kind of file needs the package {package}: pip install "vibration-bench[files]"'
+        remedy = f'this file format needs the package {package}: pip install "vibration-bench[files]"'
         raise InputError("data", source, remedy) from None
 
 
 def read_zip(data: bytes, source: Path) -> Table:
-    """Read what is a zip file inside: a workbook (xlsx) or NumPy arrays (npz)."""
+    """Read a format that is a zip archive: a workbook (xlsx) or NumPy arrays (npz)."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
         unpacked = sum(info.file_size for info in archive.infolist())
     workbook = any(name.startswith("xl/") for name in names)
     most = MAX_WORKBOOK if workbook else MAX_UNPACKED
     if unpacked > most:
-        raise InputError("data", source, f"more than {most // 2**20} MiB when unzipped; thin or cut it")
+        raise InputError("data", source, f"more than {most // 2**20} MiB uncompressed; shorten the record")
     if workbook:
         return _read_xlsx(data, source)
     if names and all(name.endswith(".npy") for name in names):
         return read_numpy(data, source)
-    raise InputError("data", source, "a zip file is not read; give one file out of it")
+    raise InputError("data", source, "zip files are not supported; extract a file")
 
 
 # spreadsheets
@@ -65,28 +65,28 @@ def read_zip(data: bytes, source: Path) -> Table:
 
 def _read_xlsx(data: bytes, source: Path) -> Table:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of styles and checks that openpyxl does not know
+        warnings.simplefilter("ignore")  # for styles and checks that openpyxl does not support
         book = optional("openpyxl", source).load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         for sheet in book.worksheets:
-            sheet.reset_dimensions()  # what is stated may be far more than there is
+            sheet.reset_dimensions()  # the stated dimensions may be far too large
         return _first_table({sheet.title: sheet.iter_rows(values_only=True) for sheet in book.worksheets}, source)
 
 
 def read_xls(data: bytes, source: Path) -> Table:
-    """Read an old workbook."""
+    """Read a workbook of the old format (xls)."""
     xlrd = optional("xlrd", source)
     with open(os.devnull, "w", encoding="utf-8") as log:
         book = xlrd.open_workbook(file_contents=data, logfile=log, ragged_rows=True)
 
     def values(row: Sequence[Any]) -> list[object]:
         known = (xlrd.XL_CELL_NUMBER, xlrd.XL_CELL_DATE, xlrd.XL_CELL_TEXT)
-        return [cell.value if cell.ctype in known else None for cell in row]  # an error has a number, too
+        return [cell.value if cell.ctype in known else None for cell in row]  # error cells have a numeric value, too
 
     return _first_table({sheet.name: map(values, sheet.get_rows()) for sheet in book.sheets()}, source)
 
 
 def _first_table(sheets: Mapping[str, Iterable[Sequence[object]]], source: Path) -> Table:
-    """Return the table of the first sheet that has one, and note which where there are more sheets."""
+    """Return the table of the first sheet that has one; a note names it if there are several sheets."""
     for title, sheet in sheets.items():
         place = f"{source} sheet '{title}'"
         texts = _texts(sheet, place)
@@ -96,18 +96,18 @@ def _first_table(sheets: Mapping[str, Iterable[Sequence[object]]], source: Path)
             first, last = bounds_of(rows, shape, place)
             above = (LineAbove([texts[row.line]]) for row in reversed(rows[:first]))
             table = make_table(rows, shape, (first, last), above, place)
-            more = (f"the workbook has {len(sheets)} sheets; '{title}' is read",)
+            more = (f"the workbook has {len(sheets)} sheets; '{title}' was read",)
             return replace(table, notes=more + table.notes) if len(sheets) > 1 else table
     raise InputError("data", source, "no sheet has rows of numbers; a table of times and values is needed")
 
 
 def _texts(sheet: Iterable[Sequence[object]], place: str) -> dict[int, list[str]]:
-    """Return the cells of a sheet's rows as text, by the number of the row, without empty rows."""
+    """Return the cells of the non-empty rows of a sheet as text, by number of the row."""
     lines: dict[int, list[str]] = {}
     for i, values in enumerate(sheet, 1):
         cells = ["" if value is None else str(value) for value in values[:MAX_COLUMNS]]
         if any(value not in (None, "") for value in values[MAX_COLUMNS:]):
-            raise InputError("data", f"{place} row {i}", f"cells beyond column {MAX_COLUMNS}; keep those that matter")
+            raise InputError("data", f"{place} row {i}", f"more than {MAX_COLUMNS} columns; delete those not needed")
         if any(cells):
             lines[i] = cells
             check_size(len(lines) - PREAMBLE, place)
@@ -120,12 +120,12 @@ def _texts(sheet: Iterable[Sequence[object]], place: str) -> dict[int, list[str]
 
 def read_mat(data: bytes, source: Path) -> Table:
     """Read the variables of a MATLAB file up to version 7; members of structures are named ``structure.member``."""
-    from scipy.io import loadmat, whosmat  # slow to import, and few need it
+    from scipy.io import loadmat, whosmat  # slow to import
 
     if data[:10] == b"MATLAB 7.3" or data[:8] == b"\x89HDF\r\n\x1a\n":
-        raise InputError("data", source, "HDF5, as MATLAB 7.3 writes it, is not read; save it with save(…, '-v7')")
+        raise InputError("data", source, "HDF5 (MATLAB 7.3) is not supported; save it with save(…, '-v7')")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of objects that SciPy skips
+        warnings.simplefilter("ignore")  # for objects that SciPy skips
         check_size(0, source, sum(math.prod(shape) for _, shape, _ in whosmat(io.BytesIO(data))))
         loaded = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=False)
     return _variables({name: value for name, value in _members(loaded) if not name.startswith("__")}, source)
@@ -141,14 +141,14 @@ def _members(variables: Mapping[str, object], depth: int = 0) -> Iterator[tuple[
 
 
 def read_numpy(data: bytes, source: Path) -> Table:
-    """Read the arrays of an npz file, or the columns of an npy file; nothing pickled is opened."""
+    """Read the arrays of an npz file, or the columns of an npy file; pickled objects are rejected."""
     try:
         loaded = np.load(io.BytesIO(data), allow_pickle=False)
         if not isinstance(loaded, np.ndarray):
             return _variables({name: loaded[name] for name in loaded.files}, source)
     except ValueError as error:
         if "allow_pickle" in str(error):
-            remedy = "it holds Python objects, which are never loaded; save arrays of numbers"
+            remedy = "it contains Python objects, which are not loaded for security; save arrays of numbers"
             raise InputError("data", source, remedy) from None
         raise
     fields = {name: loaded[name] for name in loaded.dtype.names or ()}
@@ -156,7 +156,7 @@ def read_numpy(data: bytes, source: Path) -> Table:
 
 
 def _variables(variables: Mapping[str, object], source: Path, named: bool = True) -> Table:
-    """Return the variables that can be signals, in their order, and the shapes of all for an error."""
+    """Return the table of the numerical variables; the shapes of all variables are listed in errors."""
     arrays = {name: np.asarray(value) for name, value in variables.items()}
     numbers = {name: array for name, array in arrays.items() if array.dtype.kind in "biufc"}
     check_size(0, source, sum(array.size for array in arrays.values()))
@@ -166,7 +166,7 @@ def _variables(variables: Mapping[str, object], source: Path, named: bool = True
 
 
 def _columns(name: str, array: np.ndarray, source: Path) -> Iterator[Column]:
-    """A vector is a column; of a matrix each ``name[0]``, ``name[1]`` ... along its shorter side is one."""
+    """Yield a vector as a column, and the vectors along the longer side of a matrix as ``name[0]``, ``name[1]``, ..."""
     if array.size < MIN_SAMPLES or array.ndim not in (1, 2):
         return
     check_size(max(array.shape), source)
@@ -183,7 +183,7 @@ def _columns(name: str, array: np.ndarray, source: Path) -> Iterator[Column]:
 
 
 def read_parquet(data: bytes, source: Path) -> Table:
-    """Read the columns of numbers of a Parquet file; a field's metadata may hold its unit."""
+    """Read the numerical columns of a Parquet file; the metadata of a field may contain its unit."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -204,23 +204,23 @@ def read_parquet(data: bytes, source: Path) -> Table:
 
 
 def _flawed(name: str, flaw: str) -> Column:
-    """Return a column that is listed and cannot be taken."""
+    """Return a column that is listed but cannot be used."""
     return column_of(name, np.full(1, np.nan), flaw=flaw)
 
 
 def read_sound(data: bytes, source: Path) -> Table:
-    """Read the channels of a sound file (wav, flac, aiff), in parts of full scale."""
+    """Read the channels of a sound file (wav, flac, aiff), as fractions of full scale."""
     with optional("soundfile", source).SoundFile(io.BytesIO(data)) as file:
         check_size(file.frames, source, file.frames * file.channels)
         values, clock = file.read(always_2d=True), np.arange(file.frames) / file.samplerate
     columns = [column_of(f"channel {i}", channel, times=clock) for i, channel in enumerate(values.T.copy(), 1)]
-    return Table(tuple(columns), ("samples of a sound file are parts of its full scale",))
+    return Table(tuple(columns), ("samples of the sound file are fractions of full scale",))
 
 
 def read_tdms(data: bytes, source: Path) -> Table:
-    """Read the channels of a TDMS file, with their times where a channel is a waveform."""
+    """Read the channels of a TDMS file, with their times if they are waveforms."""
     nptdms = optional("nptdms", source)
-    nptdms.log.log_manager.set_level(logging.CRITICAL)  # what is wrong is said once, by the error
+    nptdms.log.log_manager.set_level(logging.CRITICAL)  # errors are reported by exceptions
     columns = []
     with nptdms.TdmsFile.open(io.BytesIO(data)) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
@@ -229,30 +229,30 @@ def read_tdms(data: bytes, source: Path) -> Table:
             if channel.dtype.kind not in "biuf":
                 columns.append(_flawed(channel.name, "not numbers"))
                 continue
-            said = channel.properties
-            unit = str(said.get("unit_string") or said.get("NI_UnitDescription") or "")
-            step, start = said.get("wf_increment", 0.0), said.get("wf_start_offset", 0.0)
+            properties = channel.properties
+            unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
+            step, start = properties.get("wf_increment", 0.0), properties.get("wf_start_offset", 0.0)
             times = start + step * np.arange(len(channel)) if step > 0 else None
             columns.append(column_of(channel.name, np.asarray(channel[:], float), unit, times=times))
     return Table(tuple(columns))
 
 
 DATA_SET, UNITS, SI = 58, 164, 1
-"""Types of data sets: a function, and the units of the file, with the code of m, N and s."""
+"""Types of data sets (function, units), and the code of SI units."""
 GENERAL, TIME_RESPONSE, FREQUENCY_RESPONSE, UNKNOWN, TIME, FREQUENCY = 0, 1, 4, 0, 17, 18
-"""Types of function, and of abscissa."""
+"""Types of functions and of abscissas."""
 COMPLEX = (5, 6)
-"""Types of values, in single and double precision."""
+"""Types of complex values, in single and double precision."""
 ORDINATES: dict[int, Measures] = {
     8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force",
 }  # fmt: skip
-"""Types of an ordinate: 9 is a reaction force, 13 an excitation."""
+"""Quantities by type of ordinate; 9 is a reaction force, 13 an excitation force."""
 SI_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
 DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
 
 def read_universal(data: bytes, source: Path) -> Table:
-    """Read the data sets 58 of a universal file, text or binary, each with its own times, or with its frequencies."""
+    """Read the data sets 58 of a universal file (text or binary): time records and frequency responses."""
     file = optional("pyuff", source).UFF(str(source))
     types = [int(kind) for kind in file.get_set_types()]
     heads = {i: file.read_sets(i, header_only=True) for i, kind in enumerate(types) if kind == DATA_SET}
@@ -260,13 +260,13 @@ def read_universal(data: bytes, source: Path) -> Table:
     check_size(max(sizes, default=0), source, sum(sizes))
     columns = [_data_set(file, i, head, source) for i, head in heads.items()]
     if not columns:
-        held = ", ".join(map(str, sorted(set(types)))) or "none"
-        raise InputError("data", source, f"a data set {DATA_SET} is needed; it holds {held}")
+        present = ", ".join(map(str, sorted(set(types)))) or "none"
+        raise InputError("data", source, f"no data set of type {DATA_SET}; types in the file: {present}")
     si = UNITS in types and int(file.read_sets(types.index(UNITS))["units_code"]) == SI
     responses = {i: head for i, head in heads.items() if int(head["func_type"]) == FREQUENCY_RESPONSE}
     spectra = [_spectrum(file, i, head, source, si) for i, head in responses.items()]
     if all(column.flaw for column in columns) and not spectra:
-        remedy = f"no data set is a record in time: {columns[0].flaw}; export time responses"
+        remedy = f"no data set is a time record: {columns[0].flaw}; export time responses"
         raise InputError("data", source, remedy)
     return Table(tuple(columns), spectra=tuple(spectra))
 
@@ -277,10 +277,10 @@ def _text(head: Mapping[str, Any], key: str) -> str:
 
 
 def _body(file: Any, i: int, head: Mapping[str, Any], source: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return abscissa and values of a data set; raises InputError where it has not as many as it says."""
+    """Return abscissas and values of a data set; raises InputError if their number differs from the header."""
     body, n = file.read_sets(i), int(head["num_pts"])
     if len(body["data"]) != n or len(body["x"]) != n:
-        remedy = f"{n} values are announced; write the file again"
+        remedy = f"the header states {n} values; export the file again"
         raise InputError("data", f"{source} data set {i} of {len(body['data'])} values", remedy)
     return np.asarray(body["x"], float), np.asarray(body["data"])
 
@@ -293,10 +293,10 @@ def _data_set(file: Any, i: int, head: Mapping[str, Any], source: Path) -> Colum
     node = f"node {head['rsp_node']}" if head["rsp_node"] else entity
     name = f"{label} {node}".strip() or str(head["id1"]).strip()
     flaws = {
-        f"a spectrum or another function (type {head['func_type']})": head["func_type"] not in (GENERAL, TIME_RESPONSE),
-        f"not over time (abscissa type {head['abscissa_spec_data_type']})":
+        f"not a time response (function type {head['func_type']})": head["func_type"] not in (GENERAL, TIME_RESPONSE),
+        f"not a function of time (abscissa type {head['abscissa_spec_data_type']})":
             head["abscissa_spec_data_type"] not in (UNKNOWN, TIME),
-        f"its times are in {clock}, not in s": clock.lower() not in ("", "s", "sec"),
+        f"times are in {clock}, not in s": clock.lower() not in ("", "s", "sec"),
         "complex values": head["ord_data_type"] in COMPLEX,
     }  # fmt: skip
     if any(flaws.values()):
@@ -307,12 +307,12 @@ def _data_set(file: Any, i: int, head: Mapping[str, Any], source: Path) -> Colum
 
 
 def _spectrum(file: Any, i: int, head: Mapping[str, Any], source: Path, si: bool) -> Spectrum:
-    """Return a frequency response with the units that the file gives: ``m/s^2`` and ``N``, or ``(m/s^2)/N`` in one."""
+    """Return a frequency response with its units, stated as ``m/s^2`` and ``N`` or as ``(m/s^2)/N``."""
     axis, unit, per = (_text(head, f"{key}_units_lab") for key in ("abscissa_axis", "ordinate_axis", "orddenom_axis"))
     remedy = {
-        "real values; both parts, or magnitude and phase, make a response: export it complex":
+        "the values are real; export complex frequency responses":
             head["ord_data_type"] not in COMPLEX,
-        "it is not over frequency in Hz; export it so":
+        "not a function of frequency in Hz; export frequency responses in Hz":
             head["abscissa_spec_data_type"] not in (UNKNOWN, FREQUENCY) or axis.lower() not in ("", "hz"),
     }  # fmt: skip
     for reason, holds in remedy.items():
@@ -321,15 +321,15 @@ def _spectrum(file: Any, i: int, head: Mapping[str, Any], source: Path, si: bool
     if not per and unit_of(unit) is None and "/" in unit:
         unit, per = unit.rsplit("/", 1)
     frequencies, values = _body(file, i, head, source)
-    said, force = (ORDINATES.get(int(head[f"{key}_spec_data_type"])) for key in ("ordinate", "orddenom"))
+    measures, force = (ORDINATES.get(int(head[f"{key}_spec_data_type"])) for key in ("ordinate", "orddenom"))
     units = SI_UNITS if si else {}
-    response = column_of(_place(head, "rsp"), values, unit or units.get(said or "", ""), said, frequencies)
+    response = column_of(_point(head, "rsp"), values, unit or units.get(measures or "", ""), measures, frequencies)
     per = per or units.get("force", "")
-    return Spectrum(response, column_of("", np.empty(0), per, force), _place(head, "ref"))
+    return Spectrum(response, column_of("", np.empty(0), per, force), _point(head, "ref"))
 
 
-def _place(head: Mapping[str, Any], which: str) -> str:
-    """Return node and direction as ``3 +Z``, or the name of the entity."""
+def _point(head: Mapping[str, Any], which: str) -> str:
+    """Return node and direction, such as ``3 +Z``, or the name of the entity."""
     direction = int(head[f"{which}_dir"])
     axis = DIRECTIONS[abs(direction)] if abs(direction) < len(DIRECTIONS) else ""
     node = str(head[f"{which}_node"]) if head[f"{which}_node"] else _text(head, f"{which}_ent_name")

@@ -1,4 +1,4 @@
-"""The table among the rows of a text or a sheet: rows of one width with numbers in the same columns, and its header."""
+"""Detection of the table in a text or sheet: rows of equal width with numbers in the same columns, and a header."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bench.records.reading.table import Table, check_size
 from bench.records.reading.units import unit_of
 
 Cell = float | str
-"""A number, NaN where it is missing, or else the text."""
+"""A number, NaN if it is missing, or a text."""
 MISSING = {
     "", "-", "--", "---", "nan", "na", "n/a", "null", "none", "#n/a", "#div/0!", "#value!", "#num!", "#ref!", "1.#qnan",
     "-1.#ind", "inf", "+inf", "-inf",
@@ -26,13 +26,13 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 LETTER = re.compile(r"[^\W\d_]")
 BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 HEADER_LINES = 30
-"""So far above a table a header is looked for, comments between them."""
+"""Number of lines above a table in which a header is sought."""
 OF_PREAMBLE = 2
-"""So many rows like those of the table, above a line of words, are of a preamble; more are a piece of a table."""
+"""Largest number of rows like those of the table that belong to a preamble, if a line of words follows them."""
 
 
 class TableRow(NamedTuple):
-    """Number of a row in the file, from 1, its cells, and a letter for each: a number, words, or "-" (missing)."""
+    """Number of a row in the file (from 1), its cells, and their kinds: "n" number, "w" words, "-" missing."""
 
     line: int
     cells: list[Cell]
@@ -40,12 +40,12 @@ class TableRow(NamedTuple):
 
     @property
     def texts(self) -> list[str]:
-        """The cells as text."""
+        """Cells as text."""
         return [cell if isinstance(cell, str) else f"{cell:g}" for cell in self.cells]
 
 
 class RowShape(NamedTuple):
-    """A letter for each column of a table, as of a row, the kinds of rows that fit, and how many rows do."""
+    """Kinds of the columns of a table (as those of a row), the kinds of rows that fit, and the number of such rows."""
 
     kinds: str = ""
     fitting: frozenset[str] = frozenset()
@@ -53,20 +53,20 @@ class RowShape(NamedTuple):
 
 
 class LineAbove(NamedTuple):
-    """A line above a table: the ways in which it may be cut into cells, and whether it is a comment."""
+    """Line above a table: possible divisions into cells, and whether it is a comment."""
 
     ways: Sequence[Sequence[str]]
     comment: bool = False
 
 
 def row_of(line: int, texts: Iterable[str], decimal: str = ".") -> TableRow:
-    """Return the row of cells that may be anything."""
+    """Return a row of texts, with numbers converted."""
     cells = [_cell(text, decimal) for text in texts]
     return TableRow(line, cells, "".join("w" if isinstance(c, str) else "-" if math.isnan(c) else "n" for c in cells))
 
 
 def _cell(text: str, decimal: str) -> Cell:
-    """Return the number that a text is (1.0D-03 too), NaN where it says missing, or the text."""
+    """Convert a text to a number (also 1.0D-03), to NaN if it denotes a missing value, or return the text."""
     text = text.strip().replace("−", "-")
     number = text if decimal == "." else text.replace(".", ";").replace(",", ".")
     if NUMBER.fullmatch(number):
@@ -75,7 +75,7 @@ def _cell(text: str, decimal: str) -> Cell:
 
 
 def shape_of(rows: Sequence[TableRow]) -> RowShape:
-    """Return the shape of most rows with numbers; a column is words where most of its cells are."""
+    """Return the shape of the majority of the rows with numbers; a column is words if most of its cells are."""
     counts = Counter(row.kinds for row in rows)
     widths: Counter[int] = Counter()
     for kinds, n in counts.items():
@@ -95,10 +95,19 @@ def shape_of(rows: Sequence[TableRow]) -> RowShape:
 def make_table(
     rows: Sequence[TableRow], shape: RowShape, bounds: tuple[int, int], above: Iterable[LineAbove], source: object
 ) -> Table:
-    """Return the table in the rows from one to another, under the names and units in the lines above it, nearest first.
+    """Return the table in a range of rows.
 
-    Columns of words have a flaw, empty ones at the end go; rows outside that are left out are noted. Raises InputError
-    for more of the table below.
+    Columns of words have a flaw, and empty columns at the end are dropped.
+
+    Args:
+        rows: All rows of the file.
+        shape: Shape of the table.
+        bounds: First row of the table, and the row after its last.
+        above: Lines above the table, nearest first, which may contain names and units.
+        source: Name of the file, for errors.
+
+    Raises:
+        InputError: Rows below the table also look like rows of the table.
     """
     first, last = bounds
     notes = _notes_of_rest(rows, first, last, shape, source)
@@ -116,10 +125,10 @@ def make_table(
 
 
 def bounds_of(rows: Sequence[TableRow], shape: RowShape, source: object) -> tuple[int, int]:
-    """Return the first row of a table and that behind its last; raises InputError for none and for a broken one."""
+    """Return the first row of a table and the row after its last; raises InputError for no or an invalid table."""
     fitting = [i for i, row in enumerate(rows) if row.kinds in shape.fitting]
     if not fitting:
-        raise InputError("data", source, "no rows of numbers are found in it; a table of times and values is needed")
+        raise InputError("data", source, "it has no rows of numbers; a table of times and values is needed")
     check_size(len(fitting), source)
     first, last = fitting[0], fitting[-1] + 1
     for i, j in pairwise(fitting[: OF_PREAMBLE + 1]):
@@ -127,39 +136,37 @@ def bounds_of(rows: Sequence[TableRow], shape: RowShape, source: object) -> tupl
             first = j
     for row in rows[first:last]:
         if row.kinds not in shape.fitting:
-            raise _broken(row, shape, source)
+            raise _invalid(row, shape, source)
     return first, last
 
 
 def _notes_of_rest(rows: Sequence[TableRow], first: int, last: int, shape: RowShape, source: object) -> tuple[str, ...]:
-    """Return notes of the rows around a table that are left out; raises InputError for more of it below."""
+    """Return notes on the ignored rows above and below a table; raises InputError for table rows below."""
     notes, below = [], rows[last:]
     for row in reversed(rows[:first]):
         numbers = re.split(r"[\s,;]+", " ".join(row.texts).replace("nan", "").strip())
         if "n" in row.kinds and all(map(NUMBER.fullmatch, numbers)):
-            notes.append(f"numbers above the table are left out: row {row.line}, {', '.join(numbers)}")
+            notes.append(f"numbers above the table are ignored: row {row.line}, {', '.join(numbers)}")
             break
     if len(below) == 1 and below[0].kinds == "n" * len(below[0].cells) and len(below[0].cells) < len(shape.kinds):
-        notes.append(f"the last row of the file is cut short and left out (row {below[0].line})")
+        notes.append(f"the last row of the file (row {below[0].line}) is incomplete and ignored")
     elif any(set(row.kinds) == {"n"} or len(row.cells) == len(shape.kinds) for row in below):
-        raise _broken(below[0], shape, source)
+        raise _invalid(below[0], shape, source)
     elif below:
-        notes.append(f"lines below the table are left out: {len(below)} from row {below[0].line}")
+        notes.append(f"lines below the table are ignored: {len(below)} from row {below[0].line}")
     return tuple(notes)
 
 
-def _broken(row: TableRow, shape: RowShape, source: object) -> InputError:
-    needed = f"{len(shape.kinds)} numbers are needed as in the rest of the table"
-    return InputError(
-        "data", f"{source} row {row.line}", f"{needed}, found {', '.join(row.texts)[:80]}; mend or remove it"
-    )
+def _invalid(row: TableRow, shape: RowShape, source: object) -> InputError:
+    remedy = f"{len(shape.kinds)} numbers are needed, not {', '.join(row.texts)[:80]}; correct or delete this row"
+    return InputError("data", f"{source} row {row.line}", remedy)
 
 
 def _heading(above: Iterable[LineAbove], shape: RowShape) -> tuple[list[str], list[str]]:
-    """Return names and units of columns from the lines above them, nearest first; empty where there are none.
+    """Return names and units of the columns from the lines above them (nearest first); empty without a header.
 
-    The first way to cut a line that fits the table's width holds. Comments, rulings and rows of numbers may stand
-    between the header and the table, and a line of names above a line of units.
+    The first division of a line that fits the width of the table is used. Comments, rules and rows of numbers may
+    separate the header from the table. The header may be a line of names above a line of units.
     """
     lines: list[list[str]] = []
     for line in islice(above, HEADER_LINES):
@@ -178,7 +185,7 @@ def _heading(above: Iterable[LineAbove], shape: RowShape) -> tuple[list[str], li
 
 
 def _header(way: Sequence[str], shape: RowShape) -> list[str]:
-    """Return a line's cells where they are as many as the table's columns and hold words, but no number; else none."""
+    """Return the cells of a line if their number is that of the columns and they have words but no numbers."""
     width, least = len(shape.kinds), len(shape.kinds.rstrip("-"))
     cells = [cell.strip() for cell in way]
     while len(cells) > width and not cells[-1]:
@@ -188,7 +195,7 @@ def _header(way: Sequence[str], shape: RowShape) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], names: Sequence[str]) -> bool:
-    """Return whether cells are units: all in brackets, all known, or one of time below a name for time."""
+    """Return whether cells are units: all in brackets, all known, or one of time below a name of time."""
     written = [cell for cell in cells if cell]
     if written and (all(map(BRACKETED.fullmatch, written)) or (len(written) > 1 and all(map(unit_of, written)))):
         return True

@@ -1,4 +1,4 @@
-"""A column and what its header says: a name, a unit, and what the two together say is measured."""
+"""Columns and the interpretation of their headers: name, unit and measured quantity."""
 
 from __future__ import annotations
 
@@ -22,18 +22,25 @@ NAMES: dict[Quantity | Literal["other"], str] = {
 WORDS = {word: quantity for quantity, words in NAMES.items() for word in words.split()}
 FIRST_LETTERS: dict[str, Quantity] = {**LETTERS, "y": "displacement", "z": "displacement", "F": "force"}
 SHORT = {"s", "m", "g", "mg", "in", "min", "us", "rev", "N"}
-"""Endings that are a unit only where the name says as much: ``x_m``, but not ``ch_m``."""
+"""Suffixes that are units only if the name agrees: ``x_m``, but not ``ch_m``."""
 WORD_ENDINGS = {"in", "min", "rev"}
-"""Endings that are words as well, so that a letter is no name to rely on: ``position_in``, but not ``x_in``."""
+"""Suffixes that are also words, for which a letter is not sufficient as a name: ``position_in``, but not ``x_in``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Numbers, NaN where one is missing, and their header as written with what it says.
+    """Column of a table.
 
-    ``label`` is the unit as written ("" without one), ``unit`` the one it is known as, ``says`` what the name says is
-    measured. ``times`` (s) are the column's own, where the file gives each column its clock; ``flaw`` says why the
-    column cannot be taken ("" if it can). Of numbers in SI ``label`` is the SI unit, ``written`` that of the file.
+    Attributes:
+        header: Header in the file.
+        values: Numbers, shape (n,), NaN if missing.
+        name: Header without the unit.
+        label: Unit in the header, "" without one; the SI unit after conversion.
+        unit: The unit, None if unknown.
+        says: Quantity according to the name.
+        times: Times (s) of the column, for formats in which each column has its own.
+        flaw: Reason for which the column cannot be used, "" if it can.
+        written: Unit in the file, after conversion to SI.
     """
 
     header: str
@@ -48,12 +55,12 @@ class Column:
 
     @property
     def certain(self) -> Quantity | None:
-        """Return what is measured, by the unit, unless the words of the name say something else."""
+        """Quantity according to the unit; None if the name contradicts it."""
         return self.unit.measures if self.unit and self.says in (None, self.unit.measures) else None
 
     @property
     def named(self) -> Quantity | None:
-        """Return what is measured, by the name alone: a word for it, or the letter of a role, maybe with a number."""
+        """Quantity according to the name: a word, or the letter of a role with an optional number."""
         match = re.fullmatch(r"([txvaf])\d*", self.name)
         if match and self.says is None:
             return LETTERS[match[1]]
@@ -61,7 +68,7 @@ class Column:
 
     @property
     def number(self) -> tuple[str, int] | None:
-        """Return the number that the name ends in, with what stands before it: ``("ch", 2)``."""
+        """Prefix and number of a numbered name, such as ``("ch", 2)``."""
         match = re.fullmatch(r"(.*?)[ _.#-]*(\d{1,3})", self.name)
         return (match[1].lower(), int(match[2])) if match else None
 
@@ -69,25 +76,34 @@ class Column:
 def column_of(
     header: str, values: np.ndarray, label: str = "", says: Said = None, times: np.ndarray | None = None, flaw: str = ""
 ) -> Column:
-    """Return the column under a header; what the file says of it elsewhere (``label``, ``says``) comes first."""
+    """Return the column of a header.
+
+    Args:
+        header: Header in the file.
+        values: Numbers, shape (n,).
+        label: Unit, if the file states it outside of the header.
+        says: Quantity, if the file states it.
+        times: Times of the column (s).
+        flaw: Reason for which the column cannot be used.
+    """
     header = " ".join(header.split())
     name, label = (header, label) if label else _name_and_label(header)
     says = says or _words(name)
     unit = unit_of(label.lower() if label in ("G", "mG") and says == "acceleration" else label)
     if label == "mg" and says != "acceleration":
-        unit = None  # a mass as likely
+        unit = None  # it may be a mass
     return Column(header, values, name, label, unit, says, times, flaw)
 
 
 def _words(name: str) -> Said:
-    """Return the one quantity that the words of a name speak of; None where there is none, or two."""
+    """Return the quantity that a name contains; None for no or several quantities."""
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
-    said = {WORDS[word.lower()] for word in words if word.lower() in WORDS}
-    return said.pop() if len(said) == 1 else None
+    quantities = {WORDS[word.lower()] for word in words if word.lower() in WORDS}
+    return quantities.pop() if len(quantities) == 1 else None
 
 
 def _name_and_label(header: str) -> tuple[str, str]:
-    """Return a header in two: name and unit, as in ``t [s]``, ``Force/N``, ``Angle, deg`` and ``time_ms``."""
+    """Split a header into name and unit: ``t [s]``, ``Force/N``, ``Angle, deg``, ``time_ms``."""
     for match in reversed(list(re.finditer(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)", header))):
         label = (match[1] or match[2] or "").strip()
         if unit_of(label) or (match.end() == len(header) and label not in ("", "-")):
@@ -99,7 +115,7 @@ def _name_and_label(header: str) -> tuple[str, str]:
 
 
 def _by_underscores(header: str) -> tuple[str, str] | None:
-    """``v_m_s`` and ``v_m_per_s`` are in m/s, ``theta_rad_from_rest`` in rad; a short ending needs a name to fit."""
+    """Split a header at underscores: ``v_m_s`` and ``v_m_per_s`` are in m/s, ``theta_rad_from_rest`` in rad."""
     parts = header.replace("_per_", "_").split("_")
     last = len(parts) - 1
     if last > 1 and _fits(parts[:1], label := f"{parts[-2]}/{parts[-1]}", False):
@@ -113,7 +129,7 @@ def _by_underscores(header: str) -> tuple[str, str] | None:
 
 
 def _fits(name: list[str], label: str, must_say: bool) -> bool:
-    """Return whether a label is a unit of what a name says, or may be where it says nothing."""
+    """Return whether a label is a unit of the quantity in a name; ``must_say``: whether the name must have one."""
     letter = None if label in WORD_ENDINGS else FIRST_LETTERS.get(name[0].rstrip("0123456789"))
-    unit, said = unit_of(label), _words("_".join(name)) or letter
-    return unit is not None and (said == unit.measures or (said is None and not must_say))
+    unit, quantity = unit_of(label), _words("_".join(name)) or letter
+    return unit is not None and (quantity == unit.measures or (quantity is None and not must_say))

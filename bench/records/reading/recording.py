@@ -1,4 +1,4 @@
-"""A table of a measured record, from a file or from arrays, to signals in SI units, each with its times."""
+"""Conversion of files and arrays to recordings: signals in SI units with their times."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from bench.records.reading.units import MEASURED_BY
 
 NO_OPTIONS = ReadOptions()
 Clocked = tuple[np.ndarray, np.ndarray, float]
-"""The samples that are kept, their times (s), and the relative error of their rate."""
+"""Indices of the kept samples, their times (s), and the relative error of the sampling rate."""
 LARGEST, SMALLEST = 1e15, 1e-30
-"""In SI units: squares of larger or smaller numbers leave the range of floating point."""
+"""Limits of values in SI units, whose squares must be floating-point numbers."""
 LEAST_RUN = 10
-"""Samples of a run; time that goes back sooner is out of order."""
+"""Least samples of a run; if the time decreases after fewer samples, they are out of order."""
 ARRAYS = {"times": "s", "displacement": "m", "force": "N"}
-"""Units of arrays from Python."""
+"""Units of arrays in calls from Python."""
 TRIALS = {"trial", "trials", "run", "experiment", "test"}
-"""Headers of a column that counts the runs in a file."""
+"""Headers of columns that number the runs in a file."""
 
 
 def read_recordings(path: Path, options: ReadOptions = NO_OPTIONS) -> tuple[Recording, ...]:
     """Read the records in a file (text, xlsx, xls, mat, npz, npy, Parquet, UFF 58, TDMS, wav).
 
-    A file holds several where a column named ``trial`` or ``run`` counts them, or where its time starts again.
+    A file has several records if a column named ``trial`` or ``run`` numbers them, or if its time decreases.
 
     Args:
-        path: the file
-        options: what the user says of it; by default the file must say itself what its columns are
+        path: Path of the file.
+        options: Columns, units and other properties that the file does not state.
 
     Returns:
-        the signals of each; those with a known unit are in SI
+        The recordings; signals with a known unit are in SI units.
 
     Raises:
-        InputError: in one line, what is wrong or not certain and what to add.
+        InputError: The file is invalid or ambiguous; the message says what to add.
     """
     table, sha256 = read_file(path)
     return recordings_of(table, options, str(path), sha256)
 
 
 def read_recording(path: Path, options: ReadOptions = NO_OPTIONS) -> Recording:
-    """Read the one record in a file, as :func:`read_recordings`; raises InputError for several, too."""
+    """Read a file with a single record, see :func:`read_recordings`; raises InputError for several records."""
     return _only(read_recordings(path, options))
 
 
@@ -62,19 +62,23 @@ def of_arrays(
     force: ArrayLike | None = None,
     options: ReadOptions = NO_OPTIONS,
 ) -> Recording:
-    """Return the record in arrays of one length: times (s, or dates), m and N; raises InputError."""
+    """Return the recording of arrays.
+
+    Args:
+        times: Times (s) or dates, shape (n,).
+        displacement: Displacements (m), shape (n,).
+        force: Forces (N), shape (n,).
+        options: Preparation of the record.
+
+    Raises:
+        InputError: An array is not of real, finite numbers, or has another length than the times.
+    """
     table = _table_of({"times": times, "displacement": displacement, "force": force})
     return _only(recordings_of(table, options, "arrays"))
 
 
 def _table_of(arrays: Mapping[str, ArrayLike | None]) -> Table:
-    """Return the table of arrays of one length (times, displacement, force) in SI units.
-
-    Times may be dates or differences of dates. A masked sample is missing, which is noted.
-
-    Raises:
-        InputError: an array is not one of real, finite numbers, or of another length than the times.
-    """
+    """Return the table of arrays, see :func:`of_arrays`; masked samples are missing."""
     columns: list[Column] = []
     notes: list[str] = []
     for name, given in arrays.items():
@@ -83,33 +87,33 @@ def _table_of(arrays: Mapping[str, ArrayLike | None]) -> Table:
         mask = np.ma.getmaskarray(given) if np.ma.isMaskedArray(given) else np.zeros(np.shape(given), dtype=bool)
         values = _numbers(name, np.ma.getdata(given) if mask.any() else given, notes)
         if values.ndim != 1 or (columns and values.size != columns[0].values.size):
-            raise InputError(name, f"array of shape {values.shape}", "one-dimensional, with a number for each time")
+            raise InputError(name, f"array of shape {values.shape}", "use a vector with a number for each time")
         check_size(values.size, name)
         bad = ~np.isfinite(values) & ~mask
         if bad.any():
-            raise InputError(name, "array", f"sample {np.argmax(bad)} is not finite; leave it out")
+            raise InputError(name, "array", f"sample {np.argmax(bad)} is not finite; mask or remove it")
         if mask.any():
-            notes.append(f"{name}: {np.sum(mask)} of {mask.size} samples are masked and left out")
+            notes.append(f"{name}: {np.sum(mask)} of {mask.size} samples are masked and ignored")
         columns.append(column_of(name, np.where(mask, np.nan, values), ARRAYS[name]))
     return Table(tuple(columns), tuple(notes))
 
 
 def _numbers(name: str, given: ArrayLike, notes: list[str]) -> np.ndarray:
-    """Return real numbers as they are, and dates as seconds since the first."""
+    """Return an array of real numbers; dates are converted to seconds since the first."""
     try:
         values = np.asarray(given)
         first = values.flat[0] if values.size else None
         moments = isinstance(first, np.datetime64) or hasattr(first, "year")
         if moments or isinstance(first, np.timedelta64) or hasattr(first, "total_seconds"):
             if name != "times":
-                raise InputError(name, "array", "dates are no samples; numbers are needed")
-            import pandas as pd  # slow to import, and few need it
+                raise InputError(name, "array", "it contains dates; numbers are needed")
+            import pandas as pd  # slow to import
 
             dates = pd.to_datetime(values, utc=True) if moments else pd.to_timedelta(values)
-            notes.append(f"times are {'dates' if moments else 'time differences'}: they count in s from the first")
+            notes.append(f"times are {'dates' if moments else 'time differences'}, converted to s since the first")
             return np.asarray((dates - dates[0]) / pd.Timedelta(seconds=1), dtype=float)
         if np.iscomplexobj(values) or (values.dtype == object and any(isinstance(v, complex) for v in values.flat)):
-            raise InputError(name, "array", "complex numbers are no samples; give their real or imaginary part")
+            raise InputError(name, "array", "it contains complex numbers; use their real or imaginary part")
         return np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError, IndexError) as error:
         if isinstance(error, InputError):
@@ -120,16 +124,26 @@ def _numbers(name: str, given: ArrayLike, notes: list[str]) -> np.ndarray:
 def _only(recordings: Sequence[Recording]) -> Recording:
     if len(recordings) > 1:
         source = recordings[0].source.removesuffix(" run 1")
-        remedy = "where its time goes back, or a trial is counted, another begins; give one of them"
-        raise InputError("data", source, f"it holds {len(recordings)} runs: {remedy}")
+        remedy = "its time decreases, or a column numbers the runs; use a file with a single one"
+        raise InputError("data", source, f"it has {len(recordings)} runs: {remedy}")
     return recordings[0]
 
 
 def recordings_of(table: Table, options: ReadOptions, source: str, sha256: str = "") -> tuple[Recording, ...]:
-    """Return the records in the table of a file, as :func:`read_recordings`."""
+    """Return the recordings in the table of a file, see :func:`read_recordings`.
+
+    Args:
+        table: Columns of the file.
+        options: Properties that the file does not state.
+        source: Name of the file.
+        sha256: Digest of its bytes.
+
+    Raises:
+        InputError: The table is invalid or ambiguous.
+    """
     if table.spectra and all(column.flaw for column in table.columns):
         raise InputError(
-            "data", source, "it holds frequency responses, no records in time; add modes=auto for their modes"
+            "data", source, "it has frequency responses but no time records; add modes=auto to identify modes"
         )
     n, block = len(table.columns), _block(table, options)
     if block < n:
@@ -149,23 +163,23 @@ def recordings_of(table: Table, options: ReadOptions, source: str, sha256: str =
     recordings = []
     for k, (first, last) in enumerate(pairwise([0, *starts, n]), 1):
         parts = {role: replace(column, values=column.values[first:last]) for role, column in columns.items()}
-        said = f"run {k} of {len(starts) + 1}: rows {rows[first]} to {rows[last - 1]}"
-        run = _Run(parts, options, f"{source} run {k}", [*notes, said], rows[first:last])
+        note = f"run {k} of {len(starts) + 1}: rows {rows[first]} to {rows[last - 1]}"
+        run = _Run(parts, options, f"{source} run {k}", [*notes, note], rows[first:last])
         recordings.append(run.recording(sha256, error))
     return tuple(recordings)
 
 
 def _block(table: Table, options: ReadOptions) -> int:
-    """Return after how many signals with times of their own the same come again, as those of a further blow."""
+    """Return the number of columns after which the headers repeat, such as those of further blows."""
     n, headers = len(table.columns), [column.header for column in table.columns]
     last = max((int(key) for key in options.columns.values() if str(key).isdigit()), default=0)
-    own = all(column.times is not None for column in table.columns)
-    blocks = (p for p in range(max(last + 1, 2), n) if own and n % p == 0 and headers == headers[:p] * (n // p))
+    timed = all(column.times is not None for column in table.columns)
+    blocks = (p for p in range(max(last + 1, 2), n) if timed and n % p == 0 and headers == headers[:p] * (n // p))
     return next((p for p in blocks if len(set(headers[:p])) > 1), n)
 
 
 def _starts(table: Table, columns: Mapping[str, Column], n: int, source: str) -> list[int]:
-    """Return the samples at which further runs begin: where a trial's number or the time says so."""
+    """Return the samples at which further runs begin, by the number of a trial or a decreasing time."""
 
     def long_enough(starts: Collection[int]) -> bool:
         return min(last - first for first, last in pairwise([0, *sorted(starts), n])) >= LEAST_RUN
@@ -175,7 +189,7 @@ def _starts(table: Table, columns: Mapping[str, Column], n: int, source: str) ->
         if column.header.lower() in TRIALS and not column.flaw and column.values.size == n:
             starts |= set((np.flatnonzero(np.diff(column.values)) + 1).tolist())
             if starts and not long_enough(starts):
-                remedy = f"column '{column.header}' counts several records; keep one of them in a file of its own"
+                remedy = f"column '{column.header}' numbers several records; save one of them in a separate file"
                 raise InputError("data", source, remedy)
     if "t" in columns:
         there = np.flatnonzero(np.isfinite(columns["t"].values))
@@ -186,7 +200,7 @@ def _starts(table: Table, columns: Mapping[str, Column], n: int, source: str) ->
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """Columns of one record by role, in SI but for the times; ``notes`` grow with what is done to them."""
+    """Columns of a record by role, in SI units except for the times; methods append to ``notes``."""
 
     columns: Mapping[str, Column]
     options: ReadOptions
@@ -195,7 +209,7 @@ class _Run:
     rows: np.ndarray | None
 
     def recording(self, sha256: str, rate_error: float) -> Recording:
-        """Return the signals with their times from the first sample on; raises InputError."""
+        """Return the signals, with times since the first sample; raises InputError."""
         measured = {role: column for role, column in self.columns.items() if role != "t"}
         time, shared = self.columns.get("t"), None
         if time is not None:
@@ -203,9 +217,9 @@ class _Run:
             shared = self._times(time.values, time.unit.size, list(measured.values()))
         signals = []
         for role, column in measured.items():
-            samples, times, error = shared or self._own_times(column)
-            there = self._there(role, column.values[samples])
-            values, times = column.values[samples][there], times[there]
+            samples, times, error = shared or self._column_times(column)
+            present = self._present(role, column.values[samples])
+            values, times = column.values[samples][present], times[present]
             size = 1.0 if column.unit is None else column.unit.size
             measures, dof = MEASURED_BY[role[0]], slot(role)[1]
             signals.append(Signal(role, measures, dof, values, column.label, times, column.written, size))
@@ -219,14 +233,14 @@ class _Run:
         return InputError("data", self.source + place, remedy)
 
     def _check_size(self, name: str, values: np.ndarray) -> None:
-        """Raise InputError for numbers in SI units whose squares are none any more."""
+        """Raise InputError for values (SI units) beyond the limits."""
         largest = float(np.max(np.abs(values)))
         if largest > LARGEST or 0 < largest < SMALLEST:
             allowed = f"from {SMALLEST:g} to {LARGEST:g}, see units="
             raise self._error(f"{name} is up to {largest:.3g} in SI units; {allowed}")
 
-    def _own_times(self, column: Column) -> Clocked:
-        """Return the times of a signal where no column has them: by rate=, or as the file gives them."""
+    def _column_times(self, column: Column) -> Clocked:
+        """Return the times of a signal without a time column: by rate=, or those stored with the signal."""
         if self.options.rate is not None:
             times = np.arange(column.values.size) / self.options.rate
             inside = self._inside(times)
@@ -235,41 +249,41 @@ class _Run:
         return self._times(column.times, 1.0, [column])
 
     def _times(self, stamps: np.ndarray, unit: float, signals: Sequence[Column]) -> Clocked:
-        """Return times from stamps in a unit of so many seconds; raises InputError where they do not grow."""
+        """Convert time stamps in a unit (s) to times; raises InputError if they decrease or repeat."""
         kept = np.flatnonzero(np.isfinite(stamps))
         if kept.size < stamps.size:
-            self.notes.append(f"rows without a time are left out: {stamps.size - kept.size} of {stamps.size}")
+            self.notes.append(f"rows without a time are ignored: {stamps.size - kept.size} of {stamps.size}")
         if not kept.size:
-            raise self._error("the column of the time holds no number; name another with columns=t:…")
+            raise self._error("the column of the time has no numbers; name another by columns=t:…")
         self._check_size("t", stamps[kept] * unit)
         for i in np.flatnonzero(np.diff(stamps[kept]) < 0)[:1]:
             pair = f"{stamps[kept[i]]:.10g} to {stamps[kept[i + 1]]:.10g}"
-            remedy = "sort the rows, or keep one record in a file, or give rate= for the time"
-            raise self._error(f"time goes back from {pair}; {remedy}", int(kept[i + 1]))
+            remedy = "sort the rows, use one record per file, or replace the time by rate="
+            raise self._error(f"time decreases from {pair}; {remedy}", int(kept[i + 1]))
         kept = self._without_copies(stamps, kept, signals)
         clock = rebuilt(stamps[kept], unit)
         if clock.rate_error > UNDETERMINED:
-            few = f"its {np.unique(stamps[kept]).size} distinct time stamps"
-            remedy = f"{few} leave the sampling rate open by {100 * clock.rate_error:.0f} %; give rate= (Hz)"
+            few = f"{np.unique(stamps[kept]).size} distinct time stamps"
+            remedy = f"{few} determine the sampling rate only to {100 * clock.rate_error:.0f} %; add rate= (Hz)"
             raise self._error(remedy)
         self.notes.extend(clock.notes)
         for i in kept[1:][np.diff(clock.times) <= 0]:
-            remedy = "repeats and no even sampling explains it; give rate= in place of the time"
+            remedy = "occurs repeatedly, and the sampling is not even; replace the time by rate="
             raise self._error(f"time {stamps[i]:.10g} {remedy}", int(i))
         inside = self._inside(stamps[kept] * unit)
         return kept[inside], clock.times[inside], clock.rate_error
 
     def _without_copies(self, stamps: np.ndarray, kept: np.ndarray, signals: Sequence[Column]) -> np.ndarray:
-        """Return samples without those that repeat the row before them, where all stamps that repeat are such rows."""
+        """Return samples without duplicates of the row before, if all repeated time stamps are duplicate rows."""
         again = np.flatnonzero(np.diff(stamps[kept]) == 0) + 1
         pairs = [(signal.values[kept[again]], signal.values[kept[again - 1]]) for signal in signals]
         if not again.size or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
             return kept
-        self.notes.append(f"rows that repeat the row before them are left out: {again.size} of {kept.size}")
+        self.notes.append(f"duplicate rows are ignored: {again.size} of {kept.size}")
         return np.delete(kept, again)
 
     def _inside(self, stamps: np.ndarray) -> np.ndarray:
-        """Return the numbers of the stamps (s) from ``from`` to ``to``."""
+        """Return the indices of the time stamps (s) from ``from`` to ``to``."""
         first, last = float(stamps[0]), float(stamps[-1])
         room = 1e-9 * max(abs(first), abs(last))
         for name, value in (("from", self.options.start), ("to", self.options.end)):
@@ -279,12 +293,12 @@ class _Run:
         end = last if self.options.end is None else self.options.end
         return np.flatnonzero((stamps >= start - room) & (stamps <= end + room))
 
-    def _there(self, role: str, values: np.ndarray) -> np.ndarray:
-        """Return which values are not missing; raises InputError for too few, and for none that can be squared."""
-        there = np.isfinite(values)
-        if not there.all():
-            self.notes.append(f"{role}: {np.sum(~there)} of {there.size} values are missing and left out")
-        if np.sum(there) < MIN_SAMPLES:
-            raise self._error(f"{np.sum(there)} samples of {role}; at least {MIN_SAMPLES} are needed")
-        self._check_size(role, values[there])
-        return there
+    def _present(self, role: str, values: np.ndarray) -> np.ndarray:
+        """Return a mask of the values that are not missing; raises InputError for too few or too large ones."""
+        present = np.isfinite(values)
+        if not present.all():
+            self.notes.append(f"{role}: {np.sum(~present)} of {present.size} values are missing and ignored")
+        if np.sum(present) < MIN_SAMPLES:
+            raise self._error(f"{np.sum(present)} samples of {role}; at least {MIN_SAMPLES} are needed")
+        self._check_size(role, values[present])
+        return present

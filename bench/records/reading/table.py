@@ -1,4 +1,4 @@
-"""What the user says of a file, and what reading makes of it: a table of columns first, then signals over time."""
+"""Reading options, and the results of reading: a table of columns, and a recording of signals."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from bench.records.reading.headings import Column
 from bench.records.reading.units import Measures
 
 MAX_ROWS, MAX_COLUMNS, MAX_VALUES = 1_000_000, 64, 20_000_000
-"""Of a table; a matrix wider than that is a picture, no set of signals. All values together take 160 MB."""
+"""Limits of a table; a wider matrix is not a set of signals. The values need 160 MB at most."""
 PREAMBLE = 10_000
-"""Rows of a text or a sheet that need not be of the table."""
+"""Rows of a text or sheet in addition to the table."""
 LISTED = 24
-"""Columns that an error names."""
+"""Largest number of columns that an error lists."""
 ROLE = re.compile(r"t|b|[xvaf](?:[1-9]\d?)?")
 ROLES = "t, x, v, a, f, b (the base) and x1, x2, …, v1, … with the number of a DOF"
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the user says of a file, where it does not say so itself or holds more than is wanted.
+    """Properties of a file that it does not state, and its preparation.
 
     Args:
-        columns: number (from 0) or header of the column of each role, as ``{"t": 0, "x": 3}``; no other is then read
-        units: unit of a role, as ``{"t": "ms", "x": "mm"}``
-        rate: samples a second, where no column is the time
-        start: keep from here, in seconds of the record's own clock
-        end: keep up to here
-        decimate: keep every n-th sample, after a low-pass filter
-        detrend: take the drift of the sensors away; by default where it is significant
-        sensors: several columns of one quantity are sensors of one motion, and in any unit or none
+        columns: Number (from 0) or header of the column of each role, such as ``{"t": 0, "x": 3}``; others are ignored.
+        units: Unit of a role, such as ``{"t": "ms", "x": "mm"}``.
+        rate: Sampling rate (1/s), if no column is the time.
+        start: Time (s) of the first sample to keep, on the record's clock.
+        end: Time (s) of the last sample to keep.
+        decimate: Keep every n-th sample, after a low-pass filter.
+        detrend: Remove linear drift of the sensors; None to do so if it is significant.
+        sensors: Whether several columns of a quantity are sensors of one motion; their unit may be unknown.
 
     Raises:
-        InputError: a role that does not exist or is given twice, or a number that cannot be meant.
+        InputError: A role is unknown or occurs twice, or a number is out of range.
     """
 
     columns: Mapping[str, int | str] = field(default_factory=dict)
@@ -56,25 +56,25 @@ class ReadOptions:
                 raise InputError(name, bad[0], f"roles are {ROLES}")
             slots = [slot(role) for role in roles]
             if twice := [role for role in roles if slots.count(slot(role)) > 1]:
-                raise InputError(name, ", ".join(twice), "they are the same role; give one")
+                raise InputError(name, ", ".join(twice), "these are the same role; use one")
         if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
-            raise InputError("rate", self.rate, "a positive number of samples a second is needed")
+            raise InputError("rate", self.rate, "a positive sampling rate (1/s) is needed")
         for name, value in (("from", self.start), ("to", self.end)):
             if value is not None and not math.isfinite(value):
                 raise InputError(name, value, "a time in seconds is needed")
         if self.decimate < 1:
-            raise InputError("decimate", self.decimate, "a whole number from 1 on: every n-th sample is kept")
+            raise InputError("decimate", self.decimate, "a whole number of at least 1 is needed")
         if self.start is not None and self.end is not None and self.start >= self.end:
-            raise InputError("from", self.start, f"it must be before to={self.end:g}")
+            raise InputError("from", self.start, f"it must be less than to={self.end:g}")
 
     def unit(self, role: str) -> str:
-        """Return the unit given for a role, or for all of its letter; "" without one."""
+        """Return the unit of a role in ``units``, or that of its letter; "" without one."""
         given = (unit for other, unit in self.units.items() if slot(other) == slot(role))
         return next(given, self.units.get(role[0], ""))
 
 
 def slot(role: str) -> tuple[str, int]:
-    """Return letter and DOF (from 0) of a role; x and x1 are the same."""
+    """Return letter and DOF (from 0) of a role; x and x1 are equal."""
     return role[0], int(role[1:] or 1) - 1
 
 
@@ -95,9 +95,14 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns, what was done to get them, the row of the file of each sample, and what else the file holds.
+    """Content of a file.
 
-    ``spectra`` are no columns in time.
+    Attributes:
+        columns: Columns.
+        notes: Sentences on the reading.
+        rows: Number of the row in the file of each sample.
+        contents: Variables and their shapes, for formats of named arrays.
+        spectra: Frequency responses.
     """
 
     columns: tuple[Column, ...]
@@ -107,7 +112,7 @@ class Table:
     spectra: tuple[Spectrum, ...] = ()
 
     def listing(self) -> str:
-        """The columns by number and header, or the variables and their shapes, for an error."""
+        """Return the columns by number and header, or the variables and their shapes, for errors."""
         n = len(self.columns)
         if self.contents:
             return self.contents
@@ -119,11 +124,17 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One measured quantity over time.
+    """Measured quantity over time.
 
-    ``dof`` counts from 0; ``unit`` is in SI ("rad", "N·m" and so on where it turns), or the label as written where it
-    is no known unit; ``written`` is the unit in the file, and ``size`` one of it in SI. ``times`` (s) count from the
-    first kept sample of the recording; a signal with missing values has fewer samples than others.
+    Attributes:
+        role: Role of the column.
+        measures: Quantity.
+        dof: Degree of freedom, from 0.
+        values: Samples, shape (n,).
+        unit: SI unit ("rad", "N·m" etc. for rotations), or the unit of the file if it is unknown.
+        times: Times (s) since the first kept sample of the recording, shape (n,).
+        written: Unit in the file.
+        size: Size of this unit in SI units.
     """
 
     role: str
@@ -138,9 +149,14 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The signals of a file, what was done to it beyond reading it, where it is from, and the sha256 of its bytes.
+    """Signals of a record.
 
-    ``rate_error`` is the relative standard uncertainty of the sampling rate that coarse time stamps leave.
+    Attributes:
+        signals: Signals.
+        notes: Sentences on the reading and preparation.
+        source: Name of the file.
+        sha256: Digest of its bytes.
+        rate_error: Relative standard uncertainty of the sampling rate, due to rounded time stamps.
     """
 
     signals: tuple[Signal, ...]
@@ -151,9 +167,9 @@ class Recording:
 
 
 def check_size(rows: int, source: object, values: int = 0) -> None:
-    """Raise InputError where a file has more rows, or more numbers in all, than are read."""
+    """Raise InputError for a file with too many rows or values."""
     if rows > MAX_ROWS:
-        raise InputError("data", source, f"{rows} rows; at most {MAX_ROWS}, thin the record or cut a part out of it")
+        raise InputError("data", source, f"{rows} rows; at most {MAX_ROWS}: shorten or decimate the record")
     if values > MAX_VALUES:
-        remedy = f"{values} numbers in all; at most {MAX_VALUES}, keep the columns that matter or thin the record"
+        remedy = f"{values} numbers; at most {MAX_VALUES}: delete columns that are not needed, or decimate the record"
         raise InputError("data", source, remedy)

@@ -1,4 +1,4 @@
-"""Records written as text: the encoding, the separator and the decimal mark are found in the file itself."""
+"""Reader of text files, with detection of the encoding, the separator and the decimal mark."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from bench.records.reading.table import PREAMBLE, Table, check_size
 COMMENTS = ("#", "%", "!", "//")
 LOOKED_AT = 4096
 HEAD_LETTERS = 100_000
-"""So much of a text shows whether its rows end in a mark."""
+"""Number of first characters that are examined for semicolons at the ends of rows."""
 SAMPLED = 3000
-"""About so many lines, evenly over the file, show how it is written."""
+"""Approximate number of lines, distributed over the file, by which its format is determined."""
 LONGEST_LINE = 32_768
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 Lines = Sequence[tuple[int, str]]
-"""Lines with their numbers in the file."""
+"""Lines and their numbers in the file."""
 
 
 class Format(NamedTuple):
-    """What stands between cells (None for blanks) and before the decimals."""
+    """Separator of cells (None for blanks) and decimal mark."""
 
     separator: str | None
     decimal: str
 
     def fields(self, line: str) -> list[str]:
-        """Return the cells of a line as text; quotes keep separators inside a cell."""
+        """Return the cells of a line as text; separators inside quotes do not separate."""
         if self.separator is None:
             return line.replace('"', " ").split()
         if '"' not in line:
@@ -42,11 +42,11 @@ class Format(NamedTuple):
         return next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
 
     def row(self, number: int, line: str) -> TableRow:
-        """Return the row of a line; what is no number in this format is text."""
+        """Return the row of a line; cells that are not numbers in this format are texts."""
         simple = line
         if self.decimal == ",":
             simple = '"' if "." in line or self.separator == "," else line.replace(",", ".")
-        if not any(letter in simple for letter in '"_n'):  # fast, and of numbers alone
+        if not any(letter in simple for letter in '"_n'):  # the fast path for rows of numbers
             with suppress(ValueError):
                 cells: list[Cell] = [float(text) for text in simple.split(self.separator)]
                 return TableRow(number, cells, sys.intern("n" * len(cells)))
@@ -61,12 +61,12 @@ def read_text(data: bytes, source: object) -> Table:
     """Return the table in the bytes of a text.
 
     Raises:
-        InputError: it is no text, holds no table, or more than one reading is possible.
+        InputError: The file is not a text, has no table, or is ambiguous.
     """
     text = decode(data, source).replace("\r\n", "\n").replace("\r", "\n")
-    lines = _without_marks_of_rows(text).split("\n")
+    lines = _without_row_ends(text).split("\n")
     if (longest := max(map(len, lines))) > LONGEST_LINE:
-        remedy = f"a line of {longest} letters; at most {LONGEST_LINE}, a row has a few columns"
+        remedy = f"a line has {longest} characters; at most {LONGEST_LINE} are allowed"
         raise InputError("data", source, remedy)
     body = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not _is_comment(line)]
     if not body:
@@ -83,14 +83,14 @@ def read_text(data: bytes, source: object) -> Table:
     sample = [lines[row.line - 1] for row in rows[first:last][:SAMPLED]]
     if form.decimal == ",":
         _check_thousands(sample, form, source)
-        return replace(table, notes=(*table.notes, "commas are read as decimal marks"))
+        return replace(table, notes=(*table.notes, "commas were read as decimal marks"))
     if form.separator == ",":
         _check_commas(sample, len(shape.kinds), next(_above(lines[: rows[first].line - 1], form), None), source)
     return table
 
 
 def decode(data: bytes, source: object) -> str:
-    """Return the text of bytes in UTF-8, UTF-16 (with a mark or without) or Windows-1252; raises InputError."""
+    """Decode bytes in UTF-8, UTF-16 (with or without a byte-order mark) or Windows-1252; raises InputError."""
     zeros = [data[k:LOOKED_AT:2].count(0) > 0.4 * len(data[k:LOOKED_AT:2]) for k in (0, 1)]
     encodings = ["utf-8-sig", "cp1252", "latin-1"]
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -99,15 +99,15 @@ def decode(data: bytes, source: object) -> str:
         encodings = ["utf-16-le" if zeros[1] else "utf-16-be"]
     for encoding in encodings:
         with suppress(UnicodeDecodeError):
-            text = data.decode(encoding).rstrip("\0")  # loggers fill up a block with zeros
+            text = data.decode(encoding).rstrip("\0")  # some loggers pad blocks with zeros
             if not re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]", text):
                 return text.replace("\x1a", "")
     kinds = "text, xlsx, xls, mat, npz, npy, Parquet, UFF 58, TDMS or wav"
-    raise InputError("data", source, f"it is a binary file of no known kind; {kinds} is read")
+    raise InputError("data", source, f"unknown binary format; supported: {kinds}")
 
 
-def _without_marks_of_rows(text: str) -> str:
-    """Return a matrix as MATLAB and others write it, ``[1 2; 3 4];``, as rows: a semicolon that only ends rows goes."""
+def _without_row_ends(text: str) -> str:
+    """Remove semicolons and brackets of a matrix in MATLAB syntax, ``[1 2; 3 4];``, and semicolons that end rows."""
     ends, matrix = re.compile(r";[ \t]*$", re.M), re.match(r"((?:\s*[#%!/].*\n)*)\s*(?:\w+\s*=\s*)?\[", text)
     if matrix and (inside := text[matrix.end() :].rstrip(" \t\n;")).endswith("]"):
         return matrix[1] + ends.sub("", inside[:-1]).replace(";", "\n")
@@ -120,9 +120,9 @@ def _is_comment(line: str) -> bool:
 
 
 def format_of(body: Lines) -> Format:
-    """Return the separator and decimal mark under which most rows are alike, of those with the fewest words in them.
+    """Return the separator and decimal mark for which most rows have equal shapes, with the fewest texts.
 
-    A single column with decimal commas is not among them: its commas may as well separate two.
+    A single column with decimal commas is excluded, as its commas may separate two columns.
     """
     sample = body[:: 1 + len(body) // SAMPLED]
     shapes = {form: shape_of([form.row(*line) for line in sample]) for form in FORMATS}
@@ -134,7 +134,7 @@ def format_of(body: Lines) -> Format:
 
 
 def _fixed_width(body: Lines, form: Format, rows: list[TableRow], shape: RowShape) -> tuple[list[TableRow], RowShape]:
-    """Return rows cut where no line has a character, where that makes more of them alike: blanks may be missing."""
+    """Return rows cut at fixed positions, where no line has a character, if more rows then have equal shapes."""
     numeric = [line for (_, line), row in zip(body, rows, strict=True) if "w" not in row.kinds]
     used = {i for line in numeric for match in re.finditer(r"\S+", line) for i in range(*match.span())}
     ruler = "".join("x" if i in used else " " for i in range(max(used, default=0) + 1))
@@ -151,10 +151,7 @@ def _fixed_width(body: Lines, form: Format, rows: list[TableRow], shape: RowShap
 
 
 def _above(lines: Sequence[str], form: Format) -> Iterator[LineAbove]:
-    """Yield the lines above a table, nearest first, cut as the table is, by wide blanks, and by other separators.
-
-    Blanks inside brackets do not cut.
-    """
+    """Yield the lines above a table, nearest first, divided as the table, at wide blanks, or at other separators."""
     for line in filter(str.strip, reversed(lines)):
         text = line.strip().lstrip("".join(COMMENTS)).strip() if _is_comment(line) else line
         wide = re.split(r"\s{2,}|\t", text.strip())
@@ -164,14 +161,14 @@ def _above(lines: Sequence[str], form: Format) -> Iterator[LineAbove]:
 
 
 def _check_thousands(sample: Sequence[str], form: Format, source: object) -> None:
-    """Refuse numbers that all look like 1,234."""
+    """Raise InputError if all numbers look like 1,234."""
     commas = [text.strip() for line in sample for text in form.fields(line) if "," in text]
     if commas and all(map(THOUSANDS.fullmatch, commas)):
-        raise InputError("data", source, f"{commas[0]} may mean thousands or decimals; write it as 1.234 or as 1234")
+        raise InputError("data", source, f"the comma of {commas[0]} is ambiguous; write 1.234 or 1234")
 
 
 def _check_commas(sample: Sequence[str], width: int, above: LineAbove | None, source: object) -> None:
-    """Refuse ``0,5`` where it may be one number as well as two: whole numbers in pairs, and no header that fits."""
+    """Raise InputError if ``0,5`` may be one number or two: pairs of whole numbers without a fitting header."""
     cells = [[text.strip() for text in line.split(",")] for line in sample]
     pairs = [pair for row in cells for pair in zip(row[::2], row[1::2], strict=False)]
     if width % 2 or not all(re.fullmatch(r"[+-]?\d+", a) and re.fullmatch(r"\d+", b) for a, b in pairs):
@@ -179,5 +176,5 @@ def _check_commas(sample: Sequence[str], width: int, above: LineAbove | None, so
     names = len([cell for cell in above.ways[0] if cell.strip()]) if above else 0
     counts = all(int(a) < int(b) for (a, _), (b, _) in pairwise(pairs))
     if names == width // 2 or (not names and width == 2 and not counts):
-        remedy = f"{sample[0].strip()} may be {width} numbers or half as many with decimal commas"
-        raise InputError("data", source, f"{remedy}; write decimal points, or a header with a name for each column")
+        remedy = f"{sample[0].strip()} is ambiguous: {width} numbers, or half as many with decimal commas"
+        raise InputError("data", source, f"{remedy}; use decimal points, or a header with a name for each column")

@@ -1,4 +1,4 @@
-"""Time stamps: what rounding did to them is undone where one sampling rate explains them; nothing else is touched."""
+"""Conversion of time stamps to times; rounding is corrected if a constant sampling rate explains the stamps."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from typing import NamedTuple
 import numpy as np
 
 IMMATERIAL = 1e-3
-"""Rounding by less than this part of a step is left as it is."""
+"""Rounding below this fraction of a step is not corrected."""
 LAST_DECIMAL, MOST_ROOM = 10, 0.01
 DIGITS = range(2, 8)
-"""Significant digits that stamps may be rounded to."""
+"""Numbers of significant digits to which stamps may be rounded."""
 GAP = 1.5
-"""A step longer than this many steps leaves samples out."""
+"""Ratio of a step to the sampling interval above which samples are missing."""
 MOST_GAPS, MOST_GAPS_AND_REPEATS = 0.5, 0.1
-"""Of all steps; where more are gaps the sampling is not even."""
+"""Largest share of gaps in evenly sampled stamps, without and with repeated stamps."""
 UNDETERMINED = 0.1
-"""Relative standard uncertainty of a rate from which on it is too uncertain to be used."""
+"""Relative standard uncertainty of the sampling rate above which the record is rejected."""
 SAID = 1e-4
-"""Relative standard uncertainty of a rate from which on it is worth a word."""
+"""Relative standard uncertainty of the sampling rate above which it is reported."""
 ALIKE, MOSTLY, ENOUGH = 1.5, 0.9, 10
-"""Stamps that do not grow are increments where this share of at least so many is within this factor of the median."""
+"""Decreasing stamps are increments if at least ``MOSTLY`` of them, and at least ``ENOUGH``, are within the factor
+``ALIKE`` of the median."""
 INCREMENT = re.compile(r"d_?t\b|Δ ?t|delta|diff|since (the )?(last|previous)|interval|increment|(time )?step\b", re.I)
 """Names of a column of increments."""
 
 
 class SampleTimes(NamedTuple):
-    """Times from stamps, notes of what was done to them, and the relative standard uncertainty of their rate."""
+    """Times, notes on their conversion, and the relative standard uncertainty of the sampling rate."""
 
     times: np.ndarray
     notes: tuple[str, ...] = ()
@@ -35,10 +36,14 @@ class SampleTimes(NamedTuple):
 
 
 def increments_summed(stamps: np.ndarray, name: str) -> SampleTimes | None:
-    """Return the running sum of stamps that are times since the sample before, in their unit; None for other stamps.
+    """Return the cumulative sum of time increments, in their unit; None if the stamps are not increments.
 
-    They are, where the column's name says so, or where they do not grow and are alike. Rounding by ``q`` of increments
-    of mean ``d`` adds up to a relative error of the rate of q / (d sqrt(12 n)).
+    They are increments if the name says so, or if they do not increase and are similar. Rounding to multiples of ``q``
+    of n increments of mean ``d`` gives a relative error of the sampling rate of q / (d sqrt(12 n)).
+
+    Args:
+        stamps: Time stamps, shape (n,), NaN if missing.
+        name: Name of the column.
     """
     there = np.isfinite(stamps)
     later = stamps[there][1:]
@@ -50,7 +55,7 @@ def increments_summed(stamps: np.ndarray, name: str) -> SampleTimes | None:
     if middle <= 0 or not (certain or INCREMENT.match(name)):
         return None
     column = f"column '{name}'" if name else "the column of the time"
-    note = f"{column} holds the time since the sample before: the time is its running sum"
+    note = f"{column} contains time increments, which were summed"
     distinct = np.unique(later)
     rounding = float(np.min(np.diff(distinct), initial=middle)) if distinct.size > 1 else 0.0
     error = rounding / (float(np.mean(later)) * np.sqrt(12.0 * later.size))
@@ -58,11 +63,14 @@ def increments_summed(stamps: np.ndarray, name: str) -> SampleTimes | None:
 
 
 def rebuilt(stamps: np.ndarray, unit: float) -> SampleTimes:
-    """Return times (s) from stamps that do not decrease, in a unit of so many seconds.
+    """Convert time stamps to times.
 
-    Stamps that repeat or are rounded are replaced by those of an even sampling, where none moves by as much as one step
-    of their resolution. Gaps stay, and so does sampling that is not even. Stamps that repeat stay in the times where no
-    even sampling explains them.
+    Repeated or rounded stamps are replaced by those of even sampling, if none changes by as much as its resolution.
+    Gaps and uneven sampling are preserved. Repeated stamps remain if even sampling does not explain them.
+
+    Args:
+        stamps: Time stamps that do not decrease, shape (n,).
+        unit: Their unit (s).
     """
     as_they_are = SampleTimes(stamps * unit)
     steps = np.diff(stamps)
@@ -70,7 +78,7 @@ def rebuilt(stamps: np.ndarray, unit: float) -> SampleTimes:
     if stamps.size < 3 or repeats == steps.size:
         return as_they_are
     rounding = resolution(stamps)
-    tick = rounding + (np.min(steps[steps > 0]) if repeats else 0.0)  # a clock is no finer than its least step
+    tick = rounding + (np.min(steps[steps > 0]) if repeats else 0.0)  # the resolution is the smallest step
     since = stamps - stamps[0]
     numbers, start, step = _even(since, float(np.max(tick)) if repeats else 0.0)
     lost = np.diff(numbers) - 1
@@ -83,20 +91,20 @@ def rebuilt(stamps: np.ndarray, unit: float) -> SampleTimes:
         return as_they_are
     start, step, error = _bounded(since, numbers, start, step, np.broadcast_to(rounding, since.shape) / 2)
     rate = f"{1 / (step * unit):.5g} Hz" + (f" (known to {100 * error:.2g} %)" if error > SAID else "")
-    why = f"time stamps are rounded to {np.max(rounding) * unit:.3g} s"
+    reason = f"time stamps are rounded to {np.max(rounding) * unit:.3g} s"
     if repeats:
-        why = f"{repeats} of {stamps.size} time stamps repeat"
-    notes = (f"{why}: times are rebuilt from {rate}", *_gaps(lost, step * unit))
+        reason = f"{repeats} of {stamps.size} time stamps are repeated"
+    notes = (f"{reason}: times are replaced by even ones at {rate}", *_gaps(lost, step * unit))
     return SampleTimes((stamps[0] + start + step * numbers) * unit, notes, error)
 
 
 def _gaps(lost: np.ndarray, step: float) -> tuple[str, ...]:
-    gaps = f"gaps in time are kept: {np.sum(lost > 0)}, where {np.sum(lost):.0f} samples"
-    return (f"{gaps} {step:.4g} s apart are missing",) if np.any(lost) else ()
+    gaps = f"{np.sum(lost > 0)} gaps in time, in which {np.sum(lost):.0f} samples"
+    return (f"{gaps} at intervals of {step:.4g} s are missing",) if np.any(lost) else ()
 
 
 def resolution(stamps: np.ndarray) -> np.ndarray:
-    """Return the step to which stamps are rounded, 0 where they are not: one for all, or (n,) of significant digits."""
+    """Return the rounding step of stamps (0 if not rounded), constant or of shape (n,) for significant digits."""
     all_alike = _decimals(stamps)
     with np.errstate(divide="ignore"):
         decades = 10.0 ** np.floor(np.log10(np.abs(stamps)))
@@ -111,7 +119,7 @@ def resolution(stamps: np.ndarray) -> np.ndarray:
 
 
 def _decimals(stamps: np.ndarray) -> float:
-    """Return the decimal step, or that of 32-bit numbers, to which all stamps are rounded; 0 where they are not."""
+    """Return the rounding step of decimals or 32-bit numbers, constant for all stamps; 0 if they are not rounded."""
     steps, single = np.diff(stamps), stamps.astype(np.float32)
     coarse = float(np.spacing(np.max(np.abs(single)))) if np.array_equal(single, stamps) else 0.0
     for decimals in range(-int(np.floor(np.log10(np.min(steps[steps > 0])) + 1e-9)), LAST_DECIMAL):
@@ -126,14 +134,14 @@ def _decimals(stamps: np.ndarray) -> float:
 
 
 def _spacing(stamps: np.ndarray) -> float:
-    """Return the rounding of numbers as large as these."""
+    """Return the floating-point spacing of the largest stamp."""
     return float(np.spacing(np.max(np.abs(stamps))))
 
 
 def _even(stamps: np.ndarray, slack: float) -> tuple[np.ndarray, float, float]:
-    """Return the number of each stamp in the nearest even sampling, and its start and step.
+    """Return the index of each stamp in even sampling (missing samples are counted), its start and its step.
 
-    Missing samples have numbers, too. A step may seem longer by ``slack`` than it is.
+    ``slack`` is the largest error of a step due to rounding.
     """
     steps = np.diff(stamps)
     step = float(np.mean(steps[steps <= (2.5 * slack or GAP * np.median(steps))]))
@@ -148,11 +156,18 @@ def _even(stamps: np.ndarray, slack: float) -> tuple[np.ndarray, float, float]:
 def _bounded(
     stamps: np.ndarray, numbers: np.ndarray, start: float, step: float, room: np.ndarray
 ) -> tuple[float, float, float]:
-    """Return start and step of the middle one of the samplings that rounding by ``room`` (n,) allows, and an error.
+    """Estimate start and step of even sampling from rounded stamps; return also the relative error of the step.
 
-    Rounding is an error with bounds: each stamp says start + step * number = stamp within its room (and a jitter common
-    to all, the least that has a solution), and the steps that satisfy all of them are equally likely (Milanese and
-    Vicino 1991). The error is their standard deviation, their range over the root of 12, relative to the step.
+    Rounding errors are bounded: start + step * number differs from a stamp by at most ``room`` (and a common jitter,
+    the smallest with a solution). All steps that satisfy these bounds are equally likely (Milanese and Vicino 1991);
+    the error is their standard deviation, their range over the root of 12.
+
+    Args:
+        stamps: Time stamps, shape (n,).
+        numbers: Their indices, shape (n,).
+        start: Initial guess of the start.
+        step: Initial guess of the step.
+        room: Largest rounding errors, shape (n,).
     """
     away = stamps - start - step * numbers
     near = np.abs(away) <= 4 * np.median(np.abs(away)) + np.max(room) + 1e-9 * step
@@ -160,17 +175,17 @@ def _bounded(
     x, off, half = (numbers[near] - numbers[near][0]) / scale, away[near] / step, room[near] / step
 
     def ends(slope: float) -> tuple[float, float]:
-        """Return the largest of the lower bounds of the start, and the least of its upper ones, in steps."""
+        """Return the largest lower bound and the smallest upper bound of the start, in steps."""
         return float(np.max(off - half - slope * x)), float(np.min(off + half - slope * x))
 
-    from scipy.optimize import brentq, minimize_scalar  # slow to import, and few need it
+    from scipy.optimize import brentq, minimize_scalar  # slow to import
 
     def lacking(slope: float) -> float:
-        """Return by how much the bounds of the start contradict each other, a convex function."""
+        """Return the difference of the bounds of the start, a convex function; positive if there is no solution."""
         lower, upper = ends(slope)
         return lower - upper
 
-    far = float(np.ptp(off) + 2 * np.max(half)) + 1e-9 * scale  # here the first and the last contradict each other
+    far = float(np.ptp(off) + 2 * np.max(half)) + 1e-9 * scale  # here the first and last stamps have no solution
     best = float(minimize_scalar(lacking, bounds=(-far, far), method="bounded", options={"xatol": 1e-9 * far}).x)
     jitter = 1.2 * max(lacking(best) / 2, 0.0) + 1e-9 * scale
     far += 3 * jitter

@@ -1,6 +1,7 @@
-"""Units of measured records: what each measures, and how much one of it is in SI.
+"""Units of measured records: quantity and size in SI units.
 
-A table of our own: to a library of units ``g`` is a gram, ``in`` a word of a language, an angle no dimension.
+General libraries of units are not suitable: there ``g`` is a gram, ``in`` may be a keyword, and angles are
+dimensionless.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ Measures = Literal["displacement", "velocity", "acceleration", "force"]
 Quantity = Literal["time", "displacement", "velocity", "acceleration", "force"]
 MEASURES: dict[str, Measures] = {"x": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
 LETTERS: dict[str, Quantity] = {"t": "time", **MEASURES}
-"""Roles of columns; all but the time's may have the number of a DOF."""
+"""Quantities by role of a column; all roles but that of the time may have the number of a DOF."""
 MEASURED_BY: dict[str, Measures] = {**MEASURES, "b": "acceleration"}
-"""With that of the base, on moving ground, which a column has only where the user says so."""
+"""The same with the acceleration of the base, a role that is only specified by the user."""
 
 
 class Unit(NamedTuple):
-    """What a unit measures, how much one of it is in SI, and that SI unit.
+    """Quantity of a unit, its size in SI units, and the symbol of the SI unit.
 
     Torques are treated as forces, angles as displacements.
     """
@@ -59,13 +60,13 @@ KNOWN = {
     "velocity": "m/s, mm/s, rad/s, deg/s, rpm", "acceleration": "m/s², mm/s², g, gal, rad/s²",
     "force": "N, kN, mN, lbf, N·m",
 }  # fmt: skip
-"""The units that an error names, by what they measure."""
+"""Units listed by errors, by quantity."""
 CASE_DECIDES = {"m", "mn", "nm", "un", "g", "mg", "n", "ns"}
-"""In capitals these may be other units: MN or mN, N·m or nm, gauss or g."""
+"""Units whose meaning depends on the case: MN or mN, N·m or nm, gauss or g."""
 
 
 def unit_of(text: str) -> Unit | None:
-    """Return the unit as written, None where it is not known; capitals are read as small where that is no risk."""
+    """Return a unit by its symbol, None if unknown; the case is ignored if that is unambiguous."""
     plain = _plain(text)
     small = plain.lower()
     risk = small in CASE_DECIDES or not (plain.isupper() or (plain.istitle() and len(plain) > 2))
@@ -73,7 +74,7 @@ def unit_of(text: str) -> Unit | None:
 
 
 def _plain(text: str) -> str:
-    """Return one spelling of a unit: ``(m / s²)`` is ``m/s^2``, ``N m`` is ``N·m``, ``µm`` is ``um``."""
+    """Normalise the spelling of a unit: ``(m / s²)`` to ``m/s^2``, ``N m`` to ``N·m``, ``µm`` to ``um``."""
     text = re.sub(r"[µμ]", "u", text.strip().strip("\"'").replace("**", "^"))
     text = text.replace("⁻¹", "^-1").replace("⁻²", "^-2").replace("²", "^2")
     text = re.sub(r"[(){}]", "", text).strip().rstrip(".")
@@ -84,7 +85,7 @@ def _plain(text: str) -> str:
 
 
 def _known(name: str) -> Unit | None:
-    """Return a unit of the table, a displacement over time, or a force times a length."""
+    """Return a unit of the table, a displacement over time or time squared, or a force times a length."""
     if name in UNITS:
         return UNITS[name]
     if over := re.fullmatch(r"(.+?)(/s)(\^2|2|/s)?", name):

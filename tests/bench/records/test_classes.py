@@ -1,4 +1,4 @@
-"""What ``system=auto`` chooses of records whose law is known: simulated by closed forms and by scipy, never by us."""
+"""Selection of model classes by ``system=auto``, on records simulated by closed forms and by scipy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.systems.sums import Sum, sum_from
 T = np.linspace(0.0, 9.0, 300)
 OMEGA, ZETA = 2 * np.pi, 0.01
 FRICTION = 0.01 * OMEGA**2
-"""mu/m (m/s²): the body would stop where the spring is out by 0.01 m, and it never comes so near."""
+"""mu/m (m/s²): the mass sticks within 0.01 m of its equilibrium, which the records do not reach."""
 
 
 def viscous() -> np.ndarray:
@@ -31,23 +31,23 @@ def viscous() -> np.ndarray:
 
 
 def with_friction() -> np.ndarray:
-    """Let go at 1 m: each half period is a viscous decay about where friction and spring are even, in closed form."""
+    """Return a free decay from 1 m: each half period is a viscous decay about a shifted equilibrium, in closed form."""
     damped = OMEGA * np.sqrt(1 - ZETA**2)
     half = np.pi / damped
     x, start, side = np.zeros_like(T), 1.0, 1.0
     for i in range(int(T[-1] / half) + 1):
         rest = side * FRICTION / OMEGA**2
-        own = (i * half <= T) & ((i + 1) * half > T)
-        t = T[own] - i * half
+        part = (i * half <= T) & ((i + 1) * half > T)
+        t = T[part] - i * half
         decay = np.exp(-ZETA * OMEGA * t)
-        x[own] = rest + (start - rest) * decay * (np.cos(damped * t) + ZETA * OMEGA / damped * np.sin(damped * t))
+        x[part] = rest + (start - rest) * decay * (np.cos(damped * t) + ZETA * OMEGA / damped * np.sin(damped * t))
         start, side = rest - (start - rest) * np.exp(-ZETA * OMEGA * half), -side
     assert abs(start) > 10 * FRICTION / OMEGA**2  # nothing sticks
     return x
 
 
 def integrated(spring, amplitude: float, zeta: float = ZETA) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """``x'' = -2 zeta OMEGA x' - spring(x)``, let go."""
+    """Return the free decay of ``x'' = -2 zeta OMEGA x' - spring(x)`` from rest."""
 
     def law(t, y):  # type: ignore[no-untyped-def]
         return [y[1], -2 * zeta * OMEGA * y[1] - spring(y[0])]
@@ -60,7 +60,7 @@ def duffing() -> np.ndarray:
 
 
 def pendulum() -> np.ndarray:
-    """An angle, let go at 1.6 rad."""
+    """Return the angle of a pendulum released at 1.6 rad."""
     return integrated(lambda x: OMEGA**2 * np.sin(x), 1.6)
 
 
@@ -68,7 +68,7 @@ KINDS = {"displacement": ("x", "m"), "velocity": ("v", "m/s"), "acceleration": (
 
 
 def records(system: str, *signals: Signal) -> Measured:
-    """Each signal is a record of its own."""
+    """Return signals as separate records."""
     request = request_of(overrides_of({"method": "output_error", "data": "simulated"}) | {"system": [system]})
     return read_measured(request, tuple(Recording((signal,), (), "simulated", "") for signal in signals))
 
@@ -96,7 +96,7 @@ def chosen(record: Measured) -> tuple[str, ...]:
 
 
 def motion_with_friction() -> dict[str, np.ndarray]:
-    """The same by displacement, velocity and acceleration, integrated from rate to rate of the closed form."""
+    """Return displacement, velocity and acceleration of the decay with friction."""
     x = with_friction()
     fine = np.linspace(0.0, T[-1], 20 * (T.size - 1) + 1)
 
@@ -111,7 +111,7 @@ def motion_with_friction() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("measures", list(KINDS))
 def test_friction_is_chosen_by_any_sensor(measures: str) -> None:
-    """And its parameters are those of the closed form, within a few standard errors at 30 dB."""
+    """Its parameters are those of the closed form within a few standard errors at 30 dB."""
     comparison = compared(measured(motion_with_friction()[measures], 30.0, 0, KINDS[measures][1], measures))
     assert comparison.chosen.system.terms == ("viscous", "spring", "coulomb")
     assert comparison.chosen.parameters["k"] == pytest.approx(OMEGA**2, rel=0.003)
@@ -122,27 +122,26 @@ def test_friction_is_chosen_by_any_sensor(measures: str) -> None:
     assert viscous.left > comparison.chosen.left
 
 
-def test_the_class_of_repeats_is_chosen_once_and_as_for_each_alone() -> None:
+def test_repeats_have_a_common_class_which_is_that_of_each() -> None:
     x = with_friction()
     signals = [noisy((1.0 + 0.1 * i) * x, 40.0, i) for i in range(3)]
-    together = compared(records("auto", *signals))
-    assert together.chosen.name == "viscous + Coulomb"
+    assert compared(records("auto", *signals)).chosen.name == "viscous + Coulomb"
     assert all(compared(records("auto", signal)).chosen.name == "viscous + Coulomb" for signal in signals)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.95])
-def test_viscous_damping_is_chosen_alone_and_friction_has_a_limit(colour: float) -> None:
-    """White noise, and noise with an autocorrelation of 0.95, which a larger class may follow."""
+def test_viscous_damping_is_selected_and_friction_has_a_limit(colour: float) -> None:
+    """The noise is white or has an autocorrelation of 0.95, which a larger class may fit."""
     rng, noise = np.random.default_rng(0), np.zeros(T.size)
     for i in range(1, T.size):
         noise[i] = colour * noise[i - 1] + np.sqrt(1 - colour**2) * rng.standard_normal()
     record = records("auto", Signal("x", "displacement", 0, viscous() + 0.005 * noise, "m", T))
     comparison = compared(record)
-    found = best_class(record, comparison)
-    assert isinstance(found.problem.system, Sum)
-    assert found.problem.system.terms == ("viscous", "spring"), found.notes
-    assert found.comparison is comparison
-    assert any("mu/m is 0, at most" in note for note in found.notes)
+    selected = best_class(record, comparison)
+    assert isinstance(selected.problem.system, Sum)
+    assert selected.problem.system.terms == ("viscous", "spring"), selected.notes
+    assert selected.comparison is comparison
+    assert any("mu/m is zero, at most" in note for note in selected.notes)
     assert 0 < comparison.chosen.zero["mu"] < (0.3 if colour else 0.15) * FRICTION
 
 
@@ -171,11 +170,11 @@ def test_friction_joins_a_pendulum() -> None:
     assert chosen(measured(x, 40.0, 0, "rad")) == ("viscous", "pendulum", "coulomb")
 
 
-def test_windows_of_a_long_record_show_its_friction() -> None:
-    """Ninety cycles, of which three windows are compared: in closed form, half period by half period."""
+def test_friction_is_selected_from_windows_of_a_long_record() -> None:
+    """Three windows of ninety cycles are fitted; the motion is in closed form, half period by half period."""
     times = np.arange(2160) / 24.0
     half, friction = np.pi / OMEGA, 0.002
-    swing = 1.0 - 2.0 * friction * np.floor(times / half)  # from turn to turn friction takes twice its part
+    swing = 1.0 - 2.0 * friction * np.floor(times / half)  # twice the shift per half period
     side = (-1.0) ** np.floor(times / half)
     x = side * (friction + (swing - friction) * np.cos(OMEGA * (times % half)))
     comparison = compared(records("auto", noisy(x, 40.0, 1, t=times)))
@@ -184,7 +183,7 @@ def test_windows_of_a_long_record_show_its_friction() -> None:
 
 
 def test_a_driven_axis_has_friction_and_no_spring() -> None:
-    """``x'' = f - 2 x' - 3 sgn(x')`` under a force to and fro, by scipy."""
+    """``x'' = f - 2 x' - 3 sgn(x')`` with an alternating force is integrated by scipy."""
     times = np.linspace(0.0, 12.0, 600)
     force = 10.0 * np.sign(np.sin(2 * np.pi * times / 4.0 + 1e-9)) + 2.0 * np.sin(5.0 * times)
 
@@ -206,8 +205,8 @@ def test_a_driven_axis_has_friction_and_no_spring() -> None:
 
 
 @pytest.mark.parametrize("cycles", [10.0, 60.0])
-def test_the_fit_of_a_class_is_continued_to_the_whole_record(cycles: float) -> None:
-    """From windows of sixty cycles, or from the whole of a short record, to the law's parameters in SI units."""
+def test_a_class_is_fitted_to_the_whole_record(cycles: float) -> None:
+    """The comparison uses windows of a long record or the whole of a short one; parameters are in SI units."""
     times = np.arange(round(20 * cycles)) / 20.0
 
     def law(t, y):  # type: ignore[no-untyped-def]
@@ -225,40 +224,40 @@ def test_the_fit_of_a_class_is_continued_to_the_whole_record(cycles: float) -> N
         assert high - low < 0.2 * value
 
 
-def test_records_of_two_masses_have_no_classes_and_it_is_said() -> None:
+def test_the_absence_of_classes_for_two_masses_is_reported() -> None:
     from bench.systems import make_system
 
     record = measured(viscous(), 30.0, 0)
     two = Problem(make_system("chain", {"n": 2}), record.problem.records)
     assert compare_classes(Measured(record.recordings, two, ())) is None
-    found = best_class(record, None)
-    assert found.problem is record.problem
-    assert "sdof is used" in found.notes[-1]
+    selected = best_class(record, None)
+    assert selected.problem is record.problem
+    assert "system=sdof is used" in selected.notes[-1]
 
 
-def test_of_a_named_sum_the_term_is_needless_that_comes_out_negative() -> None:
-    """Linear damping that is not there beside drag, and friction beside viscous damping; needed terms stay."""
+def test_terms_with_a_negative_estimate_are_needless() -> None:
+    """The friction of a sum is needless for quadratic damping, but not for a record with friction."""
 
     def law(t, y):  # type: ignore[no-untyped-def]
         return [y[1], -(OMEGA**2) * y[0] - 0.1 * abs(y[1]) * y[1]]
 
     x = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
-    found = needless_terms(records("sdof+coulomb", noisy(x, 37.0, 0)))
-    assert list(found) == ["mu"]
-    assert 0.0 < found["mu"] < 0.1 * OMEGA**2
+    limits = needless_terms(records("sdof+coulomb", noisy(x, 37.0, 0)))
+    assert list(limits) == ["mu"]
+    assert 0.0 < limits["mu"] < 0.1 * OMEGA**2
     assert needless_terms(records("sdof+coulomb", noisy(with_friction(), 40.0, 0))) == {}
 
 
 @pytest.mark.parametrize("more", [0.0, 0.2])
-def test_the_held_out_fit_is_what_a_direct_computation_gives(more: float) -> None:
-    """Least squares of the first 60 % by scipy on the closed form, of the last 40 % of a motion that may change."""
+def test_the_held_out_fit_equals_a_direct_computation(more: float) -> None:
+    """The closed form is fitted to the first 60 % by scipy; the amplitude of the last 40 % may differ."""
     from scipy.optimize import least_squares
 
     x = viscous() * np.where(T > 5.4, 1.0 - more, 1.0) + 0.03 * np.random.default_rng(8).standard_normal(T.size)
     problem = Problem(sum_from("sdof"), (Record((Channel(T, x, offset=True),)),))
     model = OutputError(problem)
-    at = at_theta(model, model.settle(model.vector({"m": 1.0, "c": 2 * ZETA * OMEGA, "k": OMEGA**2})[None])[0])
-    assert at is not None
+    fit = at_theta(model, model.settle(model.vector({"m": 1.0, "c": 2 * ZETA * OMEGA, "k": OMEGA**2})[None])[0])
+    assert fit is not None
     early = (1 - HELD_OUT) * T[-1] >= T
 
     def closed(q: np.ndarray) -> np.ndarray:
@@ -269,13 +268,13 @@ def test_the_held_out_fit_is_what_a_direct_computation_gives(more: float) -> Non
     q = least_squares(lambda q: (closed(q) - x)[early], first, xtol=1e-12, ftol=1e-12).x
     late = x[~early]
     direct = 100 * (1 - np.linalg.norm(late - closed(q)[~early]) / np.linalg.norm(late - np.mean(late)))
-    assert held_out_fit(at) == pytest.approx(direct, abs=0.05)
+    assert held_out_fit(fit) == pytest.approx(direct, abs=0.05)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["shooting", "output_error"])
-def test_friction_that_a_record_does_not_need_has_a_limit_with_any_method(method: str) -> None:
-    """Of a body with air drag, whose damping falls with the amplitude where friction's would rise."""
+def test_needless_friction_has_a_limit_with_any_method(method: str) -> None:
+    """The mass has quadratic damping, which decreases with the amplitude, while that of friction increases."""
 
     def law(t, y):  # type: ignore[no-untyped-def]
         return [y[1], -(OMEGA**2) * y[0] - 0.1 * abs(y[1]) * y[1]]
@@ -284,9 +283,9 @@ def test_friction_that_a_record_does_not_need_has_a_limit_with_any_method(method
     x = x + 0.01 * np.random.default_rng(0).standard_normal(x.size)
     recording = Recording((Signal("x", "displacement", 0, x, "m", T),), (), "simulated", "")
     request = request_of(overrides_of({"method": method, "data": "simulated"}) | {"system": ["sdof+coulomb"]})
-    found = identify(request.jobs[0], read_measured(request, (recording,)))
-    mu = found.intervals["mu_over_m"]
+    finding = identify(request.jobs[0], read_measured(request, (recording,)))
+    mu = finding.intervals["mu_over_m"]
     assert (mu.low, mu.limit) == (0.0, "at most")
     assert mu.value < 1e-3
     assert 0.0 < mu.high < 0.1 * OMEGA**2
-    assert found.intervals["k_over_m"].low < OMEGA**2 < found.intervals["k_over_m"].high
+    assert finding.intervals["k_over_m"].low < OMEGA**2 < finding.intervals["k_over_m"].high

@@ -1,4 +1,4 @@
-"""Decimation: what passes the filter is as it was, what does not is gone, and the answer stays what it was."""
+"""Decimation: the passband is unchanged, aliases are removed, and estimates remain the same."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ def only(recording: Recording) -> Signal:
 
 
 @pytest.mark.parametrize("hertz", [2.0, 11.3, 19.9])
-def test_what_passes_is_as_it_was_at_its_own_times(hertz: float) -> None:
-    """Of 50 Hz that are left, 20 Hz pass: the kept samples are those of the sine, to 1 %."""
+def test_the_passband_is_unchanged(hertz: float) -> None:
+    """The passband is 20 Hz at a new sampling rate of 50 Hz: the kept samples are those of the sine, to 1 %."""
     signal = only(decimated(of_arrays(TIMES, 3.0 + sine(hertz)), 20))
     assert signal.times[0] == 0.0
     np.testing.assert_allclose(np.diff(signal.times), 0.02, rtol=1e-9)
-    meant = 3.0 + np.sin(2 * np.pi * hertz * (signal.times + 0.2))  # ten new samples are left out
-    np.testing.assert_allclose(signal.values, meant, atol=0.01)
+    expected = 3.0 + np.sin(2 * np.pi * hertz * (signal.times + 0.2))  # ten new samples are dropped
+    np.testing.assert_allclose(signal.values, expected, atol=0.01)
 
 
 @pytest.mark.parametrize("hertz", [30.0, 47.0, 50.0, 99.0, 433.0])
-def test_what_would_alias_is_gone_and_said(hertz: float) -> None:
-    """Thinned alone, 47 Hz would be 3 Hz."""
+def test_aliases_are_removed_and_reported(hertz: float) -> None:
+    """Without a filter, 47 Hz would alias to 3 Hz."""
     recording = decimated(of_arrays(TIMES, sine(2.0) + 0.5 * sine(hertz)), 20)
     np.testing.assert_allclose(only(recording).values, np.sin(4 * np.pi * (only(recording).times + 0.2)), atol=0.01)
-    assert "one in 20 of 12000 samples" in recording.notes[-1]
-    assert "20 % of its power was above the 20 Hz" in recording.notes[-1]
+    assert "decimated by 20 from 12000 to 580 samples" in recording.notes[-1]
+    assert "20 % of its power was above the passband of 20 Hz" in recording.notes[-1]
 
 
 def free_record() -> np.ndarray:
@@ -56,8 +56,8 @@ def free_record() -> np.ndarray:
     return closed_form(P, 1.0, 0.0, TIMES) + noise + 0.1 * sine(98.0)
 
 
-def test_the_answer_of_a_decay_is_as_good_as_of_all_samples() -> None:
-    """The intervals overlap and are as wide; thinned alone they are wider by about the root of the factor."""
+def test_the_estimate_is_as_accurate_as_that_of_all_samples() -> None:
+    """The intervals overlap and have equal widths; without a filter they are wider by the root of the factor."""
     x = free_record()
     whole = bench.identify(TIMES, x, method="output_error").estimates["c_over_m"]
     few = bench.identify(TIMES, x, method="output_error", decimate=20).estimates["c_over_m"]
@@ -68,17 +68,17 @@ def test_the_answer_of_a_decay_is_as_good_as_of_all_samples() -> None:
 
 
 def test_motion_and_force_pass_the_same_filter() -> None:
-    """So the mass, stiffness and damping that relate them stay, though the force holds much that is filtered out."""
+    """Mass, stiffness and damping are unchanged, although much of the force is removed."""
     force = np.repeat(np.random.default_rng(5).standard_normal(TIMES.size // 40), 40)
     x = lsim(([1.0], [2.0, 1.0, 320.0]), force, TIMES)[1]
     x = x + 0.02 * np.std(x) * np.random.default_rng(6).standard_normal(TIMES.size)
-    found = bench.identify(TIMES, x, force, method="output_error", decimate=10).values
-    assert found["m"] == pytest.approx(2.0, rel=0.02)
-    assert found["k"] == pytest.approx(320.0, rel=0.02)
-    assert found["c"] == pytest.approx(1.0, rel=0.1)
+    values = bench.identify(TIMES, x, force, method="output_error", decimate=10).values
+    assert values["m"] == pytest.approx(2.0, rel=0.02)
+    assert values["k"] == pytest.approx(320.0, rel=0.02)
+    assert values["c"] == pytest.approx(1.0, rel=0.1)
 
 
-def test_what_cannot_be_decimated_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_impossible_decimations_are_rejected_in_one_line(tmp_path: Path) -> None:
     swing = of_arrays(TIMES, sine(2.0))
     gap = np.delete(np.arange(TIMES.size), slice(700, 800))
     signal = only(swing)
@@ -86,7 +86,7 @@ def test_what_cannot_be_decimated_is_refused_in_one_line(tmp_path: Path) -> None
     for recording, factor, part in [
         (holed, 10, "gaps or uneven times"),
         (swing, 600, "12000 samples of x: at most 521"),
-        (swing, 240, "strongest at 2 Hz and only 1.667 Hz would pass"),
+        (swing, 240, "the motion at 2 Hz is above the passband of 1.667 Hz"),
     ]:
         with pytest.raises(InputError, match=f"decimate={factor}") as error:
             decimated(recording, factor)
@@ -94,14 +94,14 @@ def test_what_cannot_be_decimated_is_refused_in_one_line(tmp_path: Path) -> None
         assert "\n" not in str(error.value)
     path = tmp_path / "r.csv"
     np.savetxt(path, np.column_stack([TIMES, sine(2.0)]), delimiter=",", header="t [s],x [m]", comments="", fmt="%.6f")
-    with pytest.raises(InputError, match=r"start=.*decimate= leaves the first samples out"):
+    with pytest.raises(InputError, match=r"start=.*decimate= drops the first samples"):
         bench.identify(path, method="output_error", decimate=10, start=(0.0, 1.0))
     (prepared,) = prepare([read_recording(path)], ReadOptions(decimate=10))
     assert only(prepared).values.size == 1180
 
 
-def test_a_fit_that_reaches_its_limit_is_told_which_decimation_would_do() -> None:
-    """500 samples a cycle: every 50th leaves 10 (49 where the cycle is taken for a little shorter)."""
-    found = bench.identify(TIMES, free_record(), method="mcmc", timeout_s=0.5)
-    assert found.status == "timeout"
-    assert re.search(r"; decimate=(49|50) keeps one sample in (49|50), filtered$", found.reasons[0])
+def test_a_decimation_is_suggested_for_a_fit_that_exceeds_its_time_limit() -> None:
+    """Of 500 samples per cycle every 50th leaves 10 (or 49th, depending on the estimated frequency)."""
+    result = bench.identify(TIMES, free_record(), method="mcmc", timeout_s=0.5)
+    assert result.status == "timeout"
+    assert re.search(r"; try decimate=(49|50), which keeps every (49|50)th sample", result.reasons[0])

@@ -1,7 +1,6 @@
-"""Verdicts: what must not be trusted is not, for the reason that it is so; what is clean is trusted.
+"""Verdicts and their reasons, on clean and disturbed records.
 
-Every record is simulated here, by closed forms or by scipy, at fixed seeds; the fit is that of output_error in this
-process.
+Records are simulated by closed forms or by scipy, with fixed seeds, and fitted by output_error.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ OMEGA, ZETA = 6.0, 0.04
 
 
 def free(times: np.ndarray, omega: float = OMEGA, zeta: float = ZETA, size: float = 1.0) -> np.ndarray:
-    """``x'' + 2 zeta omega x' + omega² x = 0``, in closed form."""
+    """Return a solution of ``x'' + 2 zeta omega x' + omega² x = 0`` in closed form."""
     return size * np.exp(-zeta * omega * times) * np.cos(omega * np.sqrt(1.0 - zeta**2) * times + 0.3)
 
 
@@ -40,7 +39,7 @@ def noisy(x: np.ndarray, db: float, seed: int = 0) -> np.ndarray:
 
 
 def forced(times: np.ndarray, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """A wandering force, joined by straight lines, and the response to it from rest of a mass of 1 kg."""
+    """Return a random force, interpolated linearly, and the response of a mass of 1 kg from rest."""
     force = 0.5 * np.cumsum(np.random.default_rng(seed).standard_normal(times.size))
     force -= np.mean(force)
     return force, lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), force, times)[1]
@@ -58,7 +57,7 @@ def reasons(finding: Finding) -> str:
     return "; ".join(reason.text for reason in finding.reasons)
 
 
-# what is clean
+# clean records
 
 
 def clean(omega: float, zeta: float, seconds: float, samples: int, db: float, seed: int) -> Finding:
@@ -71,44 +70,44 @@ CLEAN = [(6.0, 0.04, 10.0, 300), (6.0, 0.02, 5.0, 150), (40.0, 0.01, 2.0, 400), 
 
 
 @pytest.mark.parametrize("db", [20.0, 30.0, 40.0])
-@pytest.mark.parametrize("what", CLEAN)
-def test_a_clean_record_is_never_refused_and_its_interval_holds_the_truth(
-    what: tuple[float, float, float, int], db: float
+@pytest.mark.parametrize("case", CLEAN)
+def test_a_clean_record_is_never_rejected_and_its_error_is_within_four_standard_errors(
+    case: tuple[float, float, float, int], db: float
 ) -> None:
-    finding = clean(*what, db=db, seed=100)
+    finding = clean(*case, db=db, seed=100)
     assert finding.trust is not Trust.NO
-    found = finding.intervals["natural_frequency"]
-    truth = what[0] / (2 * np.pi)
-    assert abs(np.log(found.value / truth)) < 4 * np.log(found.white_high / found.white_low) / 2 / 1.96
+    interval = finding.intervals["natural_frequency"]
+    truth = case[0] / (2 * np.pi)
+    assert abs(np.log(interval.value / truth)) < 4 * np.log(interval.white_high / interval.white_low) / 2 / 1.96
 
 
 @pytest.mark.slow
 def test_clean_records_are_trusted() -> None:
     """Each of a dozen checks may raise a false alarm in one of a hundred records: 9 of 10 have none."""
-    found = [clean(*what, db=db, seed=seed) for what in CLEAN for db in (20.0, 30.0, 40.0) for seed in range(8)]
-    trusted = [finding.trust is Trust.TRUST for finding in found]
-    assert np.mean(trusted) >= 0.9, [reasons(one) for one in found if one.reasons]
-    assert all(not finding.reasons for finding, good in zip(found, trusted, strict=True) if good)
+    findings = [clean(*case, db=db, seed=seed) for case in CLEAN for db in (20.0, 30.0, 40.0) for seed in range(8)]
+    trusted = [finding.trust is Trust.TRUST for finding in findings]
+    assert np.mean(trusted) >= 0.9, [reasons(finding) for finding in findings if finding.reasons]
+    assert all(not finding.reasons for finding, good in zip(findings, trusted, strict=True) if good)
 
 
-def test_a_clean_forced_record_is_trusted_and_tells_the_mass() -> None:
+def test_a_clean_forced_record_is_trusted_and_determines_the_mass() -> None:
     force, x = forced(T)
     finding = judge(T, noisy(x, 30.0, 1), force)
     assert finding.trust is Trust.TRUST, reasons(finding)
     assert finding.intervals["m"].value == pytest.approx(1.0, rel=0.02)
 
 
-def test_a_vibration_whose_damping_cannot_be_told_from_none_is_not_refused() -> None:
-    """Undamped to the eye: of such a record the frequency is known well."""
+def test_an_undamped_vibration_is_not_rejected() -> None:
+    """Its frequency is well determined."""
     finding = judge(T, noisy(np.cos(OMEGA * T), 30.0))
     assert finding.trust is not Trust.NO, reasons(finding)
     assert finding.intervals["k_over_m"].value == pytest.approx(OMEGA**2, rel=1e-3)
 
 
-def test_more_noise_is_said_but_what_is_white_is_not_refused() -> None:
+def test_strong_white_noise_is_reported_but_not_rejected() -> None:
     finding = judge(T, noisy(free(T), 6.0))
     assert finding.trust is Trust.CAUTION
-    assert "much noise" in reasons(finding)
+    assert "strong noise" in reasons(finding)
 
 
 # noise alone
@@ -122,16 +121,16 @@ def test_noise_is_no_vibration(samples: int, seed: int) -> None:
     assert not finding.intervals
 
 
-def test_noise_is_refused_as_noise() -> None:
-    """Not as a response that is not finite, also where the fit ends at no damping."""
+def test_noise_is_reported_as_noise() -> None:
+    """This holds also if the estimated damping is zero."""
     for seed, samples in [(0, 50), (1, 50), (2, 50), (0, 300)]:
-        said = reasons(judge(np.linspace(0.0, 10.0, samples), np.random.default_rng(seed).standard_normal(samples)))
-        assert "no vibration found" in said
+        values = np.random.default_rng(seed).standard_normal(samples)
+        assert "no vibration detected" in reasons(judge(np.linspace(0.0, 10.0, samples), values))
 
 
 @pytest.mark.slow
-def test_noise_passes_for_a_vibration_hardly_ever() -> None:
-    """At most 1 of 100; the check promises 1 in 1000."""
+def test_noise_is_hardly_ever_accepted() -> None:
+    """At most 1 of 100 records; the level of the test is 1 in 1000."""
     passed = 0
     for seed in range(100):
         rng = np.random.default_rng(1000 + seed)
@@ -140,9 +139,9 @@ def test_noise_passes_for_a_vibration_hardly_ever() -> None:
     assert passed <= 1
 
 
-# what spoils a record: nothing of it is trusted, and the reason is named
+# disturbed records: none is trusted, and the reason is stated
 
-CARE_AT_LEAST = (Trust.CAUTION, Trust.NO)
+CAUTION_AT_LEAST = (Trust.CAUTION, Trust.NO)
 REFUSED = (Trust.NO,)
 
 
@@ -159,19 +158,19 @@ def huge_outlier() -> np.ndarray:
 
 
 def pushed() -> np.ndarray:
-    """A hand on it for the first second."""
+    """Return a motion that is pushed during the first second."""
     x = noisy(free(T), 30.0)
     x[:30] += 2.0 * np.sin(np.linspace(0.0, 9.0, 30)) ** 2
     return x
 
 
 def fewer_than_two_a_cycle() -> np.ndarray:
-    """At 0.63 of the sampling rate, so it seems to be at 0.37 of it."""
+    """Return a vibration at 0.63 of the sampling rate, whose alias is at 0.37 of it."""
     return noisy(free(T, 2 * np.pi * 0.63 * 29.9, 0.004), 30.0)
 
 
 def beyond_nyquist() -> np.ndarray:
-    """At 0.55 of the sampling rate, so it seems to be at 0.45 of it."""
+    """Return a vibration at 0.55 of the sampling rate, whose alias is at 0.45 of it."""
     return noisy(free(T, 2 * np.pi * 0.55 * 29.9, 0.004), 30.0)
 
 
@@ -188,43 +187,43 @@ def coloured() -> np.ndarray:
     return free(T) + 0.2 * lfilter([0.6], [1.0, -0.8], rng.standard_normal(T.size))
 
 
-SPOILT: dict[str, tuple[Callable[[], np.ndarray], tuple[Trust, ...], str]] = {
-    "an outlier": (outlier, CARE_AT_LEAST, "samples are far off"),
-    "a huge outlier": (huge_outlier, CARE_AT_LEAST, "samples are far off"),
+DISTURBED: dict[str, tuple[Callable[[], np.ndarray], tuple[Trust, ...], str]] = {
+    "an outlier": (outlier, CAUTION_AT_LEAST, "outlier"),
+    "a huge outlier": (huge_outlier, CAUTION_AT_LEAST, "outlier"),
     "a weak second mode": (
         lambda: noisy(free(T) + free(T, 15.0, 0.02, 0.1), 30.0),
-        CARE_AT_LEAST,
+        CAUTION_AT_LEAST,
         "2.5 times the natural frequency|2.51 times|2.50 times|2.52 times",
     ),
     "two modes": (lambda: noisy(free(T) + free(T, 15.0, 0.02, 1.0), 30.0), REFUSED, "a second mode"),
     "growing motion": (lambda: noisy(free(T, zeta=-0.02), 30.0), REFUSED, "the motion grows"),
     "motion that grows fast": (lambda: noisy(free(T, zeta=-0.1), 30.0), REFUSED, "the motion grows"),
-    "a push at first": (pushed, CARE_AT_LEAST, "leave a start-up out by from="),
-    "a vibration beyond Nyquist": (beyond_nyquist, REFUSED, "fit the samples alike"),
-    "fewer than two samples a cycle": (fewer_than_two_a_cycle, REFUSED, "fit the samples alike"),
-    "a frequency that changes": (chirp, REFUSED, "not white: the model does not describe this record"),
-    "coloured noise": (coloured, CARE_AT_LEAST, "not white"),
-    "a sensor that wanders": (wandering, CARE_AT_LEAST, "not white"),
+    "a push at first": (pushed, CAUTION_AT_LEAST, "exclude a start-up with from="),
+    "a vibration beyond Nyquist": (beyond_nyquist, REFUSED, "fit the samples equally well"),
+    "fewer than two samples a cycle": (fewer_than_two_a_cycle, REFUSED, "fit the samples equally well"),
+    "a frequency that changes": (chirp, REFUSED, "not white: the model does not describe the record"),
+    "coloured noise": (coloured, CAUTION_AT_LEAST, "not white"),
+    "a sensor that wanders": (wandering, CAUTION_AT_LEAST, "not white"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", SPOILT)
-def test_what_spoils_a_record_is_named(what: str) -> None:
-    record, verdicts, part = SPOILT[what]
+@pytest.mark.parametrize("case", DISTURBED)
+def test_the_disturbance_of_a_record_is_reported(case: str) -> None:
+    record, verdicts, part = DISTURBED[case]
     finding = judge(T, record())
     assert finding.trust in verdicts, reasons(finding)
-    assert any(one in reasons(finding) for one in part.split("|")), reasons(finding)
+    assert any(text in reasons(finding) for text in part.split("|")), reasons(finding)
 
 
-def test_a_wandering_sensor_is_not_called_a_second_mode() -> None:
+def test_a_wandering_sensor_is_not_reported_as_a_second_mode() -> None:
     """A line at the lowest frequency of the record, a tenth of the natural one, is no mode and no harmonic."""
-    said = reasons(judge(T, wandering()))
-    assert "a second mode" not in said
-    assert "drift" in said
+    text = reasons(judge(T, wandering()))
+    assert "a second mode" not in text
+    assert "drift" in text
 
 
 @pytest.mark.parametrize(
-    ("cycles", "verdicts"), [(0.4, REFUSED), (0.6, REFUSED), (1.0, CARE_AT_LEAST), (1.3, CARE_AT_LEAST)]
+    ("cycles", "verdicts"), [(0.4, REFUSED), (0.6, REFUSED), (1.0, CAUTION_AT_LEAST), (1.3, CAUTION_AT_LEAST)]
 )
 def test_too_few_cycles_are_counted(cycles: float, verdicts: tuple[Trust, ...]) -> None:
     times = np.linspace(0.0, cycles * 2 * np.pi / OMEGA, 100)
@@ -234,30 +233,30 @@ def test_too_few_cycles_are_counted(cycles: float, verdicts: tuple[Trust, ...]) 
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_wrong_sign_of_the_force_is_named_and_force_gain_mends_it(seed: int) -> None:
+def test_the_wrong_sign_of_the_force_is_reported_and_force_gain_corrects_it(seed: int) -> None:
     force, x = forced(T, 5 + seed)
     wrong = judge(T, noisy(x, 30.0, seed), -force)
     assert wrong.trust is Trust.NO
-    assert "its sign is wrong; say force_gain=-1" in reasons(wrong)
-    mended = judge(T, noisy(x, 30.0, seed), -force, force_gain=-1)
-    assert mended.intervals["m"].value == pytest.approx(1.0, rel=0.02)
-    assert "sign is wrong" not in reasons(mended)
+    assert "the sign of the force is wrong: reversed, it fits far better; add force_gain=-1" in reasons(wrong)
+    corrected = judge(T, noisy(x, 30.0, seed), -force, force_gain=-1)
+    assert corrected.intervals["m"].value == pytest.approx(1.0, rel=0.02)
+    assert "sign of the force" not in reasons(corrected)
 
 
-def test_a_right_force_is_not_called_wrong_where_the_model_is() -> None:
-    """Half of the motion is of a second body: the residuals are large, but turning the force would not help."""
+def test_the_sign_of_a_right_force_is_not_questioned_if_the_model_is_wrong() -> None:
+    """Half of the motion is that of a second mass: residuals are large, but reversing the force does not help."""
     force, x = forced(T)
     other = lsim(([1.0], [1.0, 1.2, 400.0]), force, T)[1]
     finding = judge(T, noisy(x + np.std(x) / np.std(other) * other, 30.0), force)
-    assert "sign is wrong" not in reasons(finding)
+    assert "sign of the force" not in reasons(finding)
 
 
-def sine_response(start: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Force and response to a sine at 0.7 times the natural frequency; with its ``start`` from rest, or long after."""
+def sine_response(transient: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return force and response for a sine at 0.7 times the natural frequency, with the transient or long after."""
     times = np.linspace(0.0, 60.0, 1800)
     force = np.cos(0.7 * OMEGA * times)
     x = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), force, times)[1]
-    part = slice(0, 900) if start else slice(900, 1800)
+    part = slice(0, 900) if transient else slice(900, 1800)
     return force[part], x[part]
 
 
@@ -266,52 +265,52 @@ def of_forced(times: np.ndarray, x: np.ndarray, force: np.ndarray) -> Problem:
     return read_measured(request, (of_arrays(times, x, force),)).problem
 
 
-def test_one_steady_sine_does_not_determine_mass_damping_and_stiffness() -> None:
-    force, x = sine_response(start=False)
+def test_a_steady_state_response_to_a_sine_does_not_determine_mass_damping_and_stiffness() -> None:
+    force, x = sine_response(transient=False)
     times = np.linspace(0.0, 30.0, 900)
-    assert "one steady sine at 0.668" in steady_sine(of_forced(times, noisy(x, 40.0), force))
+    assert "steady-state response to a sine of 0.668" in steady_sine(of_forced(times, noisy(x, 40.0), force))
     finding = judge(times, noisy(x, 40.0), force)
     assert finding.trust is Trust.NO
-    assert "one steady sine at 0.668" in reasons(finding)
+    assert "steady-state response to a sine of 0.668" in reasons(finding)
     assert not finding.intervals
 
 
-def test_the_start_of_a_sine_does() -> None:
-    force, x = sine_response(start=True)
+def test_the_transient_response_to_a_sine_determines_them() -> None:
+    force, x = sine_response(transient=True)
     times = np.linspace(0.0, 30.0, 900)
     assert not steady_sine(of_forced(times, noisy(x, 40.0), force))
     finding = judge(times, noisy(x, 40.0), force)
-    assert "steady sine" not in reasons(finding)
+    assert "steady-state" not in reasons(finding)
     assert finding.intervals["m"].value == pytest.approx(1.0, rel=0.05)
 
 
-def test_a_force_without_any_effect_explains_nothing() -> None:
+def test_a_force_without_effect_is_rejected() -> None:
     finding = judge(T, np.random.default_rng(1).standard_normal(T.size), forced(T)[0])
     assert finding.trust is Trust.NO
     assert not finding.intervals
 
 
-def test_both_modes_are_offered_where_the_system_has_one() -> None:
+def test_both_modes_of_a_record_are_reported() -> None:
     finding = judge(T, noisy(free(T) + free(T, 15.0, 0.02, 1.0), 30.0))
     assert sorted(mode.frequency for mode in finding.modes) == pytest.approx(
         [OMEGA / 2 / np.pi, 15 / 2 / np.pi], rel=3e-3
     )
-    assert "holds modes at" in reasons(finding)
+    assert "has modes at" in reasons(finding)
 
 
-def test_tops_cut_off_and_noise_behind_them_are_a_harmonic() -> None:
+def test_clipping_with_later_noise_is_a_harmonic() -> None:
     x = np.clip(free(T, zeta=0.02), -0.4, 0.4)
     finding = judge(T, x + 1e-2 * np.random.default_rng(2).standard_normal(T.size))
     assert finding.trust is Trust.NO
-    assert "a clipped sensor, or a spring that is far from linear" in reasons(finding)
+    assert "a clipped sensor or a strongly nonlinear spring" in reasons(finding)
     assert not finding.modes
 
 
-def test_the_rounding_of_a_file_has_no_colour() -> None:
+def test_the_colour_of_rounding_errors_is_ignored() -> None:
     assert "white" not in reasons(judge(T, np.round(free(T), 7)))
 
 
-def test_vibration_and_alias_are_offered_where_both_fit_alike() -> None:
+def test_a_vibration_and_its_alias_are_reported() -> None:
     finding = judge(T, fewer_than_two_a_cycle())
     apparent, alias = finding.modes
     assert alias.frequency == pytest.approx(0.63 * 29.9, rel=1e-3)
@@ -319,17 +318,17 @@ def test_vibration_and_alias_are_offered_where_both_fit_alike() -> None:
     assert alias.alias
 
 
-# the verdict, and what the command makes of it
+# verdict and exit status
 
 
-def test_the_worst_reason_is_the_verdict() -> None:
-    care, no = Reason(Trust.CAUTION, "a"), Reason(Trust.NO, "b")
+def test_the_verdict_is_that_of_the_worst_reason() -> None:
+    caution, no = Reason(Trust.CAUTION, "a"), Reason(Trust.NO, "b")
     assert verdict(()) is Trust.TRUST
-    assert verdict((care,)) is Trust.CAUTION
-    assert verdict((care, no, care)) is Trust.NO
+    assert verdict((caution,)) is Trust.CAUTION
+    assert verdict((caution, no, caution)) is Trust.NO
 
 
-def test_what_is_not_to_be_trusted_is_withdrawn_but_kept() -> None:
+def test_values_that_are_not_trusted_are_withdrawn_but_kept() -> None:
     finding = judge(T, noisy(free(T) + free(T, 15.0, 0.02, 1.0), 30.0))
     assert finding.trust is Trust.NO
     assert finding.intervals == {}
@@ -350,7 +349,7 @@ STATUS = {
 
 
 @pytest.mark.parametrize("trust", STATUS)
-def test_the_exit_status_is_1_where_nothing_is_to_be_trusted(
+def test_the_exit_status_is_1_if_no_estimate_is_trusted(
     trust: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record, status = STATUS[trust]
@@ -369,7 +368,7 @@ def test_the_exit_status_is_1_where_nothing_is_to_be_trusted(
         ("t [m],x [m]", "several columns measure displacement"),
     ],
 )
-def test_a_wrong_unit_is_refused_in_one_line(
+def test_a_wrong_unit_is_rejected_in_one_line(
     head: str, part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["method=output_error", written(tmp_path, head, noisy(free(T), 30.0))]) == 2

@@ -1,4 +1,4 @@
-"""Blows and frequency responses as files give them."""
+"""Hammer blows and frequency responses from files."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def read(path: Path, **options: Any) -> ForcedData:
 
 
 @pytest.mark.parametrize("binary", [0, 1])
-def test_frequency_responses_come_in_si_units_with_their_places(binary: int, tmp_path: Path) -> None:
+def test_frequency_responses_are_converted_to_si_units_with_their_points(binary: int, tmp_path: Path) -> None:
     data, names, units, _ = read(written(tmp_path / "r.uff", binary))
     assert isinstance(data, FrequencyResponses)
     assert (data.response, names, units) == ("accelerance", ("1 +Z", "2 +Z"), ("m/s²", "m/s²"))
-    np.testing.assert_allclose(data.frequencies, LINES[1:])  # nothing is accelerated at 0 Hz
+    np.testing.assert_allclose(data.frequencies, LINES[1:])  # the accelerance is zero at 0 Hz
     np.testing.assert_allclose(data.values, RESPONSES[:, 1:] * 9.80665 / 1e3, rtol=1e-6)
 
 
-def test_one_label_may_hold_both_units_and_a_roving_hammer_is_a_row(tmp_path: Path) -> None:
+def test_a_roving_hammer_and_a_label_with_both_units(tmp_path: Path) -> None:
     path = written(
         tmp_path / "r.uff", rsp_node=7, ref_node=(4, 5), ordinate_spec_data_type=0, orddenom_spec_data_type=0,
         ordinate_axis_units_lab="(mm/s)/N", orddenom_axis_units_lab="NONE",
@@ -67,32 +67,32 @@ def test_one_label_may_hold_both_units_and_a_roving_hammer_is_a_row(tmp_path: Pa
     ("fields", "options", "message"),
     [
         ({"ordinate_spec_data_type": 0, "ordinate_axis_units_lab": "NONE"}, {}, "add response=receptance or"),
-        ({}, {"response": "mobility"}, "says accelerance; leave response= out"),
-        ({"ordinate_axis_units_lab": "NONE"}, {}, "no unit is known of the acceleration; add units=a:g"),
-        ({"orddenom_axis_units_lab": "V"}, {}, "units=f:V: no unit of force"),
-        ({"ordinate_spec_data_type": (12, 11), "ordinate_axis_units_lab": ("g", "m/s")}, {}, "motions of one kind"),
+        ({}, {"response": "mobility"}, "contains accelerance; omit response="),
+        ({"ordinate_axis_units_lab": "NONE"}, {}, "the unit of the acceleration is unknown; add units=a:g"),
+        ({"orddenom_axis_units_lab": "V"}, {}, "units=f:V: not a unit of force"),
+        ({"ordinate_spec_data_type": (12, 11), "ordinate_axis_units_lab": ("g", "m/s")}, {}, "responses of one kind"),
         ({"ordinate_spec_data_type": 13, "ordinate_axis_units_lab": "N"}, {}, "force over force"),
-        ({"ref_node": (1, 2)}, {}, "one point of force, or of one response"),
-        ({"abscissa_axis_units_lab": "rpm"}, {}, "not over frequency in Hz"),
-        ({"data": np.abs(RESPONSES[0])}, {}, "real values"),
+        ({"ref_node": (1, 2)}, {}, "a single point of force, or a single response"),
+        ({"abscissa_axis_units_lab": "rpm"}, {}, "not a function of frequency in Hz"),
+        ({"data": np.abs(RESPONSES[0])}, {}, "the values are real"),
         ({"x": (LINES, 2 * LINES)}, {}, "different frequencies"),
-        ({"data": 0 * RESPONSES[0]}, {}, "0 lines of numbers"),
+        ({"data": 0 * RESPONSES[0]}, {}, "0 lines; at least 16 are needed"),
     ],
 )  # fmt: skip
-def test_what_is_not_certain_is_refused_in_a_line(
+def test_ambiguous_frequency_responses_are_rejected(
     fields: dict[str, Any], options: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message):
         read(written(tmp_path / "r.uff", **fields), **options)
 
 
-def test_units_and_kind_may_be_told_and_a_cut_file_is_refused(tmp_path: Path) -> None:
+def test_units_and_kind_can_be_specified_and_a_truncated_file_is_rejected(tmp_path: Path) -> None:
     path = written(tmp_path / "r.uff", ordinate_spec_data_type=0, ordinate_axis_units_lab="NONE")
     data, *_ = read(path, response="receptance", units={"x": "mm"})
     np.testing.assert_allclose(data.values[0], RESPONSES[0, 1:] * 1e-6, rtol=1e-6)  # type: ignore[union-attr]
     text = path.read_text().splitlines(keepends=True)
     path.write_text("".join([*text[:40], "    -1\n"]))
-    with pytest.raises(InputError, match="values are announced"):
+    with pytest.raises(InputError, match="the header states"):
         read(path)
 
 
@@ -112,32 +112,32 @@ def test_blows_of_two_files_of_several_sensors(tmp_path: Path) -> None:
     assert (data.response, data.window, names, units) == ("accelerance", 2.0, ("a1", "a2"), ("m/s²", "m/s²"))
     np.testing.assert_allclose(np.max(data.forces, axis=1), (50.0, 80.0, 40.0, 90.0))
     assert data.responses.shape[:2] == (4, 2)
-    assert any("exponential window, 2 1/s, is taken off" in note for note in notes)
+    assert any("exponential window, 2 1/s, is subtracted" in note for note in notes)
 
 
-def test_a_request_makes_one_record_of_all_blows_or_all_frequency_responses(tmp_path: Path) -> None:
+def test_all_blows_or_frequency_responses_of_a_request_form_one_record(tmp_path: Path) -> None:
     files = f"{hammered(tmp_path / '1.csv')},{hammered(tmp_path / '2.csv')}"
     (blows,) = read_modal(modal_request_of({"data": [files], "modes": ["auto"], "window": [1.5]}))
     assert isinstance(blows.data, Blows)
     assert (len(blows.data.forces), blows.data.window, blows.channels) == (4, 1.5, ("a1", "a2"))
-    with pytest.raises(InputError, match="response=mobility: it is of frequency responses"):
+    with pytest.raises(InputError, match="response=mobility: for frequency responses only"):
         read_modal(modal_request_of({"data": [files], "modes": ["auto"], "response": ["mobility"]}))
-    with pytest.raises(InputError, match=r"band=10:900: the frequencies of 1\.csv, 2\.csv end at 500 Hz"):
+    with pytest.raises(InputError, match=r"band=10:900: the highest frequency of 1\.csv, 2\.csv is 500 Hz"):
         read_modal(modal_request_of({"data": [files], "modes": ["auto"], "band": ["10:900"]}))
-    (one, two) = (written(tmp_path / f"{k}.uff", 1, 1, rsp_node=k) for k in (3, 4))
-    (responses,) = read_modal(modal_request_of({"data": [f"{one},{two}"], "modes": ["2"]}))
+    first, second = (written(tmp_path / f"{k}.uff", 1, 1, rsp_node=k) for k in (3, 4))
+    (responses,) = read_modal(modal_request_of({"data": [f"{first},{second}"], "modes": ["2"]}))
     assert responses.channels == ("3 +Z", "4 +Z")
-    with pytest.raises(InputError, match="add modes=auto for their modes"):
-        read_recordings(one)
+    with pytest.raises(InputError, match="add modes=auto to identify modes"):
+        read_recordings(first)
 
 
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ("t [s],f1 [N],f2 [N],a [g]", "2 forces; blows act at one point"),
+        ("t [s],f1 [N],f2 [N],a [g]", "it has 2 forces; one is needed"),
         ("t [s],f [N],a [g],v [m/s]", "responses are acceleration and velocity|velocity and acceleration"),
     ],
 )
-def test_several_forces_or_kinds_of_response_are_refused(header: str, message: str, tmp_path: Path) -> None:
+def test_several_forces_or_kinds_of_response_are_rejected(header: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         forced_motion(read_recordings(hammered(tmp_path / "r.csv", header)))

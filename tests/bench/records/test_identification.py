@@ -1,4 +1,4 @@
-"""The steps from a fit to a finding: a second fit where samples are far off."""
+"""Identification: the robust fit of records with outliers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from bench.records.request import request_of
 from bench.records.verdict import Trust
 
 
-def test_samples_far_off_do_not_move_the_answer_of_a_method_that_can_expect_them() -> None:
-    """Ten samples of a decay in closed form are off by 40 times the noise, to one side, where the motion is small."""
+def test_outliers_do_not_affect_a_method_with_a_robust_likelihood() -> None:
+    """Ten samples of a decay in closed form deviate by 40 times the noise, to one side, where the motion is small."""
     times, rng = np.linspace(0.0, 10.0, 300), np.random.default_rng(3)
     x = np.exp(-0.2 * times) * np.cos(6.0 * times) + 0.01 * rng.standard_normal(times.size)
     x[rng.choice(np.flatnonzero((x > 0.0) & (times > 5.0)), 10, replace=False)] += 0.4

@@ -1,4 +1,4 @@
-"""Several modes of measured records: command, Python, verdict and errors, on records drawn by closed form."""
+"""Modes of measured records: command, Python interface, verdict and errors, on records in closed form."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def write(name: str, *channels: np.ndarray, heads: str = "x [mm]") -> None:
 
 @pytest.fixture(autouse=True)
 def records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One sensor; two, the second mode of which is opposed in the second; and noise alone."""
+    """Write records of one sensor, of two sensors with the second mode in antiphase, and of noise alone."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     write("one.csv", 0.5 + wave(*FIRST, 3.0) + wave(*SECOND, 1.0, 1.0) + noise(0.02, 0))
@@ -55,14 +55,14 @@ def answer(capsys: pytest.CaptureFixture[str], *fields: str, status: int = 0) ->
     return document
 
 
-@pytest.mark.parametrize("asked", ["auto", "2"])
-def test_two_modes_with_intervals_amplitudes_and_trust(asked: str, capsys: pytest.CaptureFixture[str]) -> None:
-    result = answer(capsys, "data=one.csv", f"modes={asked}")
+@pytest.mark.parametrize("count", ["auto", "2"])
+def test_two_modes_with_intervals_amplitudes_and_trust(count: str, capsys: pytest.CaptureFixture[str]) -> None:
+    result = answer(capsys, "data=one.csv", f"modes={count}")
     assert result["trust"] == "trust"
     for mode, (frequency, ratio), amplitude in zip(result["modes"], (FIRST, SECOND), (3.0, 1.0), strict=True):  # type: ignore[call-overload]
         for name, true in (("frequency", frequency), ("damping_ratio", ratio), ("amplitude", amplitude)):
             width = mode[f"{name}_high"] - mode[f"{name}_low"]
-            assert abs(mode[name] - true) < width  # two intervals wide: 4 standard errors
+            assert abs(mode[name] - true) < width  # within about 4 standard errors
             assert width < 0.1 * true
     residuals = result["residuals"]
     assert isinstance(residuals, dict)
@@ -80,7 +80,7 @@ def test_the_page_names_modes_number_and_verdict(capsys: pytest.CaptureFixture[s
     assert Path("modes.svg").read_text(encoding="utf-8").count(">frequency (Hz)<") == 1
 
 
-def test_sensors_are_all_columns_of_one_quantity_and_shapes_have_signs() -> None:
+def test_columns_of_one_quantity_are_sensors_and_shapes_have_signs() -> None:
     result = bench.identify("two.csv", modes="auto")
     first, second = (mode.shape for mode in result.modes)
     assert [part.sensor for part in first] == ["a1", "a2"]
@@ -91,26 +91,26 @@ def test_sensors_are_all_columns_of_one_quantity_and_shapes_have_signs() -> None
     assert "-0.2" in repr(result)
 
 
-def test_a_band_holds_the_answer_and_the_comparison() -> None:
+def test_modes_are_identified_within_a_band() -> None:
     result = bench.identify("one.csv", modes=1, band=(5, 20))
     (mode,) = result.modes
     assert mode.frequency == pytest.approx(12.0, rel=1e-3)
 
 
-def test_a_mode_that_is_missing_is_named_and_noise_is_not_trusted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_mode_is_reported_and_noise_is_not_trusted(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data=one.csv", "modes=1"]) in (0, 1)
     assert "line at 31" in (out := capsys.readouterr().out)
     assert "modes=2" in out
     assert answer(capsys, "data=noise.csv", "modes=1", status=1)["trust"] == "do not trust"
 
 
-def test_a_record_of_one_mode_with_a_second_one_is_offered_modes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_modes_are_suggested_for_a_record_with_a_second_mode(capsys: pytest.CaptureFixture[str]) -> None:
     main(["data=one.csv", "method=matrix_pencil", "format=json"])
     assert any("add modes=2" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
 
 
-def test_a_decay_that_is_none_of_a_mode_is_not_trusted() -> None:
-    """The decay of dry friction is a line, not an exponential."""
+def test_a_decay_by_dry_friction_is_not_trusted() -> None:
+    """It is linear, not exponential."""
     ended = np.maximum(1.0 - T / 2.0, 0.0)
     write("friction.csv", ended * np.cos(2 * np.pi * 12.0 * T) + noise(0.002, 4))
     result = bench.identify("friction.csv", modes=1)
@@ -118,8 +118,8 @@ def test_a_decay_that_is_none_of_a_mode_is_not_trusted() -> None:
     assert "near 11.95 Hz" in " ".join(result.reasons)
 
 
-def test_what_a_hand_does_before_the_free_motion_is_left_out() -> None:
-    """For half a second the motion is pushed; then it is the closed form. With from= the user says where it begins."""
+def test_a_push_before_the_free_motion_is_excluded() -> None:
+    """The motion is pushed for half a second, and then a free decay; from= specifies its beginning."""
     free, pushed = T >= 0.5, np.sin(np.pi * np.minimum(T, 0.5) / 0.5) * np.sin(2 * np.pi * 17.0 * T**1.2)
     motion_then = np.where(free, wave(*FIRST, 3.0) + wave(*SECOND, 1.0, 1.0), 4.0 * pushed)
     write("pushed.csv", motion_then + noise(0.02, 6))
@@ -132,8 +132,8 @@ def test_what_a_hand_does_before_the_free_motion_is_left_out() -> None:
     assert bench.identify("pushed.csv", modes="auto", span=(0.5, T[-1])).trust == "trust"
 
 
-def test_one_mode_of_dry_friction_is_not_several() -> None:
-    """Its decay is a line until it stops: no sum of exponentials, which a criterion fits by modes without an end."""
+def test_a_decay_by_dry_friction_is_a_single_mode() -> None:
+    """A linear decay is not a sum of exponentials, and an information criterion alone would add modes endlessly."""
     write("friction.csv", np.maximum(1.0 - T / 3.2, 0.0) * np.cos(2 * np.pi * 12.0 * T) + noise(0.01, 7))
     result = bench.identify("friction.csv", modes="auto")
     assert len(result.modes) == 1
@@ -146,11 +146,11 @@ def test_motion_and_its_spectrum_are_those_of_the_closed_form() -> None:
     data = FreeDecays(T + 7.0, (wave(*FIRST, 3.0, 0.4) + 2.0)[None])
     assert motion(data, [mode], data.times)[0] == pytest.approx(wave(*FIRST, 3.0, 0.4))
     comparison = compare(ModalRecord("", data, ("x",), ("m",), ()), [mode], (5.0, 50.0))
-    assert comparison.frequencies[[0, -1]] == pytest.approx([16 / 3, 50.0])  # lines are 1 / 3 s apart
+    assert comparison.frequencies[[0, -1]] == pytest.approx([16 / 3, 50.0])  # the spacing of lines is 1/3 Hz
     assert np.max(comparison.power) < 1e-20
 
 
-def test_a_certificate_of_modes_states_them_beside_other_methods(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_certificate_compares_modes_with_other_methods(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["certify", "data=two.csv", "modes=auto", "out=out"]) == 0
     stated = json.loads(Path("out/certificate.json").read_text(encoding="utf-8"))
     for mode, (frequency, ratio) in zip(stated["modes"], (FIRST, SECOND), strict=True):
@@ -165,31 +165,31 @@ def test_a_certificate_of_modes_states_them_beside_other_methods(capsys: pytest.
     assert main(["certify", "data=noise.csv", "modes=auto", "out=none"]) == 1
     assert "Do not trust" in Path("none/certificate.html").read_text(encoding="utf-8")
     assert main(["certify", "data=one.csv", "modes=2", "system=duffing"]) == 2
-    assert "does not go with modes=" in capsys.readouterr().err
+    assert "cannot be combined with modes=" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "message"),
     [
-        (["modes=0"], "modes=0: auto, or a number from 1 to 10"),
-        (["modes=eleven"], "modes=eleven: auto, or a number from 1 to 10"),
-        (["modes=2", "band=40:10"], "band=40:10: lower:upper in Hz, as 10:40"),
-        (["modes=2", "band=10:150"], "band=10:150: the frequencies of one.csv end at 100 Hz"),
-        (["modes=2", "system=duffing"], "system=duffing: does not go with modes="),
+        (["modes=0"], "modes=0: use auto or a number from 1 to 10"),
+        (["modes=eleven"], "modes=eleven: use auto or a number from 1 to 10"),
+        (["modes=2", "band=40:10"], "band=40:10: use lower:upper in Hz, such as 10:40"),
+        (["modes=2", "band=10:150"], "band=10:150: the highest frequency of one.csv is 100 Hz"),
+        (["modes=2", "system=duffing"], "system=duffing: cannot be combined with modes="),
         (["modes=2", "method=pinn"], "method=pinn: modes= takes modal methods: "),
-        (["method=ls", "band=10:40"], "band=10:40: it is for modes; add modes=auto"),
-        (["modes=2", "to=0.1"], "21 samples: at least 32 are needed for modes"),
+        (["method=ls", "band=10:40"], "band=10:40: it applies to modes only; add modes=auto"),
+        (["modes=2", "to=0.1"], "21 samples; at least 32 are needed for modes"),
     ],
 )
-def test_what_makes_no_sense_is_said_in_a_line(
-    fields: list[str], said: str, capsys: pytest.CaptureFixture[str]
+def test_invalid_fields_are_rejected_in_one_line(
+    fields: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["data=one.csv", *fields]) == 2
-    assert said in (error := capsys.readouterr().err)
+    assert message in (error := capsys.readouterr().err)
     assert error.count("\n") == 1
 
 
-def test_one_channel_in_any_unit_needs_no_words() -> None:
+def test_a_single_channel_may_have_any_unit() -> None:
     write("sound.csv", wave(*FIRST, 3.0) + noise(0.02, 5), heads="mic [Pa]")
     (mode,) = bench.identify("sound.csv", modes="auto").modes
     assert (mode.amplitude_unit, mode.shape) == ("Pa", ())
@@ -199,7 +199,7 @@ def test_one_channel_in_any_unit_needs_no_words() -> None:
 
 
 def test_a_blow_on_a_known_mass_gives_its_modal_mass_damping_and_stiffness(tmp_path: Path) -> None:
-    """Against the closed form of a mass of 2 kg on a spring, struck by an impulse of half a sine."""
+    """A mass of 2 kg on a spring is struck by a sine-squared pulse; scipy simulates the response."""
     fs, m, f, z = 512.0, 2.0, 20.0, 0.02
     t, w = np.arange(2048) / fs, 2.0 * np.pi * f
     fine = np.arange(2048 * 8) / (8.0 * fs)
@@ -229,24 +229,24 @@ def test_an_interrupted_record_keeps_no_cells(
     assert capsys.readouterr().err == "\nbench: interrupted\n"
 
 
-def test_a_fit_beyond_its_limit_of_time_is_ended_and_said_so(capsys: pytest.CaptureFixture[str]) -> None:
-    """The motion of many modes keeps a fit busy for much longer than the interval at which processes are watched."""
+def test_a_fit_beyond_its_time_limit_is_ended_and_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    """The fit of many modes takes much longer than the interval at which processes are checked."""
     channels = [sum(wave(7.0 + 11.0 * i, 0.01, 1.0, i * k) for i in range(8)) + noise(0.02, k) for k in range(3)]
     write("busy.csv", *channels, heads="a [g],b [g],c [g]")
     assert main(["data=busy.csv", "modes=auto", "timeout_s=0.02"]) == 1
-    assert "no answer (timeout)" in capsys.readouterr().out
+    assert "no estimate (timeout)" in capsys.readouterr().out
 
 
-def test_a_long_record_without_a_band_is_decimated_and_said_or_a_band_is_named(
+def test_a_long_record_without_a_band_is_decimated_or_a_band_is_suggested(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Two records of 24,000 samples: of 12 Hz, and of 400 Hz, which decimation would take away."""
+    """Two records of 24,000 samples have 12 Hz, and 400 Hz, which decimation would remove."""
     t, drawn = np.arange(24_000) / 1000.0, np.random.default_rng(8).standard_normal(24_000)
     for name, frequency, rate in (("slow.csv", 12.0, 0.5), ("fast.csv", 400.0, 5.0)):
         decay = np.exp(-rate * t) * np.cos(2 * np.pi * frequency * t) + 0.001 * drawn
         np.savetxt(name, np.column_stack([t, decay]), delimiter=",", header="t [s],x [mm]", comments="", fmt="%.6g")
     result = bench.identify("slow.csv", modes=1)
-    assert any("one in 3 of 24000 samples" in note for note in result.notes)
+    assert any("decimated by 3 from 24000 samples" in note for note in result.notes)
     assert result.modes[0].frequency == pytest.approx(12.0, rel=1e-4)
     assert main(["data=fast.csv", "modes=1"]) == 2
     assert "add band=200:800" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The models that a record is compared with, and the smoothing velocity that its speed gives."""
+"""Model classes and the smoothing velocity."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ RMS = OMEGA / np.sqrt(2.0)
 """The root mean square speed of ``sin(OMEGA t)``."""
 
 
-def test_the_smoothing_velocity_is_a_part_of_the_speed() -> None:
+def test_the_smoothing_velocity_is_a_fraction_of_the_speed() -> None:
     assert smoothing_velocity(T, np.sin(OMEGA * T)) == pytest.approx(FRACTION * RMS, rel=0.01)
 
 
-def test_noise_and_an_offset_change_it_by_little() -> None:
+def test_noise_and_an_offset_hardly_change_it() -> None:
     noisy = np.sin(OMEGA * T) + 3.0 + 0.07 * np.random.default_rng(1).standard_normal(T.size)
     assert smoothing_velocity(T, noisy) == pytest.approx(FRACTION * RMS, rel=0.1)
 
 
-def test_oversampling_lets_no_noise_in() -> None:
+def test_oversampling_does_not_increase_the_effect_of_noise() -> None:
     times = np.linspace(0.0, 8.0, 20_000)
     noisy = np.sin(OMEGA * times) + 0.1 * np.random.default_rng(1).standard_normal(times.size)
     assert smoothing_velocity(times, noisy) == pytest.approx(FRACTION * RMS, rel=0.05)
@@ -36,13 +36,13 @@ def test_sensors_of_other_kinds_give_the_same(measures: str, values: np.ndarray)
     assert smoothing_velocity(T, values + 9.81, measures) == pytest.approx(FRACTION * RMS, rel=0.02)
 
 
-def test_a_sum_loses_terms_but_never_all() -> None:
+def test_terms_of_a_sum_are_removed_but_never_all() -> None:
     assert without(sum_from("sdof+coulomb+quadratic"), {"mu"}).terms == ("viscous", "spring", "quadratic")
     assert without(sum_from("viscous"), {"c"}).terms == ("viscous",)
 
 
-def test_values_of_classes_as_good_have_the_weights_of_their_scores() -> None:
-    """By hand: scores that differ by 2 ln 3 make weights of 3 to 1; a class that is told apart has none."""
+def test_tied_classes_are_weighted_by_their_scores() -> None:
+    """Scores that differ by 2 ln 3 give weights of 3 to 1; a distinguishable class has no weight."""
 
     def model(text: str, c: float, score: float, told_apart: bool = False) -> ModelClass:
         system = sum_from(text)
@@ -65,12 +65,11 @@ def test_uneven_times_and_other_units_give_the_same() -> None:
 
 @pytest.mark.parametrize("values", [np.zeros(9), np.full(9, 2.5), np.full(9, 0.1), np.array([1.0, 0.0, -1.0])])
 def test_it_is_never_zero(values: np.ndarray) -> None:
-    found = smoothing_velocity(np.linspace(0.0, 1.0, values.size), values)
-    assert 1e-4 < found < 1.0
+    assert 1e-4 < smoothing_velocity(np.linspace(0.0, 1.0, values.size), values) < 1.0
 
 
-def test_the_work_that_smoothing_takes_off_is_as_stated() -> None:
-    """Per cycle of a sine of the speed, by the midpoint rule: ``(π²/24) (v_s/V)²`` of Coulomb's."""
+def test_the_energy_lost_by_smoothing_is_as_stated() -> None:
+    """For a sine of the speed, by the midpoint rule, it is ``(π²/24) (v_s/V)²`` of that of Coulomb friction."""
     v = np.sin(2 * np.pi * (np.arange(400_000) + 0.5) / 400_000)
     short = 1.0 - np.sum(v * np.tanh(v / 0.01)) / np.sum(np.abs(v))
     assert short == pytest.approx(np.pi**2 / 24 * 0.01**2, rel=0.01)

@@ -1,4 +1,4 @@
-"""Modes of a free vibration: several in one channel, aliases, and their intervals, from closed forms."""
+"""Candidate modes of a free vibration, their intervals and aliases, on closed forms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def noise(size: float, seed: int, times: np.ndarray = T) -> np.ndarray:
     return size * np.random.default_rng(seed).standard_normal(times.size)
 
 
-def test_two_modes_are_found_with_frequency_and_damping() -> None:
+def test_frequency_and_damping_of_two_modes() -> None:
     values = decay(T, *TRUE[0]) + 4 * decay(T, *TRUE[1]) + noise(0.02, 0) + 0.1
     strong, weak = modes_of(T, values)
     for mode, (frequency, ratio) in zip((weak, strong), TRUE, strict=True):
@@ -31,13 +31,13 @@ def test_two_modes_are_found_with_frequency_and_damping() -> None:
 
 
 @pytest.mark.slow
-def test_their_intervals_cover_the_truth_in_19_of_20_records() -> None:
+def test_the_coverage_of_their_intervals_is_95_percent() -> None:
     covered = []
     for seed in range(100):
         values = decay(T, *TRUE[0]) + decay(T, *TRUE[1], phase=seed) + noise(0.1, seed)
-        found = sorted(modes_of(T, values), key=lambda mode: mode.frequency)
-        assert len(found) == 2
-        for mode, (frequency, ratio) in zip(found, TRUE, strict=True):
+        modes = sorted(modes_of(T, values), key=lambda mode: mode.frequency)
+        assert len(modes) == 2
+        for mode, (frequency, ratio) in zip(modes, TRUE, strict=True):
             covered.append(mode.frequency_low <= frequency <= mode.frequency_high)
             covered.append(mode.damping_ratio_low <= ratio <= mode.damping_ratio_high)
     assert 0.92 < np.mean(covered) < 0.98

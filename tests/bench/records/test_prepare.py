@@ -1,4 +1,4 @@
-"""What is done to measured signals before a fit, on records whose truth is simulated here, by closed forms."""
+"""Preparation of measured signals, on records simulated by closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PERIOD = 2 * np.pi / OMEGA
 
 
 def decay(since: np.ndarray, omega: float = OMEGA, zeta: float = ZETA) -> np.ndarray:
-    """Return the motion (n,) of a mass released at rest from 1 when ``since`` is 0; it is held until then."""
+    """Return the motion (n,) of a mass that is held at 1 and released when ``since`` is 0."""
     t = np.maximum(since, 0.0)
     damped = omega * np.sqrt(1 - zeta**2)
     return np.exp(-zeta * omega * t) * (np.cos(damped * t) + zeta * omega / damped * np.sin(damped * t))
@@ -52,7 +52,7 @@ def written(path: Path, heading: str, *columns: np.ndarray) -> Path:
 
 @pytest.mark.parametrize(("heading", "power"), [("v [m/s]", 1), ("a [m/s^2]", 2)])
 def test_the_offset_of_a_sensor_is_estimated(tmp_path: Path, heading: str, power: int) -> None:
-    """Ten times the motion, as gravity in an accelerometer."""
+    """The offset is ten times the motion, such as gravity in an accelerometer."""
     times = np.arange(0.0, 15.0, 0.05)
     pole = complex(-0.1, np.sqrt(19.36 - 0.01))
     motion = np.real(pole**power * np.exp(pole * times))
@@ -60,52 +60,52 @@ def test_the_offset_of_a_sensor_is_estimated(tmp_path: Path, heading: str, power
     answer = bench.identify(written(tmp_path / "record.csv", f"t [s],{heading}", times, values), method="output_error")
     assert answer.values["k_over_m"] == pytest.approx(19.36, rel=0.003)
     assert answer.values["c_over_m"] == pytest.approx(0.2, rel=0.05)
-    assert any("its mean of -" in note for note in answer.notes)
+    assert any("mean of -" in note for note in answer.notes)
 
 
 @pytest.mark.parametrize("measures", ["displacement", "velocity", "acceleration"])
 @pytest.mark.parametrize("drift", [-0.3, 0.05])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_drift_is_found_and_taken_off(measures: str, drift: float, seed: int) -> None:
-    """To a tenth of the noise of a sample over the record."""
+def test_a_drift_is_removed(measures: str, drift: float, seed: int) -> None:
+    """The error over the record is within a tenth of the noise of a sample."""
     times = np.arange(0.0, 30 * PERIOD, PERIOD / 25)
     values = decay(times) + noise(times.size, seed) + drift * times / times[-1]
     recording = Recording((signal("s", measures, times, values),), (), "simulated", "")
     (prepared,) = prepare([recording], ReadOptions())
     taken = values - prepared.signals[0].values
     assert taken[-1] - taken[0] == pytest.approx(drift, abs=0.02 * abs(drift) + 0.003)
-    assert "the sensor drifts by" in notes((prepared,))
+    assert "linear drift of" in notes((prepared,))
     (left,) = prepare([recording], ReadOptions(detrend=False))
     assert np.array_equal(left.signals[0].values, values)
 
 
-def test_a_drift_is_taken_off_where_that_is_asked_for_and_never_off_a_force() -> None:
+def test_a_drift_is_removed_on_request_but_not_from_a_force() -> None:
     times = np.arange(0.0, 10 * PERIOD, PERIOD / 25)
     (prepared,) = prepare([of_arrays(times, decay(times), 3.0 * times)], ReadOptions(detrend=True))
-    assert "the sensor drifts by" in notes((prepared,))
+    assert "linear drift of" in notes((prepared,))
     assert np.array_equal(prepared.signals[1].values, 3.0 * times)
     short = times[times < 3 * PERIOD]
     with pytest.raises(InputError, match=r"detrend=true.*at least 4 are needed"):
         runs(short, decay(short), detrend=True)
 
 
-# where the free motion begins and ends
+# beginning and end of the free motion
 
 
 @pytest.mark.parametrize("zeta", [0.005, 0.1, 0.6, 0.95])
 @pytest.mark.parametrize("wait", [1.0, 1.7, 3.0])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_release_is_found_after_silence(zeta: float, wait: float, seed: int) -> None:
+def test_a_release_after_a_rest_is_detected(zeta: float, wait: float, seed: int) -> None:
     times = np.arange(0.0, 15 * PERIOD, PERIOD / 40)
     values = 2.0 + decay(times - wait * PERIOD, zeta=zeta) + noise(times.size, seed)
     (run,) = runs(times, values)
     cut = times.size - run.signals[0].values.size
     assert 0 <= cut * PERIOD / 40 - wait * PERIOD < 0.12 * PERIOD
-    assert "nothing moves in the first" in notes((run,))
+    assert "at rest for the first" in notes((run,))
     assert run.signals[0].times[0] == 0.0
 
 
-def test_what_the_user_says_of_the_beginning_is_not_changed() -> None:
+def test_a_specified_beginning_is_not_changed() -> None:
     times = np.arange(0.0, 15 * PERIOD, PERIOD / 40)
     values = decay(times - PERIOD) + noise(times.size, 0)
     recording = of_arrays(times, values)
@@ -116,8 +116,8 @@ def test_what_the_user_says_of_the_beginning_is_not_changed() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_hand_at_the_start_is_left_out(seed: int) -> None:
-    """Drawn aside to and fro for 2.2 periods, unlike any free motion, and let go."""
+def test_contact_by_a_hand_is_excluded(seed: int) -> None:
+    """The mass is moved to and fro for 2.2 periods, unlike any free motion, and released."""
     times = np.arange(0.0, 20 * PERIOD, PERIOD / 30)
     released = 2.2 * PERIOD
     pulled = 1.0 - 1.5 * np.sin(np.pi * (released - times) / released) * np.cos(4.7 * (released - times) / PERIOD)
@@ -125,7 +125,7 @@ def test_the_hand_at_the_start_is_left_out(seed: int) -> None:
     (run,) = runs(times, values)
     cut = times[times.size - run.signals[0].values.size]
     assert -0.3 * PERIOD < cut - released < PERIOD
-    assert "do not belong to the free motion that follows" in notes((run,))
+    assert "are not a free motion (contact by a hand, start-up) and are excluded" in notes((run,))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -138,10 +138,10 @@ def test_a_second_release_makes_a_second_run(seed: int) -> None:
     assert last.source == "arrays run 2"
     assert first.signals[0].times[-1] == pytest.approx(second, abs=0.3 * PERIOD)
     assert last.signals[0].times[-1] == pytest.approx(times[-1] - second, abs=0.3 * PERIOD)
-    assert "starts again within the record: 2 runs" in notes((first, last))
+    assert "the record has 2 free motions" in notes((first, last))
 
 
-def test_a_stop_by_friction_and_a_pendulum_at_large_angles_are_no_change() -> None:
+def test_sticking_and_large_angles_are_no_disturbance() -> None:
     times = np.arange(0.0, 12 * PERIOD, PERIOD / 30)
 
     def rates(_: float, state: np.ndarray) -> list[float]:
@@ -155,8 +155,8 @@ def test_a_stop_by_friction_and_a_pendulum_at_large_angles_are_no_change() -> No
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.02])
-def test_a_standstill_is_said_and_kept(offset: float) -> None:
-    """Where dry friction holds a mass, away from its rest too; a decay into noise is said only where it is long."""
+def test_a_rest_at_the_end_is_reported_and_kept(offset: float) -> None:
+    """Dry friction stops a mass, also away from its equilibrium; a decay into noise is not reported."""
     times = np.arange(0.0, 20 * PERIOD, PERIOD / 30)
     swinging = times < 4 * PERIOD
     motion = np.where(swinging, (1.0 - times / (4 * PERIOD)) * np.cos(OMEGA * times), offset) + noise(
@@ -164,34 +164,34 @@ def test_a_standstill_is_said_and_kept(offset: float) -> None:
     )
     (run,) = runs(times, motion)
     assert run.signals[0].values.size == times.size
-    (said,) = [float(note.split()[3]) for note in run.notes if note.startswith("nothing moves after")]
-    assert said == pytest.approx(4 * PERIOD, abs=0.3 * PERIOD)
+    (time,) = [float(note.split()[3]) for note in run.notes if note.startswith("at rest after")]
+    assert time == pytest.approx(4 * PERIOD, abs=0.3 * PERIOD)
     (run,) = runs(times, decay(times) + noise(times.size, 0))
-    assert "nothing moves" not in notes((run,))
+    assert "at rest" not in notes((run,))
 
 
-# what is no second measurement
+# duplicates and computed signals
 
 
-def test_a_record_that_is_there_twice_counts_once() -> None:
+def test_a_duplicate_record_is_used_once() -> None:
     times = np.arange(0.0, 10 * PERIOD, PERIOD / 25)
     values = decay(times) + noise(times.size, 0)
     again = of_arrays(np.arange(2 * times.size) * PERIOD / 25, np.tile(values, 2))
     (run,) = prepare([again], ReadOptions())
     assert np.array_equal(run.signals[0].values, values)
-    assert f"there 2 times, value for value: its first {times.size} samples" in notes((run,))
+    assert f"repeats the same {times.size} samples 2 times" in notes((run,))
     whole = np.round(np.sin(OMEGA * times), 3)
     (run,) = runs(times, whole)
     assert run.signals[0].values.size == times.size
-    (one,) = prepare([of_arrays(times, values), of_arrays(times, values)], ReadOptions())
-    assert "repeats every value" in notes((one,))
+    (single,) = prepare([of_arrays(times, values), of_arrays(times, values)], ReadOptions())
+    assert "exact duplicate" in notes((single,))
     other = decay(times) + noise(times.size, 1)
     assert len(prepare([of_arrays(times, values), of_arrays(times, other)], ReadOptions())) == 2
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("by", ["gradient", "smoothed"])
-def test_a_velocity_computed_from_the_displacement_is_left_out_and_a_measured_one_is_not(seed: int, by: str) -> None:
+def test_a_velocity_computed_from_the_displacement_is_excluded_but_not_a_measured_one(seed: int, by: str) -> None:
     times = np.arange(0.0, 20 * PERIOD, PERIOD / 30)
     x = decay(times) + noise(times.size, seed, 0.02)
     smooth = np.convolve(x, np.ones(5) / 5, "same") if by == "smoothed" else x
@@ -199,7 +199,7 @@ def test_a_velocity_computed_from_the_displacement_is_left_out_and_a_measured_on
     place = signal("x", "displacement", times, x)
     (prepared,) = prepare([Recording((place, computed), (), "simulated", "")], ReadOptions())
     assert [s.role for s in prepared.signals] == ["x"]
-    assert "v is computed from x" in notes((prepared,))
+    assert "v was computed from x" in notes((prepared,))
     clean = np.gradient(decay(times), times) + noise(times.size, 100 + seed, 0.1)
     measured = signal("v", "velocity", times, clean, "m/s")
     (prepared,) = prepare([Recording((place, measured), (), "simulated", "")], ReadOptions())
@@ -207,15 +207,15 @@ def test_a_velocity_computed_from_the_displacement_is_left_out_and_a_measured_on
     assert not prepared.notes
 
 
-# sensors at their limit
+# clipped sensors
 
 
-@pytest.mark.parametrize("behind", [0.0, 1e-4])
+@pytest.mark.parametrize("later", [0.0, 1e-4])
 @pytest.mark.parametrize("limit", [0.5, 0.7])
-def test_clipped_samples_are_left_out_and_the_answer_is_right(behind: float, limit: float) -> None:
-    """With small noise behind the limit, too."""
+def test_clipped_samples_are_excluded_and_the_estimate_is_right(later: float, limit: float) -> None:
+    """Small noise may be added after the clipping."""
     times = np.arange(0.0, 20 * PERIOD, PERIOD / 40)
-    values = np.clip(decay(times) + noise(times.size, 0, 0.003), -limit, limit) + noise(times.size, 1, behind)
+    values = np.clip(decay(times) + noise(times.size, 0, 0.003), -limit, limit) + noise(times.size, 1, later)
     answer = bench.identify(times, values, method="output_error")
     assert any("clipped" in note for note in answer.notes)
     assert answer.values["k_over_m"] == pytest.approx(OMEGA**2, rel=0.002)
@@ -224,21 +224,21 @@ def test_clipped_samples_are_left_out_and_the_answer_is_right(behind: float, lim
 
 @pytest.mark.parametrize("step", [0.02, 0.05, 0.1])
 @pytest.mark.parametrize("zeta", [0.0, 0.001, 0.02])
-@pytest.mark.parametrize("a_cycle", [10, 148, 999])
-def test_flat_turning_points_are_not_clipped(step: float, zeta: float, a_cycle: int) -> None:
-    times = np.arange(0.0, 20 * PERIOD, PERIOD / a_cycle)
+@pytest.mark.parametrize("per_cycle", [10, 148, 999])
+def test_flat_turning_points_are_not_clipped(step: float, zeta: float, per_cycle: int) -> None:
+    times = np.arange(0.0, 20 * PERIOD, PERIOD / per_cycle)
     values = step * np.round((decay(times, zeta=zeta) + noise(times.size, 0)) / step)
     assert not np.any(at_limit(values))
 
 
-def test_a_square_wave_and_a_rest_are_no_limit_of_a_sensor() -> None:
+def test_a_square_wave_and_a_rest_are_not_clipped() -> None:
     times = np.arange(1000.0)
     assert not np.any(at_limit(np.sign(np.sin(times / 7))))
     assert not np.any(at_limit(np.round(1.0 - np.exp(-times / 50), 2)))
 
 
-def test_a_saturated_force_is_refused_and_a_bounded_one_is_not() -> None:
-    """The force that acted is not the recorded one; where it is, its own limit does no harm."""
+def test_a_clipped_force_sensor_is_rejected_but_not_a_bounded_force() -> None:
+    """In the first case the force that acted differs from the recorded one."""
     times = np.arange(0.0, 30 * PERIOD, PERIOD / 30)
     force = np.sin(np.cumsum(np.linspace(0.3, 1.8, times.size)) * OMEGA * times[1])
     cut = np.clip(force, -0.5, 0.5)
@@ -247,4 +247,4 @@ def test_a_saturated_force_is_refused_and_a_bounded_one_is_not() -> None:
         values = motion + np.std(motion) * noise(times.size, 0)
         answer = bench.identify(times, values, cut, method="output_error")
         assert answer.trust == trust, answer.reasons
-        assert any("force sensor is saturated" in reason for reason in answer.reasons) == (trust != "trust")
+        assert any("force sensor is clipped" in reason for reason in answer.reasons) == (trust != "trust")

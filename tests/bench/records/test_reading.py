@@ -1,4 +1,4 @@
-"""Reading measured records: awkward files are read rightly, or refused in one line that says what to add."""
+"""Reading of measured records: unusual files are read correctly, or rejected in one line that says what to add."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DEGREE = math.pi / 180
 T = [0.0, 0.5, 1.0, 2.5]
 X = [1.0, -2.25, 3.5, 0.125]
 GRID = np.arange(200) / 100
-"""A clock of 100 Hz."""
+"""Times at 100 Hz."""
 
 
 def read(path: Path, **options: Any) -> Recording:
@@ -55,12 +55,12 @@ def rebuilt(stamps: np.ndarray, unit: float) -> tuple[np.ndarray, list[str]]:
 
 
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read every file in the process of the test, which is faster than one of its own for each."""
+    """Read files in the process of the test, which is faster than a separate one."""
     monkeypatch.setattr(files, "_table_of_child", lambda path: files._table(path.read_bytes(), path))
 
 
 def check(recording: Recording, signals: dict[str, tuple[list[float], str]], times: list[float] = T) -> None:
-    """Every signal has these values and this unit, at these times."""
+    """Assert the roles, values, units and times of the signals."""
     assert [signal.role for signal in recording.signals] == list(signals)
     for signal in recording.signals:
         values, unit = signals[signal.role]
@@ -69,7 +69,7 @@ def check(recording: Recording, signals: dict[str, tuple[list[float], str]], tim
         np.testing.assert_allclose(signal.times, times, rtol=1e-12, atol=1e-12)
 
 
-# texts that say what they are, of the record T, X in metres
+# texts with the same record T, X in metres
 
 HEAD = "t [s],x [m]\n"
 SAME: dict[str, str | bytes] = {
@@ -129,9 +129,9 @@ SAME: dict[str, str | bytes] = {
 }
 
 
-@pytest.mark.parametrize("what", SAME)
-def test_texts_that_hold_the_same_record(what: str, tmp_path: Path) -> None:
-    check(read(write(tmp_path, SAME[what])), {"x": (X, "m")})
+@pytest.mark.parametrize("case", SAME)
+def test_texts_with_the_same_record(case: str, tmp_path: Path) -> None:
+    check(read(write(tmp_path, SAME[case])), {"x": (X, "m")})
 
 
 def test_blanks_for_missing_values_in_fixed_width(tmp_path: Path) -> None:
@@ -145,14 +145,14 @@ def test_blanks_for_missing_values_in_fixed_width(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("missing", ["", "nan", "NaN", "NA", "-", "n/a", "inf"])
-def test_missing_values_are_left_out_with_a_note(missing: str, tmp_path: Path) -> None:
+def test_missing_values_are_ignored_with_a_note(missing: str, tmp_path: Path) -> None:
     recording = read(write(tmp_path, f"t [s],x [m],f [kN]\n0,1,1\n1,{missing},2\n2,3,3\n3,4,4\n{missing},9,9\n"))
     x, f = recording.signals
     np.testing.assert_allclose(x.times, [0, 2, 3])
     np.testing.assert_allclose(x.values, [1, 3, 4])
     np.testing.assert_allclose(f.values, [1000, 2000, 3000, 4000])
     assert any("x: 1 of 4 values are missing" in note for note in recording.notes)
-    assert any("rows without a time are left out: 1 of 5" in note for note in recording.notes)
+    assert any("rows without a time are ignored: 1 of 5" in note for note in recording.notes)
 
 
 # units and roles
@@ -187,12 +187,12 @@ SIGNALS: dict[str, tuple[str, str, str, float, str]] = {
 }
 
 
-@pytest.mark.parametrize("what", SIGNALS)
-def test_the_unit_of_a_header_says_what_is_measured(what: str, tmp_path: Path) -> None:
-    header, role, measures, size, unit = SIGNALS[what]
-    beside, nine = ("x [m],", "9,") if role == "f" else ("", "")  # a force alone is no record
+@pytest.mark.parametrize("case", SIGNALS)
+def test_the_unit_in_a_header_determines_the_quantity(case: str, tmp_path: Path) -> None:
+    header, role, measures, size, unit = SIGNALS[case]
+    motion, nine = ("x [m],", "9,") if role == "f" else ("", "")  # a record needs a motion
     lines = [f"{t},{nine}{x}" for t, x in zip(T, X, strict=True)]
-    signal = read(write(tmp_path, f"t [s],{beside}{header}\n" + "\n".join(lines))).signals[-1]
+    signal = read(write(tmp_path, f"t [s],{motion}{header}\n" + "\n".join(lines))).signals[-1]
     assert (signal.role, signal.measures, signal.unit) == (role, measures, unit)
     assert signal.dof == (1 if role == "x2" else 0)
     np.testing.assert_allclose(signal.values, [size * x for x in X], rtol=1e-12)
@@ -215,19 +215,19 @@ def test_the_unit_of_a_header_says_what_is_measured(what: str, tmp_path: Path) -
         ("theta_deg_s", ""),
     ],
 )
-def test_what_may_be_no_unit_is_not_taken_for_one(header: str, unit: str) -> None:
+def test_ambiguous_suffixes_are_not_units(header: str, unit: str) -> None:
     column = column_of(header, np.zeros(1))
     assert column.unit is None
     assert column.label == unit
 
 
 @pytest.mark.parametrize("header", ["Mass (g)", "velocity [mm]", "Force (m/s²)", "temp (°)"])
-def test_a_name_that_contradicts_its_unit_is_not_certain(header: str, tmp_path: Path) -> None:
+def test_a_name_that_contradicts_its_unit_is_ambiguous(header: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"add e\.g\. columns=t:0,x:1"):
         read(write(tmp_path, f"t [s],{header}\n" + rows()))
 
 
-def test_units_of_every_measure_come_in_many_spellings() -> None:
+def test_spellings_of_units() -> None:
     for text in ("m/s²", "m/s^2", "m/s2", "m / s**2", "m·s⁻²", "m/s/s", "m/sec^2"):
         unit = unit_of(text)
         assert unit is not None
@@ -236,7 +236,7 @@ def test_units_of_every_measure_come_in_many_spellings() -> None:
         assert unit_of(text) is None
 
 
-def test_all_columns_of_certain_units_are_read(tmp_path: Path) -> None:
+def test_all_columns_with_known_units_are_read(tmp_path: Path) -> None:
     text = "t [ms],x [mm],v [m/s],Accel (g),F [kN],valid\n0,1,2,3,4,1\n500,2,3,4,5,1\n1500,-3,4,5,6,0\n"
     recording = read(write(tmp_path, text))
     g = 9.80665
@@ -249,15 +249,15 @@ def test_all_columns_of_certain_units_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("names", [("x1", "x2"), ("ch1", "ch2"), ("Channel 1", "Channel 2"), ("theta_1", "theta_2")])
-def test_columns_that_the_headers_count_are_of_several_dofs(names: tuple[str, str], tmp_path: Path) -> None:
+def test_numbered_columns_are_several_dofs(names: tuple[str, str], tmp_path: Path) -> None:
     first, second = names
     text = f"t [s],{second} [mm],{first} [mm]\n0,20,10\n1,21,11\n2,22,12\n"
     recording = read(write(tmp_path, text))
-    found = {signal.role: (signal.dof, signal.values.tolist()) for signal in recording.signals}
-    assert found == {"x1": (0, [0.01, 0.011, 0.012]), "x2": (1, [0.02, 0.021, 0.022])}
+    signals = {signal.role: (signal.dof, signal.values.tolist()) for signal in recording.signals}
+    assert signals == {"x1": (0, [0.01, 0.011, 0.012]), "x2": (1, [0.02, 0.021, 0.022])}
 
 
-def test_named_columns_are_taken_and_nothing_else(tmp_path: Path) -> None:
+def test_only_the_specified_columns_are_read(tmp_path: Path) -> None:
     path = write(
         tmp_path, "trial,t,x,v,y [px]\n" + "".join(f"0,{t},{x},9,{2 * x}\n" for t, x in zip(T, X, strict=True))
     )
@@ -268,7 +268,7 @@ def test_named_columns_are_taken_and_nothing_else(tmp_path: Path) -> None:
     check(read(path, columns={"x": 2}, units={"x": "counts"}, rate=4), {"x": (X, "counts")}, [0, 0.25, 0.5, 0.75])
 
 
-def test_units_may_be_said_where_the_names_are_clear(tmp_path: Path) -> None:
+def test_units_can_be_specified_for_clear_names(tmp_path: Path) -> None:
     path = write(tmp_path, "t,x\n" + rows())
     check(read(path, units={"t": "s", "x": "cm"}), {"x": ([0.01 * x for x in X], "m")})
     check(read(path, units={"t": "ms", "x1": "deg"}), {"x": ([DEGREE * x for x in X], "rad")}, [1e-3 * t for t in T])
@@ -277,7 +277,7 @@ def test_units_may_be_said_where_the_names_are_clear(tmp_path: Path) -> None:
 def test_a_unit_that_differs_from_the_header_is_noted(tmp_path: Path) -> None:
     recording = read(write(tmp_path, "t [s],x [V]\n" + rows()), units={"x": "mm"})
     check(recording, {"x": ([1e-3 * x for x in X], "m")})
-    assert "x is taken in mm, as units= says; its header says V" in recording.notes
+    assert "x: unit mm (from units=) replaces V (from the header)" in recording.notes
 
 
 def test_a_single_column_needs_a_rate_and_a_unit(tmp_path: Path) -> None:
@@ -285,50 +285,51 @@ def test_a_single_column_needs_a_rate_and_a_unit(tmp_path: Path) -> None:
     recording = read(path, rate=1000, units={"x": "deg"})
     values = [DEGREE * x for x in (-90.36, -90.64, -90.91, -91.18)]
     check(recording, {"x": (values, "rad")}, [0, 0.001, 0.002, 0.003])
-    assert recording.notes == ("numbers above the table are left out: row 2, 90, 1000, 5",)
+    assert recording.notes == ("numbers above the table are ignored: row 2, 90, 1000, 5",)
 
 
 # times
 
 
-def test_stamps_rounded_to_milliseconds_are_rebuilt(tmp_path: Path) -> None:
+def test_stamps_rounded_to_milliseconds_are_replaced(tmp_path: Path) -> None:
     true = 0.467 + np.arange(757) / 119.944
     recording = read(write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t:.3f},{i}\n" for i, t in enumerate(true))))
     np.testing.assert_allclose(recording.signals[0].times, true - true[0], atol=1e-4)
-    assert "rounded to 0.001 s: times are rebuilt from 119.9" in recording.notes[0]
+    assert "rounded to 0.001 s: times are replaced by even ones at 119.9" in recording.notes[0]
 
 
 @pytest.mark.parametrize("decimals", [1, 2])
-def test_stamps_that_repeat_are_rebuilt(decimals: int, tmp_path: Path) -> None:
+def test_repeated_stamps_are_replaced(decimals: int, tmp_path: Path) -> None:
     true = np.arange(900) / (300 if decimals == 2 else 30)
     lines = [f"{t:.{decimals}f},{math.sin(7 * t):.6f}" for t in true]
     recording = read(write(tmp_path, "t [s],x [mm]\n" + "\n".join(lines)))
     x = recording.signals[0]
     assert x.times.size == 900
     np.testing.assert_allclose(np.diff(x.times), true[1], rtol=1e-3)
-    assert f"of 900 time stamps repeat: times are rebuilt from {'300' if decimals == 2 else '30'}" in recording.notes[0]
+    rate = "300" if decimals == 2 else "30"
+    assert f"of 900 time stamps are repeated: times are replaced by even ones at {rate}" in recording.notes[0]
 
 
-def test_a_stamp_that_lags_now_and_then_is_set_right() -> None:
+def test_occasionally_late_stamps_are_corrected() -> None:
     true = np.arange(870) / 30
     stamps = np.round(true, 3)
     late = np.arange(40, 860, 51)
     stamps[late] = stamps[late - 1]
     times, notes = rebuilt(stamps, 1.0)
     np.testing.assert_allclose(times, true, atol=1e-3)
-    assert notes == ["17 of 870 time stamps repeat: times are rebuilt from 30 Hz"]
+    assert notes == ["17 of 870 time stamps are repeated: times are replaced by even ones at 30 Hz"]
 
 
-def test_dropped_frames_stay_a_gap(tmp_path: Path) -> None:
+def test_dropped_frames_remain_a_gap(tmp_path: Path) -> None:
     true = np.delete(np.arange(300) / 30, [50, 51, 52, 200])
     recording = read(write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t:.3f},1\n" for t in true)))
     np.testing.assert_allclose(recording.signals[0].times, true, atol=2e-4)
-    assert "gaps in time are kept: 2, where 4 samples 0.03333 s apart are missing" in recording.notes
+    assert "2 gaps in time, in which 4 samples at intervals of 0.03333 s are missing" in recording.notes
     exact = write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t!r},1\n" for t in np.delete(GRID, [5, 6]).tolist()))
     np.testing.assert_array_equal(read(exact).signals[0].times, np.delete(GRID, [5, 6]))
 
 
-def test_uneven_sampling_is_left_as_it_is(tmp_path: Path) -> None:
+def test_uneven_sampling_is_preserved(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     times = np.round(np.sort(rng.uniform(0, 10, 300)), 3)
     times = np.unique(times)
@@ -337,29 +338,29 @@ def test_uneven_sampling_is_left_as_it_is(tmp_path: Path) -> None:
     assert recording.notes == ()
 
 
-def test_even_sampling_is_not_touched() -> None:
+def test_even_sampling_is_preserved() -> None:
     for stamps in (GRID, GRID + 1e6, np.arange(1000) / 1024, np.arange(50.0)):
         times, notes = rebuilt(stamps, 1.0)
         np.testing.assert_array_equal(times, stamps)
         assert notes == []
 
 
-def test_stamps_of_the_days_since_1970_are_rebuilt() -> None:
+def test_stamps_since_1970_are_replaced() -> None:
     true = np.arange(500) / 120
     stamps = 1_700_000_000_000 + np.round(1000 * true)
     times, notes = rebuilt(stamps, 1e-3)
     np.testing.assert_allclose(times - times[0], true, atol=1e-4)
-    assert notes == ["time stamps are rounded to 0.001 s: times are rebuilt from 120 Hz"]
+    assert notes == ["time stamps are rounded to 0.001 s: times are replaced by even ones at 120 Hz"]
 
 
-def test_times_of_32_bits_are_rebuilt() -> None:
+def test_times_of_32_bits_are_replaced() -> None:
     true = 1000 + np.arange(5000) / 2000
     times, notes = rebuilt(true.astype(np.float32).astype(float), 1.0)
     np.testing.assert_allclose(times, true, atol=1e-5)
     assert len(notes) == 1
 
 
-def test_a_part_is_cut_out_on_the_clock_of_the_record(tmp_path: Path) -> None:
+def test_a_part_is_selected_on_the_clock_of_the_record(tmp_path: Path) -> None:
     path = write(tmp_path, "t [ms],x [mm]\n" + "".join(f"{t},{t}\n" for t in range(1000, 1100)))
     x = read(path, start=1.01, end=1.05).signals[0]
     np.testing.assert_allclose(x.values, np.arange(1010, 1051) / 1000)
@@ -381,7 +382,7 @@ def test_the_rate_of_whole_seconds_has_its_uncertainty(rate: float, phase: float
     assert "known to" in recording.notes[0]
 
 
-def test_stamps_of_three_significant_digits_are_rebuilt(tmp_path: Path) -> None:
+def test_stamps_of_three_significant_digits_are_replaced(tmp_path: Path) -> None:
     true = np.arange(900) * 1001 / 30000
     lines = "".join(f"{t:.3g},{math.sin(7 * t):.6f}\n" for t in true)
     recording = read(write(tmp_path, "t [s],x [mm]\n" + lines))
@@ -389,21 +390,21 @@ def test_stamps_of_three_significant_digits_are_rebuilt(tmp_path: Path) -> None:
     assert 0 < recording.rate_error < 1e-4
 
 
-def test_two_distinct_stamps_determine_no_rate(tmp_path: Path) -> None:
+def test_two_distinct_stamps_do_not_determine_the_rate(tmp_path: Path) -> None:
     text = "t [s],x [mm]\n" + "".join(f"{i // 20},{math.sin(i)}\n" for i in range(40))
-    with pytest.raises(InputError, match="2 distinct time stamps leave the sampling rate open"):
+    with pytest.raises(InputError, match="2 distinct time stamps determine the sampling rate only to"):
         read(write(tmp_path, text))
     assert read(write(tmp_path, text.replace("t [s]", "frame")), columns={"x": 1}, rate=20).rate_error == 0.0
 
 
 @pytest.mark.parametrize("header", ["dt [ms]", "t [ms]", "Time since last (ms)"])
-def test_times_since_the_last_sample_are_summed(header: str, tmp_path: Path) -> None:
+def test_time_increments_are_summed(header: str, tmp_path: Path) -> None:
     gaps = np.random.default_rng(0).choice([19, 20, 20, 21], 300)
     gaps[0] = 0
     text = f"a [m/s^2],{header}\n" + "".join(f"{math.sin(i / 5)},{gap}\n" for i, gap in enumerate(gaps))
     recording = read(write(tmp_path, text))
     np.testing.assert_allclose(recording.signals[0].times, np.cumsum(gaps) / 1000, atol=1e-9)
-    assert "holds the time since the sample before" in recording.notes[0]
+    assert "contains time increments, which were summed" in recording.notes[0]
     assert recording.rate_error == pytest.approx(1 / (20 * math.sqrt(12 * 299)), rel=0.01)
 
 
@@ -418,9 +419,9 @@ MATRICES = {
 }
 
 
-@pytest.mark.parametrize("what", MATRICES)
-def test_a_matrix_written_as_text(what: str, tmp_path: Path) -> None:
-    check(read(write(tmp_path, MATRICES[what]), units={"t": "s", "x": "m"}), {"x": (X, "m")})
+@pytest.mark.parametrize("case", MATRICES)
+def test_a_matrix_written_as_text(case: str, tmp_path: Path) -> None:
+    check(read(write(tmp_path, MATRICES[case]), units={"t": "s", "x": "m"}), {"x": (X, "m")})
 
 
 # arrays from Python
@@ -434,13 +435,13 @@ def test_dates_and_their_differences_are_times() -> None:
     for times in (moments, stamps, berlin, pd.DatetimeIndex(moments), [m - start for m in moments], stamps - stamps[0]):
         recording = of_arrays(times, X)
         check(recording, {"x": (X, "m")})
-        assert "they count in s from the first" in recording.notes[0]
+        assert "converted to s since the first" in recording.notes[0]
 
 
-def test_masked_samples_are_left_out_with_a_note() -> None:
+def test_masked_samples_are_ignored_with_a_note() -> None:
     recording = of_arrays(np.arange(5.0), np.ma.masked_equal([1.0, -9.0, 3.0, 4.0, 5.0], -9.0))
     check(recording, {"x": ([1, 3, 4, 5], "m")}, [0, 2, 3, 4])
-    assert "displacement: 1 of 5 samples are masked and left out" in recording.notes
+    assert "displacement: 1 of 5 samples are masked and ignored" in recording.notes
     masked = np.ma.masked_array(np.arange(5.0), [0, 0, 1, 0, 0])
     np.testing.assert_array_equal(of_arrays(masked, np.arange(5.0)).signals[0].times, [0, 1, 3, 4])
 
@@ -448,23 +449,23 @@ def test_masked_samples_are_left_out_with_a_note() -> None:
 @pytest.mark.parametrize(
     ("times", "x", "part"),
     [
-        (T, [1, 2, 3 + 1j, 4], "displacement=array: complex numbers"),
+        (T, [1, 2, 3 + 1j, 4], "displacement=array: it contains complex numbers"),
         (T, np.array([1, 2, 3j, 4], dtype=object), "complex numbers"),
-        (T, np.arange("2026-01-01", "2026-01-05", dtype="datetime64[D]"), "dates are no samples"),
+        (T, np.arange("2026-01-01", "2026-01-05", dtype="datetime64[D]"), "it contains dates"),
         (T, ["a", "b", "c", "d"], "numbers are needed"),
         (T, [1, 2, math.nan, 4], "displacement=array: sample 2 is not finite"),
         (T, [1, 2, 3], "a number for each time"),
-        ([T, T], [X, X], "one-dimensional"),
+        ([T, T], [X, X], "use a vector"),
         (["2026-01-01"] * 4, X, "times=array: numbers are needed"),
     ],
 )
-def test_arrays_that_are_no_samples(times: Any, x: Any, part: str) -> None:
+def test_invalid_arrays_are_rejected(times: Any, x: Any, part: str) -> None:
     with pytest.raises(InputError) as error:
         of_arrays(times, x)
     assert part in str(error.value)
 
 
-def test_arrays_take_the_options_of_files() -> None:
+def test_options_apply_to_arrays() -> None:
     options = ReadOptions(units={"t": "ms", "x": "mm"}, start=0.5e-3)
     recording = of_arrays(T, X, options=options)
     check(recording, {"x": ([1e-3 * x for x in X[1:]], "m")}, [0, 0.5e-3, 2e-3])
@@ -482,35 +483,39 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("what", RUNS)
-def test_runs_in_one_file_are_records_of_their_own(what: str, tmp_path: Path) -> None:
-    path = write(tmp_path, RUNS[what])
+@pytest.mark.parametrize("case", RUNS)
+def test_runs_in_one_file_are_separate_records(case: str, tmp_path: Path) -> None:
+    path = write(tmp_path, RUNS[case])
     first, second = read_recordings(path)
     x = np.round(np.cos(np.arange(30)), 5)
     check(first, {"x": (x.tolist(), "m")}, (np.arange(30) / 20).tolist())
     check(second, {"x": (x[:20].tolist(), "m")}, (np.arange(20) / 20).tolist())
     assert "run 2 of 2: rows 32 to 51" in second.notes
     assert second.source == f"{path} run 2"
-    with pytest.raises(InputError, match="it holds 2 runs"):
+    with pytest.raises(InputError, match="it has 2 runs"):
         read(path)
 
 
-# what is refused, and what it says
+# errors
 
-REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
+REJECTED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "an empty file": ("", {}, "the file is empty"),
     "blank lines alone": ("\n\n \n", {}, "the file is empty"),
     "a header alone": (HEAD, {}, "no rows of numbers"),
     "prose": ("Dear all,\nplease find attached\n", {}, "no rows of numbers"),
-    "a binary file": (bytes(range(256)) * 4, {}, "binary file"),
-    "a picture": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00", {}, "binary file"),
+    "a binary file": (bytes(range(256)) * 4, {}, "unknown binary format"),
+    "a picture": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00", {}, "unknown binary format"),
     "a damaged gzip": (b"\x1f\x8b\x08\x00abc", {}, "gzip file is damaged"),
     "a damaged zip": (b"PK\x03\x04abc", {}, "damaged"),
     "a damaged Parquet": (b"PAR1abcPAR1", {}, "damaged"),
     "a damaged npy": (b"\x93NUMPY\x01\x00abc", {}, "damaged"),
     "MATLAB 7.3": (b"MATLAB 7.3 MAT-file" + bytes(200), {}, "save it with save(…, '-v7')"),
     "no units": ("t,x\n" + rows(), {}, "add units=t:s,x:mm"),
-    "no unit of time": ("time,x [mm]\n" + rows(), {}, "no unit is known of t (column 0 'time'); add units=t:s"),
+    "no unit of time": (
+        "time,x [mm]\n" + rows(),
+        {},
+        "the unit of t (column 0 'time') is unknown; add units=t:s",
+    ),
     "no unit of x": ("t [s],displacement\n" + rows(), {}, "add units=x:mm"),
     "no header": (rows(), {}, "add e.g. columns=t:0,x:1"),
     "no header, and units only": (rows(), {"units": {"t": "s", "x": "m"}}, "add e.g. columns=t:0,x:1"),
@@ -518,15 +523,15 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "no time": ("x [mm],f [N]\n" + rows(), {}, "add rate= (Hz)"),
     "named without a time": ("t [s],x [mm]\n" + rows(), {"columns": {"x": 1}}, "add rate= (Hz), or t:"),
     "a time alone": ("t [s]\n0\n1\n2\n3\n", {}, "a column of displacement, velocity or acceleration is needed"),
-    "a rate beside a time": (HEAD + rows(), {"rate": 100}, "column 0 't [s]' gives the times; leave out rate="),
+    "a rate beside a time": (HEAD + rows(), {"rate": 100}, "column 0 't [s]' contains the times; omit rate="),
     "two displacements": (
         "t [s],X (mm),Y (mm)\n0,1,2\n1,2,3\n2,3,4\n",
         {},
         "1 'X (mm)', 2 'Y (mm)'; add e.g. columns=t:0,x:1",
     ),
-    "two times": ("t [s],time [ms],x [m]\n0,0,2\n1,1000,3\n2,2000,4\n", {}, "which column is the time"),
-    "an angle and a way": ("t [s],angle (deg),v (mm/s)\n0,1,2\n1,2,3\n2,3,4\n", {}, "not of one DOF"),
-    "an unknown unit": ("t [s],x [px]\n" + rows(), {}, "or keep it as it is with columns=t:0,x:1"),
+    "two times": ("t [s],time [ms],x [m]\n0,0,2\n1,1000,3\n2,2000,4\n", {}, "several columns may be the time"),
+    "an angle and a way": ("t [s],angle (deg),v (mm/s)\n0,1,2\n1,2,3\n2,3,4\n", {}, "which are not one DOF"),
+    "an unknown unit": ("t [s],x [px]\n" + rows(), {}, "or keep the unit with columns=t:0,x:1"),
     "an unknown unit of time": ("t [fortnight],x [m]\n" + rows(), {}, "add units=t:s"),
     "a label of the user without columns=": (
         "t [s],x\n" + rows(),
@@ -536,12 +541,12 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "a label of the time": (
         rows(),
         {"columns": {"t": 0, "x": 1}, "units": {"t": "frames", "x": "m"}},
-        "known are s, ms",
+        "supported: s, ms",
     ),
     "velocity as a force": (
         "t [s],v [m/s]\n" + rows(),
         {"columns": {"t": 0, "f": 1}},
-        "measures velocity, not force; take it as v",
+        "measures velocity, not force; use the role v",
     ),
     "g as a displacement": (
         "t [s],Accel (g)\n" + rows(),
@@ -551,7 +556,7 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "a velocity in mm": (
         "t [s],y\n" + rows(),
         {"columns": {"t": 0, "v": 1}, "units": {"v": "mm"}},
-        "no unit of velocity; known are m/s",
+        "not a unit of velocity; supported: m/s",
     ),
     "a column that is not there": (
         HEAD + rows(),
@@ -559,7 +564,7 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         "no such column; it has columns 0 't [s]', 1 'x [m]'",
     ),
     "a name that is not there": (HEAD + rows(), {"columns": {"t": "t", "x": "pos"}}, "columns=x:pos: no such column"),
-    "one column twice": (HEAD + rows(), {"columns": {"x": 1, "v": 1}}, "has another role"),
+    "one column twice": (HEAD + rows(), {"columns": {"x": 1, "v": 1}}, "has two roles"),
     "a column of words by number": (
         HEAD.replace("\n", ",s\n") + rows().replace("\n", ",on\n"),
         {"columns": {"t": 0, "x": 2}},
@@ -568,22 +573,26 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "a unit for no column": (
         HEAD + rows(),
         {"units": {"f": "N"}},
-        "no column is known to be f; add e.g. columns=t:0,f:1",
+        "no column has the role f; add e.g. columns=t:0,f:1",
     ),
     "a trial column": (
         "trial,t [s],x [m]\n" + "".join(f"{i % 2},{i},1\n" for i in range(6)),
         {},
-        "counts several records",
+        "numbers several records",
     ),
-    "unsorted times": (HEAD + rows(times=[0.0, 2.0, 1.0, 3.0]), {}, "row 4: time goes back from 2 to 1; sort the rows"),
-    "a clock that wraps": (HEAD + rows(times=[8.0, 9.0, 0.0, 1.0]), {}, "time goes back from 9 to 0"),
-    "one time for all": (HEAD + rows(times=[1.0] * 4), {}, "row 3: time 1 repeats"),
-    "stamps that no rate explains": (HEAD + "0,1\n0.1,2\n0.5,3\n0.5,4\n3.1,5\n3.2,6\n9,7\n", {}, "give rate="),
+    "unsorted times": (HEAD + rows(times=[0.0, 2.0, 1.0, 3.0]), {}, "row 4: time decreases from 2 to 1; sort the rows"),
+    "a clock that wraps": (HEAD + rows(times=[8.0, 9.0, 0.0, 1.0]), {}, "time decreases from 9 to 0"),
+    "one time for all": (HEAD + rows(times=[1.0] * 4), {}, "row 3: time 1 occurs repeatedly"),
+    "stamps that no rate explains": (
+        HEAD + "0,1\n0.1,2\n0.5,3\n0.5,4\n3.1,5\n3.2,6\n9,7\n",
+        {},
+        "replace the time by rate=",
+    ),
     "a word in a row": (HEAD + "0,1\n1,2\n2,two\n3,3\n4,4\n5,5\n6,6\n", {}, "row 4: 2 numbers are needed"),
     "a short row": (
         HEAD + "0.5,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n7.5,7\n",
         {},
-        "row 5: 2 numbers are needed as in the rest",
+        "row 5: 2 numbers are needed, not 3",
     ),
     "a short row of whole numbers": (HEAD + "0,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n", {}, "row 5: 2 numbers are needed"),
     "a bad row near the top": (HEAD + "0.5,1\n1,2\n2,2x\n3,3\n4,4\n5,5\n", {}, "row 4"),
@@ -592,14 +601,14 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         {},
         "row 5: 2 numbers are needed",
     ),
-    "two tables": (HEAD + rows() + "\nsecond\n" + HEAD + rows(), {}, "mend or remove it"),
+    "two tables": (HEAD + rows() + "\nsecond\n" + HEAD + rows(), {}, "correct or delete this row"),
     "two samples": (HEAD + "0,1\n1,2\n", {}, "2 samples of x; at least 3"),
     "nothing but missing values": (
         "t [s],x [m],f [N]\n0,nan,1\n1,nan,2\n2,nan,3\n",
         {},
         "a column of displacement, velocity or acceleration is needed",
     ),
-    "thousands": ("t [s];x [mm]\n1;1,234\n2;2,345\n3;3,456\n", {}, "may mean thousands or decimals"),
+    "thousands": ("t [s];x [mm]\n1;1,234\n2;2,345\n3;3,456\n", {}, "the comma of 1,234 is ambiguous"),
     "thousands in quotes": ('t [s],x [mm]\n1,"1,234.5"\n2,"2,345.5"\n3,"3,456.5"\n', {}, "x"),
     "a force alone": ("t [s],f [N]\n" + rows(), {}, "a column of displacement, velocity or acceleration is needed"),
     "one column with decimal commas": ("x [mm]\n0,5\n1,5\n-1,25\n", {"rate": 10}, "half as many with decimal commas"),
@@ -611,26 +620,26 @@ REFUSED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_refused_says_what_to_add(what: str, tmp_path: Path) -> None:
-    content, options, part = REFUSED[what]
+@pytest.mark.parametrize("case", REJECTED)
+def test_errors_say_what_to_add(case: str, tmp_path: Path) -> None:
+    content, options, part = REJECTED[case]
     with pytest.raises(InputError) as error:
         read(write(tmp_path, content), **options)
     assert part in str(error.value)
     assert "\n" not in str(error.value)
 
 
-def test_a_file_that_is_not_there_and_a_folder(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         read(tmp_path / "nowhere.csv")
     with pytest.raises(InputError, match="cannot be read"):
         read(tmp_path)
 
 
-def test_a_file_that_is_too_large_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_large_files_are_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path, HEAD + rows())
     monkeypatch.setattr("bench.records.reading.files.MAX_BYTES", 10)
-    with pytest.raises(InputError, match="thin or cut it"):
+    with pytest.raises(InputError, match="shorten the record"):
         read(path)
     monkeypatch.undo()
     monkeypatch.setattr("bench.records.reading.table.MAX_ROWS", 3)
@@ -644,14 +653,14 @@ def test_a_file_that_is_too_large_is_not_opened(tmp_path: Path, monkeypatch: pyt
         ({"columns": {"y": 0}}, "columns=y: roles are t, x, v, a, f"),
         ({"units": {"x0": "m"}}, "units=x0: roles are"),
         ({"columns": {"x": 0, "x1": 1}}, "the same role"),
-        ({"rate": 0.0}, "rate=0.0: a positive number"),
-        ({"rate": math.nan}, "a positive number"),
-        ({"start": 2.0, "end": 1.0}, "from=2.0: it must be before to=1"),
+        ({"rate": 0.0}, "rate=0.0: a positive sampling rate"),
+        ({"rate": math.nan}, "a positive sampling rate"),
+        ({"start": 2.0, "end": 1.0}, "from=2.0: it must be less than to=1"),
         ({"end": math.inf}, "to=inf"),
-        ({"decimate": 0}, "decimate=0: a whole number from 1 on"),
+        ({"decimate": 0}, "decimate=0: a whole number of at least 1"),
     ],
 )
-def test_options_that_cannot_be_meant(options: dict[str, Any], part: str) -> None:
+def test_invalid_options_are_rejected(options: dict[str, Any], part: str) -> None:
     with pytest.raises(InputError, match="=") as error:
         ReadOptions(**options)
     assert part in str(error.value)
@@ -664,7 +673,7 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         read(write(tmp_path, "    -1\n    58\nNONE\n    -1\n"))
 
 
-def test_where_a_recording_is_from_is_kept(tmp_path: Path) -> None:
+def test_the_source_of_a_recording_is_kept(tmp_path: Path) -> None:
     path = write(tmp_path, HEAD + rows())
     recording = read(path)
     assert recording.source == str(path)
@@ -696,7 +705,7 @@ def test_a_workbook(tmp_path: Path) -> None:
     np.testing.assert_allclose(x.times, T)
     np.testing.assert_allclose(f.values, [10.0, 35.0, 1.25])
     np.testing.assert_allclose(f.times, [0.0, 1.0, 2.5])
-    assert "the workbook has 2 sheets; 'data' is read" in recording.notes
+    assert "the workbook has 2 sheets; 'data' was read" in recording.notes
 
 
 def test_an_old_workbook(tmp_path: Path) -> None:
@@ -721,7 +730,7 @@ def test_sound_files(form: str, tmp_path: Path) -> None:
     recording = read(tmp_path / "r", columns={"a": "channel 2"}, units={"a": "g"})
     check(recording, {"a": (recording.signals[0].values.tolist(), "m/s²")}, GRID.tolist())
     np.testing.assert_allclose(recording.signals[0].values, -9.80665 * values, atol=1e-5)
-    assert "parts of its full scale" in recording.notes[0]
+    assert "fractions of full scale" in recording.notes[0]
 
 
 def test_a_workbook_without_numbers(tmp_path: Path) -> None:
@@ -743,14 +752,14 @@ def test_matlab_variables_by_name(tmp_path: Path) -> None:
     for options, part in [
         ({}, "t (4,), qm (4,), fs (), log.time (4,), log.pair (2, 4), name (no numbers), long (9,)"),
         ({"columns": {"t": "t", "x": "qg"}}, "no such column; it has variables t (4,)"),
-        ({"columns": {"t": "t", "x": "long"}}, "columns of one length are needed, but t has 4, x has 9"),
+        ({"columns": {"t": "t", "x": "long"}}, "columns of equal length are needed, but t has 4, x has 9"),
     ]:
         with pytest.raises(InputError) as error:
             read(path, **options)
         assert part in str(error.value)
 
 
-def test_matlab_names_may_hold_units(tmp_path: Path) -> None:
+def test_matlab_names_may_contain_units(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_mm": X, "fs": 2.0})
     check(read(tmp_path / "r.mat"), {"x": ([1e-3 * x for x in X], "m")})
 
@@ -768,18 +777,18 @@ def test_numpy_files(tmp_path: Path) -> None:
     check(read(tmp_path / "fields.npy"), {"x": (X, "m")})
 
 
-def test_pickles_are_never_opened(tmp_path: Path) -> None:
+def test_pickles_are_rejected(tmp_path: Path) -> None:
     np.save(tmp_path / "r.npy", np.array([{"t": 1}], dtype=object), allow_pickle=True)
     np.savez(tmp_path / "r.npz", t=np.array([{"t": 1}], dtype=object))
     for name in ("r.npy", "r.npz"):
-        with pytest.raises(InputError, match="Python objects, which are never loaded"):
+        with pytest.raises(InputError, match="Python objects, which are not loaded"):
             read(tmp_path / name)
 
 
-def test_an_array_that_claims_to_be_huge_is_refused(tmp_path: Path) -> None:
+def test_a_header_of_a_huge_array_is_rejected(tmp_path: Path) -> None:
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(buffer, {"shape": (10**12,), "fortran_order": False, "descr": "<f8"})
-    with pytest.raises(InputError, match="keep the columns that matter"):
+    with pytest.raises(InputError, match="export the needed columns"):
         read(write(tmp_path, buffer.getvalue(), name="r.npy"))
 
 
@@ -791,10 +800,10 @@ def test_parquet(tmp_path: Path) -> None:
     pq.write_table(table, tmp_path / "r.parquet")
     recording = read(tmp_path / "r.parquet")
     check(recording, {"x": ([1e-3, -2.25e-3, 0.125e-3], "m")}, [0.0, 0.5, 2.5])
-    assert "x: 1 of 4 values are missing and left out" in recording.notes
+    assert "x: 1 of 4 values are missing and ignored" in recording.notes
 
 
-# sizes are bounded before they are read
+# sizes are checked before reading
 
 
 def sheet_of(rows_of_xml: str) -> bytes:
@@ -823,15 +832,15 @@ def parquet_of(n: int) -> bytes:
 
 
 BOMBS = {
-    "cells far to the right": (lambda: sheet_of('<row r="1"><c r="XFD1"><v>1</v></c></row>' * 9), "beyond column 64"),
-    "many packed variables": (lambda: mat_of(300), "39321600 numbers in all"),
-    "many constant columns": (lambda: parquet_of(30), "30000000 numbers in all; at most 20000000"),
+    "cells far to the right": (lambda: sheet_of('<row r="1"><c r="XFD1"><v>1</v></c></row>' * 9), "than 64 columns"),
+    "many packed variables": (lambda: mat_of(300), "39321600 numbers; at most"),
+    "many constant columns": (lambda: parquet_of(30), "30000000 numbers; at most 20000000"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", BOMBS)
-def test_small_files_of_large_tables_are_refused(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make, part = BOMBS[what]
+@pytest.mark.parametrize("case", BOMBS)
+def test_small_files_of_large_tables_are_rejected(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, part = BOMBS[case]
     path = write(tmp_path, make())
     assert path.stat().st_size < 10**6
     in_this_process(monkeypatch)
@@ -843,10 +852,10 @@ def test_small_files_of_large_tables_are_refused(what: str, tmp_path: Path, monk
     assert peak < 100e6
 
 
-def test_a_reader_that_takes_too_much_memory_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_needs_too_much_memory_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MEMORY_MB", 1.0)
     np.savez_compressed(tmp_path / "r.npz", t=np.zeros(10**6))
-    with pytest.raises(InputError, match="keep the columns that matter"):
+    with pytest.raises(InputError, match="export the needed columns"):
         read(tmp_path / "r.npz")
 
 
@@ -894,7 +903,7 @@ def test_universal_files_without_units_or_with_two_sensors(tmp_path: Path) -> No
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves what it writes open
-def test_signals_that_come_again_in_a_universal_file_are_further_records(tmp_path: Path) -> None:
+def test_repeated_signals_in_a_universal_file_are_further_records(tmp_path: Path) -> None:
     pyuff = pytest.importorskip("pyuff")
     path = tmp_path / "r.uff"
     force = {"ordinate_spec_data_type": 13, "ordinate_axis_units_lab": "N", "rsp_node": 1}
@@ -906,11 +915,11 @@ def test_signals_that_come_again_in_a_universal_file_are_further_records(tmp_pat
     assert [len(run.signals) for run in read_recordings(path, ReadOptions({"f": 2, "a": 3}))] == [2]
 
 
-def test_frequency_responses_are_no_records_in_time(tmp_path: Path) -> None:
+def test_frequency_responses_are_no_time_records(tmp_path: Path) -> None:
     pyuff = pytest.importorskip("pyuff")
     path = tmp_path / "r.uff"
     pyuff.UFF(str(path)).write_sets([universal_set(np.ones(50) * 1j, func_type=4, abscissa_spec_data_type=18)], "add")
-    with pytest.raises(InputError, match="no records in time; add modes=auto"):
+    with pytest.raises(InputError, match="no time records; add modes=auto"):
         read(path)
 
 
@@ -926,7 +935,7 @@ def test_tdms(tmp_path: Path) -> None:
     np.testing.assert_allclose(a.times, GRID, atol=1e-12)
 
 
-# bytes at random
+# random bytes
 
 STARTS = [
     b"", b"\x1f\x8b", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"PAR1", b"MATLAB 5.0 MAT-file", b"TDSm",
@@ -935,7 +944,7 @@ STARTS = [
 
 
 def refusal(path: Path, **options: Any) -> str:
-    """What is said of a file; "" where it is read."""
+    """Return the error message of a file; "" if it can be read."""
     try:
         read(path, **options)
     except InputError as error:
@@ -944,7 +953,7 @@ def refusal(path: Path, **options: Any) -> str:
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_bytes_at_random_raise_nothing_else(start: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_random_bytes_raise_no_other_exception(start: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_this_process(monkeypatch)
     rng = np.random.default_rng(len(start))
     cells = np.frombuffer(b'0123456789.,;\t\n -eE"x[s]#', np.uint8)
@@ -955,7 +964,7 @@ def test_bytes_at_random_raise_nothing_else(start: bytes, tmp_path: Path, monkey
                 assert "\n" not in refusal(path, columns={"t": 0, "x": 1}, units={"t": "s"})
 
 
-def test_whole_files_with_a_byte_changed_raise_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_with_a_changed_byte_raise_no_other_exception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_this_process(monkeypatch)
     np.savez_compressed(tmp_path / "r.npz", t_s=T, x_m=X)
     scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_m": X}, do_compression=True)
@@ -969,9 +978,9 @@ def test_whole_files_with_a_byte_changed_raise_nothing_else(tmp_path: Path, monk
             assert "\n" not in refusal(write(tmp_path, changed, name=f"bad{name[1:]}"))
 
 
-# real records, where they are at hand
+# real records, if available
 
-real = pytest.mark.skipif(not SHARED.exists(), reason="the shared records are not there")
+real = pytest.mark.skipif(not SHARED.exists(), reason="the real records are not available")
 
 
 @real
@@ -1018,7 +1027,7 @@ def test_air_track_gliders() -> None:
 def test_a_pendulum_with_dropped_frames() -> None:
     path = SHARED / "schmidt_lipson_pendulum" / "real_pend_h_1.txt"
     recording = read(path, columns={"t": 1, "x": 2}, units={"t": "s", "x": "rad"})
-    assert recording.notes[-1].startswith("gaps in time are kept: 10, where 12 samples")
+    assert recording.notes[-1].startswith("10 gaps in time, in which 12 samples")
     assert recording.signals[0].times[5] == pytest.approx(1.0)
 
 

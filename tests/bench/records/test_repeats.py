@@ -1,4 +1,4 @@
-"""Repeats: run alone, the spread between them as the interval, and a run that is not one of them."""
+"""Repeats of a test: combination of separate results, and exclusion of inconsistent runs."""
 
 from __future__ import annotations
 
@@ -35,109 +35,109 @@ def stated(value: float, error: float, unit: str) -> StatedInterval:
 
 
 def answers(measured: Measured, k: Sequence[float], c: Sequence[float], error: float = 1e-4) -> list[Finding]:
-    """Return an answer for each run with the same relative error; none where k/m is 0."""
-    found = []
+    """Return a result for each run, with equal relative errors; a failed one where k/m is 0."""
+    findings = []
     for run, stiffness, damping in zip(runs_of(measured), k, c, strict=True):
         estimate = Estimate(SDOF())
         if stiffness == 0:
-            found.append(Finding("ls", run, estimate, reasons=(Reason(Trust.NO, "no vibration found"),)))
+            findings.append(Finding("ls", run, estimate, reasons=(Reason(Trust.NO, "no vibration detected"),)))
             continue
         intervals = {
             "k_over_m": stated(stiffness, error, "1/s²"),
             "c_over_m": stated(damping, 10 * error, "1/s"),
             "natural_frequency": stated(np.sqrt(stiffness) / 2 / np.pi, error / 2, "Hz"),
         }
-        found.append(Finding("ls", run, estimate, stated=intervals))
-    return found
+        findings.append(Finding("ls", run, estimate, stated=intervals))
+    return findings
 
 
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_the_interval_of_a_repeat_is_the_prediction_interval_of_the_random_effects_model(n: int) -> None:
     k = np.array([100.0, 101.0, 99.0, 102.0, 100.4])[:n]
     measured = several(n)
-    found = combined(answers(measured, k, [1.0] * n))
-    assert found is not None
+    finding = combined(answers(measured, k, [1.0] * n))
+    assert finding is not None
     y, more = np.log(k), max(4 - n, 0)
     tau2 = ((n - 1) * (np.var(y, ddof=1) - 1e-8) + more * PRIOR_SPREAD["stiffness"] ** 2) / (n - 1 + more)
     half = stats.t(n - 1 + more).ppf(0.975) * np.sqrt((tau2 + 1e-8) / n + tau2)
-    own = found.intervals["k_over_m"]
-    assert own.value == pytest.approx(np.exp(np.mean(y)))
-    assert np.log(own.high / own.value) == pytest.approx(half, rel=1e-3)
-    assert own.low < own.record_low < own.value < own.record_high < own.high
+    interval = finding.intervals["k_over_m"]
+    assert interval.value == pytest.approx(np.exp(np.mean(y)))
+    assert np.log(interval.high / interval.value) == pytest.approx(half, rel=1e-3)
+    assert interval.low < interval.record_low < interval.value < interval.record_high < interval.high
 
 
 def test_the_frequency_is_half_as_wide_as_the_stiffness_and_agrees_with_it() -> None:
     measured = several(3)
-    found = combined(answers(measured, [50.0, 50.4, 49.9], [1.0, 1.2, 0.9]))
-    assert found is not None
-    k, f = found.intervals["k_over_m"], found.intervals["natural_frequency"]
+    finding = combined(answers(measured, [50.0, 50.4, 49.9], [1.0, 1.2, 0.9]))
+    assert finding is not None
+    k, f = finding.intervals["k_over_m"], finding.intervals["natural_frequency"]
     assert f.value == pytest.approx(np.sqrt(k.value) / 2 / np.pi)
     assert np.log(f.high / f.low) == pytest.approx(np.log(k.high / k.low) / 2)
 
 
 @pytest.mark.parametrize("n", [3, 4, 6])
-def test_a_run_of_another_rig_is_left_out_by_its_name(n: int) -> None:
+def test_an_inconsistent_run_is_excluded_by_name(n: int) -> None:
     measured, k = several(n), [100.0 * (1 + 0.001 * (-1) ** i) for i in range(n)]
     k[1] = 118.0
-    found = combined(answers(measured, k, [1.0] * n))
-    assert found is not None
-    assert [run.name for run in found.runs if run.left_out] == ["run2.csv"]
-    assert found.trust is Trust.CAUTION
-    assert found.reasons[0].text.startswith("run2.csv is left out: not a repeat of the others: k/m = 118")
-    assert found.intervals["k_over_m"].high < 105
+    finding = combined(answers(measured, k, [1.0] * n))
+    assert finding is not None
+    assert [run.name for run in finding.runs if run.left_out] == ["run2.csv"]
+    assert finding.trust is Trust.CAUTION
+    assert finding.reasons[0].text.startswith("run2.csv is excluded: inconsistent with the other runs: k/m 118")
+    assert finding.intervals["k_over_m"].high < 105
 
 
-def test_repeats_that_scatter_are_all_kept_and_said_to_be_unalike() -> None:
+def test_scattered_repeats_are_kept_and_reported() -> None:
     measured = several(5)
-    found = combined(answers(measured, [100, 110, 93, 104, 88], [1.0] * 5))
-    assert found is not None
-    assert not any(run.left_out for run in found.runs)
-    assert "may differ by" in found.reasons[0].text
-    assert found.intervals["k_over_m"].low < 93 < 110 < found.intervals["k_over_m"].high
+    finding = combined(answers(measured, [100, 110, 93, 104, 88], [1.0] * 5))
+    assert finding is not None
+    assert not any(run.left_out for run in finding.runs)
+    assert "differs by up to" in finding.reasons[0].text
+    assert finding.intervals["k_over_m"].low < 93 < 110 < finding.intervals["k_over_m"].high
 
 
-def test_repeats_that_alone_have_no_answer_are_left_out_and_two_of_five_are_too_few() -> None:
+def test_failed_repeats_are_excluded_and_two_of_five_are_too_few() -> None:
     measured = several(5)
-    found = combined(answers(measured, [100, 0, 100.2, 0, 0], [1.0] * 5))
-    assert found is not None
-    assert found.trust is Trust.NO
-    assert found.reasons[0].text == "only 2 of 5 runs agree and can be answered"
-    assert not found.intervals
+    finding = combined(answers(measured, [100, 0, 100.2, 0, 0], [1.0] * 5))
+    assert finding is not None
+    assert finding.trust is Trust.NO
+    assert finding.reasons[0].text == "only 2 of 5 runs agree and have an estimate"
+    assert not finding.intervals
     assert combined(answers(measured, [0, 0, 0, 0, 0], [1.0] * 5)) is None
 
 
-def test_the_only_run_of_two_that_has_an_answer_is_the_answer_with_caution() -> None:
+def test_the_only_successful_run_of_two_is_returned_with_caution() -> None:
     measured = several(2)
-    alone = answers(measured, [100, 0], [1.0] * 2)
-    found = combined(alone)
-    assert found is not None
-    assert found.trust is Trust.CAUTION
-    assert dict(found.intervals) == dict(alone[0].intervals)
+    separate = answers(measured, [100, 0], [1.0] * 2)
+    finding = combined(separate)
+    assert finding is not None
+    assert finding.trust is Trust.CAUTION
+    assert dict(finding.intervals) == dict(separate[0].intervals)
 
 
-def test_a_run_that_does_not_determine_the_damping_is_kept_and_leaves_it_to_the_others() -> None:
+def test_a_run_that_does_not_determine_the_damping_is_kept_without_affecting_it() -> None:
     measured = several(4)
-    alone = answers(measured, [100, 101, 99, 100], [1.0, 1.1, 0.9, 5.0])
-    damping = replace(alone[3].intervals["c_over_m"], low=0.0, record_low=0.0, limit="at most")
-    alone[3] = replace(alone[3], stated={**alone[3].intervals, "c_over_m": damping})
-    found = combined(alone)
-    assert found is not None
-    assert found.intervals["c_over_m"].value == pytest.approx(np.cbrt(1.0 * 1.1 * 0.9), rel=1e-3)
+    separate = answers(measured, [100, 101, 99, 100], [1.0, 1.1, 0.9, 5.0])
+    damping = replace(separate[3].intervals["c_over_m"], low=0.0, record_low=0.0, limit="at most")
+    separate[3] = replace(separate[3], stated={**separate[3].intervals, "c_over_m": damping})
+    finding = combined(separate)
+    assert finding is not None
+    assert finding.intervals["c_over_m"].value == pytest.approx(np.cbrt(1.0 * 1.1 * 0.9), rel=1e-3)
 
 
-def test_damping_that_runs_do_not_agree_on_has_a_limit_in_place_of_an_interval() -> None:
+def test_inconsistent_damping_has_a_limit_in_place_of_an_interval() -> None:
     measured = several(3)
-    found = combined(answers(measured, [100, 101, 99], [0.2, 1.0, 4.0]))
-    assert found is not None
-    assert (found.intervals["c_over_m"].limit, found.intervals["k_over_m"].limit) == ("at most", "")
-    assert found.intervals["c_over_m"].high > 4.0
+    finding = combined(answers(measured, [100, 101, 99], [0.2, 1.0, 4.0]))
+    assert finding is not None
+    assert (finding.intervals["c_over_m"].limit, finding.intervals["k_over_m"].limit) == ("at most", "")
+    assert finding.intervals["c_over_m"].high > 4.0
 
 
 def test_a_single_record_has_no_runs() -> None:
     assert runs_of(several(1)) == []
 
 
-def test_five_files_are_one_answer_with_each_of_them_alone(tmp_path: Path) -> None:
+def test_five_files_are_combined_and_each_is_reported(tmp_path: Path) -> None:
     rng, times, names = np.random.default_rng(3), np.arange(0, 8, 0.02), []
     for i, factor in enumerate((1.0, 1.002, 0.997, 1.2, 1.001)):
         pole = complex(-0.2, 9.0 * np.sqrt(factor))

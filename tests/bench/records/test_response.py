@@ -1,4 +1,4 @@
-"""What a picture of a fit shows, against a decay that is written down here."""
+"""Measured and fitted response for display, compared with a closed form."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ GAP = (3.0, 5.0)
 
 
 def decay(times: np.ndarray) -> np.ndarray:
-    """2 Hz with a damping ratio of about 2 %, on an offset."""
+    """Return a decay of 2 Hz with a damping ratio of about 2 % and an offset."""
     return np.asarray(np.exp(-0.25 * times) * np.cos(4 * np.pi * times) + 0.1)
 
 
 @pytest.fixture(scope="module")
 def findings() -> list[Finding]:
-    """A good method and a poor one on samples at 4.3 to a cycle, without those in a gap."""
+    """Return the results of a poor and a good method on 4.3 samples per cycle with a gap."""
     times = np.arange(0.0, 8.0, 0.1163)
     times = times[(times < GAP[0]) | (times > GAP[1])]
     values = decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size)
@@ -36,9 +36,9 @@ def findings() -> list[Finding]:
 
 
 def test_the_curve_runs_between_the_samples_and_through_a_gap(findings: list[Finding]) -> None:
-    """Five unknowns of 52 samples: the root mean square error is a third of the noise, and three times that is rare.
+    """For five unknowns and 52 samples the error is about a third of the noise (root mean square).
 
-    Samples that are joined by lines miss the motion in the gap by its own size.
+    Linear interpolation of the samples has an error of the size of the motion in the gap.
     """
     response = response_of(findings[1])
     assert response.frequency == pytest.approx(2.0, abs=0.1)
@@ -57,12 +57,12 @@ def rms(values: np.ndarray) -> float:
 def test_the_residuals_are_the_noise(findings: list[Finding]) -> None:
     fit = response_of(findings[1]).fit
     assert fit is not None
-    left = fit.residuals
-    assert left.rms == pytest.approx(NOISE, rel=0.35)
-    assert left.part_of_signal == pytest.approx(left.rms / np.std(response_of(findings[1]).values), rel=1e-6)
+    residuals = fit.residuals
+    assert residuals.rms == pytest.approx(NOISE, rel=0.35)
+    assert residuals.part_of_signal == pytest.approx(residuals.rms / np.std(response_of(findings[1]).values), rel=1e-6)
 
 
-def test_what_is_shown_is_in_the_unit_of_the_file(tmp_path: Path) -> None:
+def test_a_response_has_the_unit_of_the_file(tmp_path: Path) -> None:
     times = np.arange(0.0, 8.0, 0.1)
     path = tmp_path / "decay.csv"
     values = 1e3 * (decay(times) + NOISE * np.random.default_rng(5).standard_normal(times.size))
@@ -78,7 +78,7 @@ def test_what_is_shown_is_in_the_unit_of_the_file(tmp_path: Path) -> None:
     assert response.fit.residuals.offset == pytest.approx(100.0, abs=10.0)
 
 
-def test_quantities_of_what_turns_have_its_units() -> None:
+def test_units_of_rotations() -> None:
     times = np.arange(0.0, 5.0, 0.05)
     request = request_of({"data": ["arrays"], "method": ["shooting"]})
     measured = read_measured(request, (of_arrays(times, decay(times)),))
@@ -90,14 +90,14 @@ def test_quantities_of_what_turns_have_its_units() -> None:
     assert {unit: measured.unit_of(unit) for unit in units} == {unit: unit for unit in units}
 
 
-def test_the_best_is_trusted_most_then_leaves_least(findings: list[Finding]) -> None:
+def test_the_best_finding_has_the_best_verdict_and_the_smallest_residuals(findings: list[Finding]) -> None:
     poor, good = findings
     assert (poor.trust, good.trust) == (Trust.NO, Trust.TRUST)
     assert best_of([poor, good]) is good
     assert best_of([good, poor]) is good
 
 
-def test_without_a_fit_there_are_the_samples_alone() -> None:
+def test_a_response_without_a_fit_has_the_samples_only() -> None:
     times = np.arange(0.0, 5.0, 0.05)
     request = request_of({"data": ["arrays"], "method": ["shooting"]})
     (finding,) = identify_all(request, read_measured(request, (of_arrays(times, np.ones(times.size)),)))

@@ -238,7 +238,7 @@ def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
         (["from=nowhere.csv"], "there is no such file"),
         (["method=rls", "rate=0"], "rate=0: input should be greater than or equal to"),
         (["method=rls", "rate=nan"], "rate=nan: input should be a finite number"),
-        (["method=rls", "columns=t"], "write role:value"),
+        (["method=rls", "columns=t"], "use role:value"),
         (["resume=true"], "with state=<file>"),
         (["rate=fast", "method=rls"], "rate=fast: input should be a valid number"),
         (["method=rls", "ambient=0"], "it requires a known force"),
