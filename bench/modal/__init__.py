@@ -1,1 +1,1 @@
-"""Modes of free decays, blows and frequency responses: their likelihood, their bound, and the track of the methods."""
+"""Modal identification from free decays, blows and frequency responses: likelihood, Cramér-Rao bound, modal track."""

@@ -1,4 +1,4 @@
-"""Blows of a hammer: where it touches, and the records of equal length, one a blow, that a test is cut into."""
+"""Hammer blows: detection of the contact, and division of records into blows of equal length."""
 
 from __future__ import annotations
 
@@ -13,30 +13,34 @@ from bench.contract.modal import Blows, Response
 from bench.errors import InputError
 
 NOISY = 5.0
-"""Force over the standard deviation of its noise from which it is no noise: so is one of two million normal samples."""
+"""Ratio of the force to the standard deviation of its noise at contact; noise exceeds it in 1 of 2 million samples."""
 LEAST_PEAK = 0.1
-"""Least peak of a hit over that of the hardest."""
+"""Least peak of a hit over the largest one."""
 MOST_TOUCHED = 0.2
-"""Largest part of a record in which a hammer touches; a force that acts longer is a shaker's."""
+"""Largest share of a record with contact; a force that acts longer is that of a shaker."""
 HOLD_OFF = 0.1
-"""Least time between two blows over the mean time between hits; what comes sooner is a second hit of the same blow."""
+"""Least time between blows over the mean time between hits; a hit that follows sooner belongs to the same blow."""
 PRE_TRIGGER = 0.02
-"""Time before a blow that belongs to its record, over the mean time between blows; three times the pulse at least."""
+"""Time before a blow that belongs to its record, over the mean time between blows; at least three pulse lengths."""
 FEWEST_SAMPLES = 64
-"""Of a record."""
+"""Least samples of a record."""
 FEWEST_BLOWS = 2
-"""Single blows beside which double hits are left out."""
+"""Number of single blows from which on double hits are excluded."""
 SHORT = 0.5
-"""Length of a record over their median below which it is left out, so that the others need not be as short."""
+"""Ratio of the length of a record to the median below which it is excluded, as all are cut to the shortest length."""
 FLAT = 3
-"""Samples in a row at the very maximum from which the force is at the limit of its sensor."""
+"""Number of consecutive samples at the maximum from which on the force is clipped."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForcedRecord:
-    """A record of one or more blows, or of a shaker, as it was measured: ``force`` (n,), ``responses`` (outputs, n).
+    """Measured record of one or more blows, or of a shaker.
 
-    ``double``: of a blow with which the hammer hits again.
+    Attributes:
+        name: Name of the record.
+        force: Force, shape (n,).
+        responses: Responses, shape (outputs, n).
+        double: Whether it is a double hit.
     """
 
     name: str
@@ -48,15 +52,21 @@ class ForcedRecord:
 def blows_of(
     records: Sequence[ForcedRecord], step: float, response: Response, window: float = 0.0
 ) -> tuple[Blows, tuple[str, ...]]:
-    """Cut records into one a blow, of equal length, each up to the next blow; a shaker's stays whole.
+    """Divide records into blows of equal length, each up to the next blow; shaker records are not divided.
 
-    A double hit is left out where two others are there: noise within two pulses is not one factor of all lines.
+    Double hits are excluded if there are two single ones, as noise within two pulses does not scale all lines equally.
+
+    Args:
+        records: Measured records.
+        step: Sampling interval (s).
+        response: Kind of the responses.
+        window: Decay rate (1/s) of an exponential window on the responses.
 
     Returns:
-        the blows, and in sentences what was done and what is doubtful
+        The blows, and notes.
 
     Raises:
-        InputError: the records are too short.
+        InputError: The records are too short.
     """
     notes: list[str] = []
     pieces = [piece for record in records for piece in _pieces(record, step, notes)]
@@ -69,17 +79,17 @@ def blows_of(
         raise InputError("data", kept[0].name, f"{n} samples of force and response; {FEWEST_SAMPLES} are needed")
     if len(pieces) > 1:
         short = ", ".join(piece.name for piece in pieces if piece.force.size < least)
-        left_out = f"; less than half as long and left out: {short}" if short else ""
-        notes.append(f"{len(kept)} records of {n * step:.4g} s are cut out, each of a blow{left_out}")
+        excluded = f"; excluded as less than half as long: {short}" if short else ""
+        notes.append(f"{len(kept)} blows of {n * step:.4g} s each{excluded}")
     forces, responses = np.stack([p.force[:n] for p in kept]), np.stack([p.responses[:, :n] for p in kept])
     return Blows(step, forces, responses, response, window), tuple(notes)
 
 
 def _pieces(record: ForcedRecord, step: float, notes: list[str]) -> list[ForcedRecord]:
-    """Return the record of each blow, the whole one of a shaker; say which are doubtful."""
+    """Divide a record into blows, except for a shaker record; add notes on doubtful ones."""
     n, size = record.force.size, np.abs(record.force - np.median(record.force))
     if touched(record.force[None]) is None:
-        notes.append(f"{record.name}: the force acts all the time, as a shaker's: one record, not cut")
+        notes.append(f"{record.name}: the force acts continuously (shaker), so the record is not divided")
         return [record]
     level = max(LEAST_PEAK * float(np.max(size)), NOISY * _noise(size))
     hits, _ = find_peaks(size, prominence=level)
@@ -95,26 +105,24 @@ def _pieces(record: ForcedRecord, step: float, notes: list[str]) -> list[ForcedR
         if double:
             later = ", ".join(f"{1e3 * step * (hit - inside[0]):.3g}" for hit in inside[1:])
             notes.append(
-                f"{name}: the hammer hits again after {later} ms; left out if {FEWEST_BLOWS} single blows are there"
+                f"{name}: double hit after {later} ms, excluded if there are at least {FEWEST_BLOWS} single blows"
             )
         peak = size[begin:end] == np.max(size[begin:end])
         if np.any(np.convolve(peak, np.ones(FLAT), "valid") == FLAT):
-            notes.append(
-                f"{name}: the force stays at its maximum, so its sensor may be at its limit; do not rely on it"
-            )
+            notes.append(f"{name}: the force repeats its maximum, so its sensor may be clipped at its limit")
         pieces.append(ForcedRecord(name, record.force[begin:end], record.responses[:, begin:end], double))
     return pieces
 
 
 def _noise(size: np.ndarray) -> float:
-    """Return the standard deviation of normal noise from magnitudes, most of which are noise."""
+    """Return the standard deviation of normal noise from the median of magnitudes."""
     return float(np.median(size)) / 0.6745
 
 
 def touched(forces: np.ndarray) -> np.ndarray | None:
-    """Return where the hammer touches in forces (records, n), as a mask; None where the force is not that of a hammer.
+    """Return a mask of the contact of a hammer in forces (records, n); None if the force is not that of a hammer.
 
-    It touches where the force is more than its noise, and as long as a pulse lasts before and after.
+    Contact is where the force exceeds its noise, extended by the length of a pulse on either side.
     """
     size = np.abs(forces - np.median(forces, axis=1, keepdims=True))
     beyond = size > NOISY * _noise(size)
@@ -126,9 +134,9 @@ def touched(forces: np.ndarray) -> np.ndarray | None:
 
 
 def force_windowed(blows: Blows) -> Blows:
-    """Return blows whose force is zero where the hammer does not touch; those of a shaker as they are.
+    """Set the force to zero outside of the contact of a hammer; shaker records are returned unchanged.
 
-    What is measured there is noise, which biases H1 and makes it scatter; that within the pulse stays.
+    The force measured there is noise, which increases bias and variance of H1.
     """
     hammer = touched(blows.forces)
     if hammer is None:

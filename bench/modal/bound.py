@@ -1,9 +1,9 @@
-"""The Cramér-Rao bound of the modes of a record: the least standard deviation of an estimate without bias.
+"""Cramér-Rao bound of the modes of a record: the smallest standard deviation of an unbiased estimate.
 
-Amplitude and phase of each mode and a constant, sensor by sensor, are unknown, so what they can explain is taken from
-the derivatives by frequency and damping ratio (S. M. Kay, Fundamentals of Statistical Signal Processing, 1993, section
-3.7). The force of a blow counts as known: its noise costs less than a hundredth where the force is taken to be zero
-outside of the blow, and much where it is not.
+Amplitudes, phases and a constant are nuisance parameters of each sensor, onto whose complement the derivatives by
+frequency and damping ratio are projected (S. M. Kay, Fundamentals of Statistical Signal Processing, 1993, section 3.7).
+The force of a blow is treated as known: its noise increases the bound by less than 1 % if the force is set to zero
+outside of the blow, and by much more otherwise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from bench.modal.scenario import ModalTruth, poles
 
 STEP = 1e-5
-"""Relative step of the central differences by a pole; their error is about its square."""
+"""Relative step of the finite differences by a pole, whose error is about its square."""
 
 
 def modal_bound(truth: ModalTruth) -> np.ndarray:

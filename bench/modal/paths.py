@@ -1,4 +1,4 @@
-"""The fits of the modal track: a method on a replicate of a scenario, kept as a file of JSON."""
+"""Fits of the modal track: a method on a replicate of a scenario, stored as JSON."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from bench.modal.scenario import ModalScenario
 from bench.store.results import read_result, write_result
 
 STORED = 1
-"""Version of what is stored of a fit."""
+"""Version of the stored format."""
 LIMIT_S = 600.0
-"""Limit of a fit (s)."""
+"""Time limit of a fit (s)."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackFit:
-    """A task of the engine: a replicate by a method, which is not given the number of modes."""
+    """Task of the engine: a method on a replicate; the number of modes is not given to the method."""
 
     scenario: ModalScenario
     method: str
@@ -33,27 +33,27 @@ class TrackFit:
 
     @cached_property
     def key(self) -> str:
-        """Return a digest of scenario, method, versions, seed and replicate."""
+        """Digest of scenario, method, versions, seed and replicate."""
         versions = [STORED, load_modal(self.method).version]
         parts = [versions, self.scenario.identity, self.method, self.seed, self.replicate]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:20]
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Return the method and the scenario."""
+        """The method and the scenario."""
         return self.method, self.scenario.label
 
     def read(self, folder: Path) -> dict[str, Any] | None:
-        """Return what is stored of the fit; None where nothing is."""
+        """Return the stored fit; None if there is none."""
         content = read_result(folder, self.key)
         return None if content is None else dict(json.loads(content))
 
     def stored(self, folder: Path) -> bool:
-        """Return whether the fit is stored whole."""
+        """Return whether the fit is stored."""
         return self.read(folder) is not None
 
     def compute(self, folder: Path) -> None:
-        """Identify the modes and store them; raises InputError where the folder cannot be written."""
+        """Identify the modes and store them; raises InputError if the folder is not writable."""
         problem, _ = self.scenario.draw(self.seed, self.replicate)
         method, start = make_modal(self.method), time.perf_counter()
         estimate = method.identify_modes(problem)

@@ -1,8 +1,8 @@
-"""Search for poles by maximum likelihood: modes are added one by one, and their number is judged by a criterion.
+"""Maximum-likelihood search for poles: modes are added one by one, and their number is selected by a criterion.
 
-All but the poles is linear and is eliminated by variable projection (G. H. Golub, V. Pereyra, SIAM J. Numer. Anal.
-10:413, 1973; Jacobian of L. Kaufman, BIT 15:49, 1975). The criterion is the Bayesian one (G. Schwarz, Ann. Stat. 6:461,
-1978). What is fitted, and how its noise is estimated, is a subclass's.
+Linear parameters are eliminated by variable projection (G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973;
+Jacobian of L. Kaufman, BIT 15:49, 1975). The criterion is the Bayesian information criterion (G. Schwarz, Ann. Stat.
+6:461, 1978). Subclasses define the data and the model of their noise.
 """
 
 from __future__ import annotations
@@ -19,22 +19,25 @@ from bench.contract.modal import MOST_MODES, ModalProblem, Mode
 from bench.likelihood.least_squares import Linearisation, minimise
 
 ITERATIONS, SCREENING, TRIAL = 60, 4, 8
-"""Trial steps of a search at most; from every start; and of those that are left after it."""
+"""Largest numbers of iterations: of a full search, from every starting point, and from the ``KEPT`` best ones."""
 KEPT = 2
-"""Starts that are left."""
+"""Number of starting points that are kept after screening."""
 DECAYS = 8
-"""Decay rates of the search for a further mode, in equal ratios."""
+"""Number of decay rates in the search for a further mode, in geometric progression."""
 ROUNDING = 1e-7
-"""Least noise, over the size of a channel: less is rounding of the numbers."""
-MANY = "as many as are sought: what is there may be no sum of modes"
+"""Least ratio of noise to signal of a channel, due to rounding."""
+MANY = "the largest number of modes was reached, so the record may be no sum of modes"
 
 
 @dataclass(frozen=True, eq=False)
 class PoleFit(ABC):
-    """Modes of ``poles`` (m,), complex, in 1/s, beside ``values`` (blocks, outputs, n), with factors of least squares.
+    """Fit of modes to data, with least-squares factors; the poles are common to all blocks and outputs.
 
-    All blocks and outputs have the poles in common, and factors of their own. ``level`` (outputs,): variance of the
-    whitened errors. ``resolution``: least distance (rad/s) between the two modes that one is split into.
+    Attributes:
+        poles: Complex poles (1/s), shape (m,).
+        level: Variance of the whitened errors, shape (outputs,).
+        values: Data, shape (blocks, outputs, n).
+        resolution: Least distance (rad/s) between the two modes into which one is split.
     """
 
     poles: np.ndarray
@@ -45,105 +48,105 @@ class PoleFit(ABC):
     @property
     @abstractmethod
     def basis(self) -> np.ndarray:
-        """Functions (blocks, k, n): of unit real parts of the modes' factors, of imaginary parts, and others."""
+        """Basis functions (blocks, k, n): for real parts of the modes' factors, for imaginary parts, and others."""
 
     @property
     @abstractmethod
     def slopes(self) -> np.ndarray:
-        """Derivatives (blocks, outputs, size, n) by real parts of :attr:`nonlinear`, then by imaginary parts."""
+        """Derivatives (blocks, outputs, size, n) by the real, then the imaginary parts of :attr:`nonlinear`."""
 
     @abstractmethod
     def whitened(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows (blocks, outputs or 1, k, n) with errors that are white, real: (blocks, outputs or 1, n', k)."""
+        """Whiten rows (blocks, outputs or 1, k, n); return real columns (blocks, outputs or 1, n', k)."""
 
     @abstractmethod
     def moved(self, nonlinear: np.ndarray) -> Self:
-        """Return the fit with other values of what is not linear, within their limits."""
+        """Return the fit with other nonlinear parameters, clipped to their limits."""
 
     @abstractmethod
     def with_noise(self) -> Self:
-        """Return the fit with noise as its residuals have it."""
+        """Return the fit with the noise model estimated from its residuals."""
 
     @abstractmethod
     def starts(self) -> Sequence[Self]:
-        """Return fits with one more mode, from which to search for the best."""
+        """Return starting points with one more mode."""
 
     @abstractmethod
     def part(self, mode: int) -> np.ndarray:
-        """Return what a mode adds to the data."""
+        """Return the contribution of a mode to the data."""
 
     @property
     @abstractmethod
     def criterion(self) -> float:
-        """The Bayesian information criterion with the best noise of these residuals."""
+        """Bayesian information criterion with the noise model estimated from the residuals."""
 
     @property
     @abstractmethod
     def has_room(self) -> bool:
-        """Return whether there are enough data for one more mode."""
+        """Whether there are enough data for one more mode."""
 
     @property
     def nonlinear(self) -> np.ndarray:
-        """Complex unknowns that are not linear, the poles first."""
+        """Complex nonlinear parameters, the poles first."""
         return self.poles
 
     @property
     def functions_count(self) -> int:
-        """Number of complex factors in a block and output, those of the modes first."""
+        """Number of complex factors per block and output, those of the modes first."""
         return self.poles.size
 
     @property
     def plausible(self) -> bool:
-        """Return whether the poles can be those of modes."""
+        """Whether the poles can be those of modes."""
         return True
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """Return the quantity that is least for the best of some fits."""
+        """Sort key of fits, smallest for the best."""
         return not self.plausible, self.criterion
 
     def factor_errors(self) -> np.ndarray:
-        """Return variances (blocks, m) of the relative error of all of a block's factors together."""
+        """Return variances (blocks, m) of the common relative error of a block's factors."""
         return np.zeros((len(self.values), self.poles.size))
 
     def gradient_covariance(self, slopes: np.ndarray) -> np.ndarray:
-        """Return the covariance of the products of whitened errors with derivatives (blocks, outputs, n', size)."""
+        """Return the covariance of the gradient for whitened derivatives (blocks, outputs, n', size)."""
         flat = slopes.reshape(-1, slopes.shape[-1])
         return np.asarray(flat.T @ flat)
 
     @cached_property
     def projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """Orthonormal columns and triangle of the whitened basis."""
+        """QR decomposition of the whitened basis."""
         q, r = np.linalg.qr(self.whitened(self.basis[:, None]))
         return q, r
 
     @cached_property
     def factors(self) -> np.ndarray:
-        """Factors of the basis, (blocks, outputs, k)."""
+        """Least-squares factors of the basis, shape (blocks, outputs, k)."""
         q, r = self.projection
         data = np.swapaxes(q, -1, -2) @ self.whitened(self.values[:, :, None])
         return np.asarray((np.linalg.pinv(r) @ data)[..., 0])
 
     @property
     def residues(self) -> np.ndarray:
-        """Complex factors (blocks, outputs, functions)."""
+        """Complex factors, shape (blocks, outputs, functions)."""
         size = self.functions_count
         return np.asarray(self.factors[..., :size] + 1j * self.factors[..., size : 2 * size])
 
     @cached_property
     def residuals(self) -> np.ndarray:
-        """Shape (blocks, outputs, n)."""
+        """Residuals, shape (blocks, outputs, n)."""
         return np.asarray(self.values - self.factors @ self.basis)
 
     @property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened derivatives along the basis, and what it leaves of them over the noise's standard deviation."""
+        """Components of the whitened derivatives along the basis, and their orthogonal rest over the noise level."""
         q, slopes = self.projection[0], self.whitened(self.slopes)
         along = np.swapaxes(q, -1, -2) @ slopes
         return along, (slopes - q @ along) / np.sqrt(self.level)[:, None, None]
 
     def refined(self, iterations: int = ITERATIONS) -> Self:
-        """Return the fit of all poles, searched for from these, with the noise as it is."""
+        """Return the fit after a search for all poles from the present ones, with a fixed noise model."""
         size = self.nonlinear.size
 
         def evaluate(_: np.ndarray, unknowns: np.ndarray) -> Linearisation:
@@ -159,7 +162,7 @@ class PoleFit(ABC):
         return self.moved(x[:size] + 1j * x[size:])
 
     def settled(self) -> Self:
-        """Return the fit with noise and poles to each other's liking."""
+        """Return the fit after alternating searches for the poles and the noise model."""
         fit = self.refined()
         for _ in range(2):
             fit = fit.with_noise().refined()
@@ -168,15 +171,15 @@ class PoleFit(ABC):
     def longer(self) -> Self:
         """Return the best fit with one more mode.
 
-        Two poles may pass close by each other on their way: of the starts that rank behind, the one of least criterion
-        is tried, too.
+        Two poles may come close to each other during a search, so of the other starting points the one with the
+        smallest criterion is kept as well.
         """
         screened = sorted((start.refined(SCREENING) for start in self.starts()), key=lambda fit: fit.rank)
         behind = sorted(screened[KEPT:], key=lambda fit: fit.rank[1])
         return min((fit.refined(TRIAL) for fit in [*screened[:KEPT], *behind[:1]]), key=lambda fit: fit.rank).settled()
 
     def splits(self) -> list[Self]:
-        """Return fits with each mode split in two, as a line between two close ones leaves no line beside it."""
+        """Return starting points with each mode split in two, as residuals of two close modes have no separate line."""
         fits = []
         for i, pole in enumerate(self.poles):
             apart = 1j * max(-pole.real, self.resolution)
@@ -186,9 +189,9 @@ class PoleFit(ABC):
         return fits
 
     def modes(self) -> tuple[Mode, ...]:
-        """Return the modes in order of frequency, with standard errors from the Fisher information.
+        """Return the modes sorted by frequency, with standard errors from the Fisher information.
 
-        A factor is a mean over the blocks with the weights of least variance.
+        A shape is the mean of the factors of all blocks with weights of least variance.
         """
         m, size = self.poles.size, self.nonlinear.size
         along, across = self.projected
@@ -222,36 +225,36 @@ Fit = TypeVar("Fit", bound=PoleFit)
 def add_modes(
     fit: Fit, problem: ModalProblem, judge: Callable[[Fit], bool] = lambda fit: True
 ) -> tuple[Fit, tuple[Mode, ...], str]:
-    """Add modes one by one, while the criterion falls or until there are as many as are asked for.
+    """Add modes one by one, while the criterion decreases or until the required number is reached.
 
     Args:
-        fit: from which to begin.
-        problem: states the band, and the number of modes where it is known.
-        judge: decides whether to go on from a fit that is better.
+        fit: Initial fit.
+        problem: Band, and number of modes if it is given.
+        judge: Decides whether to continue after an accepted fit.
 
     Returns:
-        the last fit, its modes in the band, and why there is none with more
+        The last fit, its modes in the band, and the reason for their number.
     """
-    asked, (low, high) = problem.count is not None, problem.band or (0.0, np.inf)
+    counted, (low, high) = problem.count is not None, problem.band or (0.0, np.inf)
     while True:
         rates = np.abs(fit.poles) / (2 * np.pi)
         if np.count_nonzero((low <= rates) & (rates <= high)) == problem.count:
-            why = "as asked"
+            reason = "as requested"
             break
         if fit.poles.size == MOST_MODES or not fit.has_room:
-            why = MANY if fit.has_room else "the data are too few for one more"
+            reason = MANY if fit.has_room else "there are too few data for another"
             break
         longer = fit.longer()
         gain = fit.criterion - longer.criterion
-        if not asked and not longer.plausible:
-            why = "a further one would only split one that does not decay as a mode"
+        if not counted and not longer.plausible:
+            reason = "another would only split a mode with nonlinear decay"
             break
-        if not asked and gain <= 0:
-            why = f"a further one would raise the Bayesian information criterion by {-gain:.2g}"
+        if not counted and gain <= 0:
+            reason = f"another would raise the Bayesian information criterion by {-gain:.2g}"
             break
         fit = longer
         if not judge(fit):
-            why = "the search was ended"
+            reason = "the search was ended"
             break
     modes = fit.modes() if fit.poles.size else ()
-    return fit, tuple(mode for mode in modes if low <= mode.frequency <= high), why
+    return fit, tuple(mode for mode in modes if low <= mode.frequency <= high), reason

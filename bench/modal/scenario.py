@@ -1,6 +1,6 @@
-"""A scenario of the modal track: named modes in a free decay or under hammer blows; it makes the records.
+"""Scenarios of the modal track: modes in a free decay or under hammer blows, and simulation of their records.
 
-The motion is a closed form of its own: a sum of damped waves, or the convolution of each mode with the force of a blow.
+The motion is in closed form: a sum of damped waves, or the convolution of each mode with the force of a blow.
 """
 
 from __future__ import annotations
@@ -20,18 +20,22 @@ from bench.scenario.declaration import STRICT, Positive, Within
 from bench.scenario.stream import anonymous_stream
 
 VERSION = 1
-"""Version of what is drawn; raise it where the records of a scenario change."""
+"""Version of the simulated records; to be raised if they change."""
 WIDTH, START = 0.006, 0.05
-"""Duration of a blow, and its earliest time in a record (s); it begins at most as long again after that."""
+"""Duration of a blow, and its earliest time in a record (s); it begins between this time and twice this time."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModalTruth:
-    """What scores a method; no method receives it.
+    """True modes of a replicate, which are hidden from methods.
 
-    ``frequencies`` (modes,) in Hz and ``damping_ratios`` (modes,); ``waves``: the motion of a mode of unit size by its
-    pole, complex, (records, n). Sensor c shows the real part of the sum over modes of ``shapes[i, c] * waves(pole)``
-    with noise of standard deviation ``sigma[c]``.
+    Attributes:
+        frequencies: Natural frequencies (Hz), shape (modes,).
+        damping_ratios: Damping ratios, shape (modes,).
+        waves: Function of a pole that returns the complex motion of a mode of unit size, shape (records, n).
+        shapes: Complex amplitudes, shape (modes, sensors); the motion of sensor c is the real part of the sum over
+            modes of ``shapes[i, c] * waves(pole)``.
+        sigma: Standard deviations of the noise, shape (sensors,).
     """
 
     frequencies: np.ndarray
@@ -43,13 +47,24 @@ class ModalTruth:
 
 @dataclass(frozen=True)
 class ModalScenario:
-    """Modes of ``frequencies`` (Hz) and ``damping_ratios``, ``samples`` a record at ``rate`` Hz.
+    """Scenario of the modal track.
 
-    ``strengths``: amplitude of each mode of a free decay, or its modal constant under hammer blows (1/kg, of the
-    accelerance); root mean square over the sensors, between which each replicate draws a real shape, beside the phases
-    of a free decay and the times and peaks of ``blows`` (their number; 0: a free decay). White noise is added at
-    ``snr_db`` (mean square of the clean samples over its variance) to each sensor, at ``force_snr_db`` to the force.
-    ``window``: decay rate (1/s) of an exponential window on the responses; ``band`` (Hz) is given to the methods.
+    Real mode shapes, the phases of a free decay, and the times and peaks of blows are drawn for each replicate.
+
+    Attributes:
+        label: Name.
+        frequencies: Natural frequencies (Hz).
+        damping_ratios: Damping ratios.
+        strengths: Amplitude of each mode of a free decay, or its modal constant under blows (1/kg, of the
+            accelerance); root mean square over the sensors.
+        rate: Sampling rate (Hz).
+        samples: Samples of a record.
+        snr_db: Signal-to-noise ratio of each sensor (dB); the noise is white.
+        sensors: Number of sensors.
+        blows: Number of hammer blows; 0 for a free decay.
+        force_snr_db: Signal-to-noise ratio of the force (dB).
+        window: Decay rate (1/s) of an exponential window on the responses.
+        band: Lower and upper frequency (Hz), given to the methods.
     """
 
     __pydantic_config__ = STRICT
@@ -72,12 +87,12 @@ class ModalScenario:
 
     @cached_property
     def identity(self) -> str:
-        """A digest of what decides the data; the label has no part in it."""
+        """Digest of all fields that affect the data, so not of the label."""
         stated = {**asdict(self), "label": "", "version": VERSION}
         return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
-        """Return the scenario in a sentence."""
+        """Return a sentence that describes the scenario."""
         each = zip(self.frequencies, self.damping_ratios, self.strengths, strict=True)
         modes = ", ".join(f"{hertz:g} Hz ({100 * damping:g} %, {strength:g})" for hertz, damping, strength in each)
         kind = f"{self.blows} hammer blows" if self.blows else "Free decay"
@@ -87,7 +102,7 @@ class ModalScenario:
         return f"{kind}: {modes}; {sensors}, {self.samples} samples at {self.rate:g} Hz, {noise}{window}."
 
     def draw(self, seed: int, replicate: int) -> tuple[ModalProblem, ModalTruth]:
-        """Return what a method is given of a replicate, the same for every method, and the truth."""
+        """Return the problem of a replicate, which is the same for every method, and the true modes."""
         rng = anonymous_stream(seed, (int(self.identity[:8], 16), replicate))
         frequencies, damping_ratios = np.array(self.frequencies), np.array(self.damping_ratios)
         times, modal_poles = np.arange(self.samples) / self.rate, poles(frequencies, damping_ratios)
@@ -115,18 +130,18 @@ class ModalScenario:
 
 
 def poles(frequencies: np.ndarray, damping_ratios: np.ndarray) -> np.ndarray:
-    """Return the poles (1/s) of modes, those with a positive imaginary part."""
+    """Return the poles (1/s) of modes with positive imaginary parts."""
     return np.asarray(2.0 * np.pi * frequencies * (-damping_ratios + 1j * np.sqrt(1.0 - damping_ratios**2)))
 
 
 def motion(waves: Callable[[complex], np.ndarray], modal_poles: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Return what the sensors show without noise, (records, sensors, n)."""
+    """Return the motion of the sensors without noise, shape (records, sensors, n)."""
     parts = [shape[:, None] * waves(pole)[:, None] for pole, shape in zip(modal_poles, shapes, strict=True)]
     return np.asarray(np.sum(parts, axis=0).real)
 
 
 def noise_level(clean: np.ndarray, snr_db: float) -> np.ndarray:
-    """Return the standard deviation of the noise of each sensor of (records, sensors, n)."""
+    """Return the standard deviation (sensors,) of the noise for clean motions (records, sensors, n)."""
     return np.asarray(np.sqrt(np.mean(clean**2, axis=(0, 2)) / 10.0 ** (snr_db / 10.0)))
 
 
@@ -136,9 +151,9 @@ def free_waves(times: np.ndarray, pole: complex) -> np.ndarray:
 
 
 def blow_force(times: np.ndarray, starts: np.ndarray, peaks: np.ndarray) -> np.ndarray:
-    """Return the force of each blow, ``peak sin²(pi (t - start) / WIDTH)``, (blows, n): a haversine pulse.
+    """Return the force (blows, n) of each blow, a haversine pulse ``peak sin²(pi (t - start) / WIDTH)``.
 
-    Its spectrum is zero from 2 / WIDTH (333 Hz) on at each multiple of 1 / WIDTH, and falls by 18 dB an octave.
+    Its spectrum is zero at 2 / WIDTH (333 Hz) and each further multiple of 1 / WIDTH, and falls by 18 dB per octave.
     """
     since = times - starts[:, None]
     pulse = np.sin(np.pi * since / WIDTH) ** 2
@@ -146,10 +161,10 @@ def blow_force(times: np.ndarray, starts: np.ndarray, peaks: np.ndarray) -> np.n
 
 
 def blow_waves(times: np.ndarray, starts: np.ndarray, peaks: np.ndarray, pole: complex) -> np.ndarray:
-    """Return the second derivative of the convolution of ``exp(pole t)`` with the force of each blow, (blows, n).
+    """Return the second derivative (blows, n) of the convolution of ``exp(pole t)`` with the force of each blow.
 
     The pulse is a sum of exponentials ``w exp(r t)``, whose convolution is ``w (exp(r t) - exp(pole t)) / (r - pole)``;
-    behind it the mode decays freely.
+    after the pulse the mode decays freely.
     """
     since = times - starts[:, None]
     inside, behind = np.clip(since, 0.0, WIDTH), np.clip(since - WIDTH, 0.0, None)

@@ -1,4 +1,4 @@
-"""Scores of a modal method on one scenario: error over the bound, coverage, modes that were missed, their number."""
+"""Scores of a modal method on a scenario: error over the bound, coverage, missed modes, number of modes."""
 
 from __future__ import annotations
 
@@ -12,18 +12,25 @@ from scipy.stats import t as student
 from bench.modal.scenario import ModalTruth
 
 OUTLIER = 5.0
-"""An error beyond so many bounds is an outlier, as in all tables."""
+"""Ratio of error to bound above which a fit is an outlier, as in all tables."""
 QUANTITIES = ("frequency", "damping_ratio")
 Fitted = Mapping[str, Any]
-"""What is stored of a fit: ``modes`` as rows of frequency, damping ratio and the standard error of each; ``degrees``,
-``status``, ``message``, ``wall_s``."""
+"""Stored fit: ``modes`` as rows of frequency, damping ratio and the standard errors of both; ``degrees``, ``status``,
+``message``, ``wall_s``."""
 
 
 def match(estimates: np.ndarray, truth: ModalTruth, bound: np.ndarray) -> np.ndarray:
-    """Return for each true mode the row of ``estimates`` (rows, 4) that identifies it, -1 for a mode that is missed.
+    """Assign estimated modes to true modes, so that the sum of the frequency distances is smallest.
 
-    An estimate identifies at most one mode, from which its frequency is within a half-power bandwidth, or within
-    :data:`OUTLIER` bounds where that is more; the sum of the distances is least.
+    A distance is at most a half-power bandwidth, or :data:`OUTLIER` bounds if that is more.
+
+    Args:
+        estimates: Rows of frequency, damping ratio and standard errors, shape (rows, 4).
+        truth: True modes.
+        bound: Relative Cramér-Rao bounds, shape (2, modes).
+
+    Returns:
+        The row of each true mode, -1 for a missed one; shape (modes,).
     """
     reach = truth.frequencies * np.maximum(2.0 * truth.damping_ratios, OUTLIER * bound[0])
     distances = np.abs(estimates[:, 0] - truth.frequencies[:, None]) / reach[:, None]
@@ -36,11 +43,18 @@ def match(estimates: np.ndarray, truth: ModalTruth, bound: np.ndarray) -> np.nda
 def modal_scores(
     fits: Sequence[Fitted | None], truths: Sequence[ModalTruth], bounds: Sequence[np.ndarray]
 ) -> list[dict[str, Any]]:
-    """Pool the replicates of a scenario, of which None is a fit without a result; return a row for each quantity.
+    """Score the replicates of a scenario.
 
-    ``rms_pct`` and ``excess``: root mean square of the relative error, and of the error over its bound, of the modes
-    that were identified; ``coverage_pct`` of their 95 % intervals; of all replicates, ``outliers_pct``: true modes that
-    were missed or have an outlier in one of the quantities, and ``right_pct``: the number of modes is the true one.
+    Args:
+        fits: Stored fits; None for a missing one.
+        truths: True modes of each replicate.
+        bounds: Bounds of each replicate, shape (2, modes).
+
+    Returns:
+        A row per quantity. ``rms_pct`` and ``excess`` are the root mean squares of the relative error (%) and of the
+        error over its bound, for identified modes; ``coverage_pct`` is the coverage of their 95 % intervals.
+        ``outliers_pct`` is the share of true modes that were missed or have an outlier in a quantity, ``right_pct``
+        that of replicates with the true number of modes.
     """
     errors, halves = np.full((2, len(fits), 2, len(truths[0].frequencies)), np.nan)
     answers = {i: fit for i, fit in enumerate(fits) if fit is not None and fit["status"] == "ok"}
@@ -72,7 +86,7 @@ def modal_scores(
 
 
 def bound_scores(bounds: Sequence[np.ndarray]) -> list[dict[str, Any]]:
-    """Return the rows of an estimate that just reaches the bound."""
+    """Return the rows of an efficient estimator, whose error is the bound."""
     return [
         {"quantity": name, "rms_pct": 100.0 * _rms(np.array(bounds)[:, q]), "excess": 1.0, "coverage_pct": float("nan")}
         for q, name in enumerate(QUANTITIES)

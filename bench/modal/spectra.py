@@ -1,20 +1,20 @@
-"""Modes of blows and frequency responses: maximum likelihood on the lines of their spectra.
+"""Modes of blows and frequency responses: maximum likelihood on spectra.
 
-The response per unit of force is ``s^d (sum_m R_m / (s - p_m) + conjugates + residual terms)``, d = 0, 1, 2 for
-receptance, mobility and accelerance; the residual terms, of the powers -2 to 1 of s, stand for modes outside of the
-band (D. J. Ewins, Modal Testing, 2nd ed., 2000, chapter 4). Poles are common; residues and all other factors are not.
+The frequency response is ``s^d (sum_m R_m / (s - p_m) + conjugates + residual terms)``, d = 0, 1, 2 for receptance,
+mobility and accelerance; the residual terms, powers -2 to 1 of s, represent modes outside of the band (D. J. Ewins,
+Modal Testing, 2nd ed., 2000, chapter 4). Poles are common; residues and other factors differ between blows and outputs.
 
-A record ends before its motion does, so that its spectrum leaks. The leakage has the same poles (R. Pintelon, J.
-Schoukens, System Identification, 2nd ed., 2012, section 6.3): the free motion after the end is taken off, which is
-exact for a force that is in the band of the sampling and over within the record. Where the motion does not start from
-rest, a free motion of each record is unknown as well; the Bayesian information criterion decides.
+A record may end before its motion has decayed, which causes leakage with the same poles (R. Pintelon, J. Schoukens,
+System Identification, 2nd ed., 2012, section 6.3): the free motion after the end is subtracted, which is exact for a
+band-limited force that ends within the record. If the motion does not start from rest, a free motion of each record is
+fitted as well; the Bayesian information criterion decides.
 
-Each blow has factors of its own. What noise does to the force within the pulse is smooth over the lines of a mode: it
-scales the motion of a blow as a whole, and does not touch the poles. Outside of the pulse the force is zero. So the
-force's noise biases no pole, and enters the standard errors of the residues, which are means over the blows. The noise
-of a shaker's force counts as nought; it lowers residues by its share in the force's mean square.
+Each blow has separate factors. Noise of the force within the pulse is smooth over the lines of a mode: it scales the
+motion of a blow and does not affect the poles. Outside of the pulse the force is zero. So noise of the force does not
+bias the poles, and is included in the standard errors of the residues, which are means over the blows. Noise of the
+force of a shaker is neglected; it reduces residues by its share of the mean square of the force.
 
-The noise of a response has a variance that is smooth over frequency, estimated from the residuals.
+The variance of the noise of a response is a smooth function of frequency, estimated from the residuals.
 """
 
 from __future__ import annotations
@@ -43,25 +43,31 @@ from bench.modal.blows import force_windowed, touched
 from bench.modal.pole_search import DECAYS, ROUNDING, TRIAL, PoleFit, add_modes
 
 POWERS = np.arange(-2, 2)
-"""Of s in the residual terms: mass and stiffness lines, and what damping adds to them."""
+"""Powers of s in the residual terms: mass and stiffness lines, and those of damping."""
 COLOUR = 3
-"""Degree of the logarithm of a noise's variance as a polynomial of the logarithm of frequency."""
+"""Degree of the polynomial of the log variance of the noise in the log frequency."""
 NEIGHBOURS = 5
-"""Lines over which given variances are averaged: those of few records scatter."""
+"""Number of lines over which given variances are averaged, as those of few records scatter."""
 LEAST_LINES = 16
-"""In the band."""
+"""Least number of lines in the band."""
 REAL_MODE = 10.0
-"""Degrees by which the residue of a mode may differ from that of a real mode before this is said."""
+"""Phase difference (degrees) of a residue from that of a real mode above which it is reported."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of responses ``values`` (blocks, outputs, lines) and forces (blocks, lines) at ``s`` (lines,).
+    """Spectra of responses and forces.
 
-    ``order``: how often the displacement is differentiated; ``pulses`` (blocks, n): the forces at times ``left`` (n,)
-    before the end of the record, sampled at ``step``; none of frequency responses; ``force_noise``: standard
-    deviation of the samples of the force within the pulses, zero is taken outside; ``variances`` (outputs, lines):
-    relative, where they are given.
+    Attributes:
+        s: Complex frequencies (rad/s), shape (lines,).
+        values: Responses, shape (blocks, outputs, lines).
+        forces: Forces, shape (blocks, lines).
+        order: Derivative of the displacement that is measured.
+        pulses: Samples of the forces within the blows, shape (blocks, n); none for frequency responses.
+        left: Times of these samples before the end of the record (s), shape (n,).
+        step: Sampling interval (s).
+        force_noise: Standard deviation of the noise of the force within the blows; it is zero outside.
+        variances: Given relative variances, shape (outputs, lines).
     """
 
     s: np.ndarray
@@ -76,7 +82,7 @@ class Spectra:
 
     @staticmethod
     def of(data: Blows | FrequencyResponses, low: float, high: float) -> Spectra:
-        """Take the lines between two frequencies (Hz), but not that of 0 Hz."""
+        """Return the spectra between two frequencies (Hz), without the line at 0 Hz."""
         order = DERIVATIVES[data.response]
         if isinstance(data, FrequencyResponses):
             inside = (data.frequencies >= low) & (data.frequencies <= high) & (data.frequencies > 0)
@@ -98,20 +104,20 @@ class Spectra:
         return Spectra(2j * np.pi * frequencies[inside], values, forces, order, pulses[:, acts], left, step, noise)
 
     def force_errors(self, rates: np.ndarray) -> np.ndarray:
-        """Return variances (blocks, m) of the relative error of the forces' spectra, in phase, at ``rates`` (m,)."""
+        """Return variances (blocks, m) of the relative in-phase error of the forces' spectra at ``rates`` (m,)."""
         waves = np.exp(1j * rates[:, None] * self.left)
         relative = waves / (self.pulses @ waves.T)[..., None]
         return np.asarray(self.force_noise**2 * np.sum((self.pulses != 0.0)[:, None] * relative.real**2, axis=-1))
 
     def free(self, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return spectra (m, lines) of sampled free motions ``exp(pole t)`` without end, and their slopes by pole."""
+        """Return spectra (m, lines) of infinite sampled free motions ``exp(pole t)``, and derivatives by the pole."""
         ratio = np.exp((poles[:, None] - self.s) * self.step)
         return self.step / (1.0 - ratio), self.step**2 * ratio / (1.0 - ratio) ** 2
 
     def forced(self, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return spectra (blocks, m, lines) of motions from rest with residue 1, and their slopes by pole.
+        """Return spectra (blocks, m, lines) of motions from rest with residue 1, and derivatives by the pole.
 
-        The motion after the end of the record, free from ``x(T) = sum f(t) exp(pole (T - t)) step``, is taken off.
+        The free motion after the end of the record, from ``x(T) = sum f(t) exp(pole (T - t)) step``, is subtracted.
         """
         d, left = self.order, self.left
         motion = (self.s**d * self.forces)[:, None] / (self.s - poles[:, None])
@@ -125,16 +131,18 @@ class Spectra:
 
 
 def pairs(plus: np.ndarray, minus: np.ndarray) -> np.ndarray:
-    """Return what unit real and unit imaginary factors of conjugate functions (..., m, lines) add."""
+    """Return the functions of real and of imaginary factors from conjugate functions (..., m, lines)."""
     return np.concatenate([plus + minus, 1j * (plus - minus)], axis=-2)
 
 
 @dataclass(frozen=True, eq=False)
 class SpectralFit(PoleFit):
-    """Modes beside spectra; a block is a blow.
+    """Fit of modes to spectra; a block is a blow.
 
-    The mean square of the complex error is ``colour`` (1 or outputs, lines) times ``level`` (outputs,); ``moving``:
-    records do not start from rest.
+    Attributes:
+        spectra: The data.
+        colour: Mean square of the complex error over ``level``, shape (1 or outputs, lines).
+        moving: Whether records do not start from rest.
     """
 
     spectra: Spectra
@@ -149,15 +157,15 @@ class SpectralFit(PoleFit):
         return SpectralFit(np.zeros(0, complex), level, spectra.values, spacing, spectra, colour).with_noise()
 
     def whitened(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows (blocks, outputs or 1, k, lines) with white noise: (blocks, outputs or 1, 2 lines, k)."""
+        """Whiten rows (blocks, outputs or 1, k, lines); return real columns (blocks, outputs or 1, 2 lines, k)."""
         rows = rows * np.sqrt(2.0 / self.colour)[:, None]
         return np.swapaxes(np.concatenate([rows.real, rows.imag], axis=-1), -1, -2)
 
     @cached_property
     def functions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Functions with poles and conjugate poles (2, blocks, families m, lines), and their slopes by pole.
+        """Functions of poles and conjugate poles (2, blocks, families m, lines), and derivatives by the pole.
 
-        One family are motions from rest; the other, where ``moving``, free motions.
+        The first family are motions from rest; the second one, if ``moving``, free motions.
         """
         values, slopes = [], []
         for poles in (self.poles, self.poles.conj()):
@@ -175,7 +183,7 @@ class SpectralFit(PoleFit):
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """All functions: those with poles, the residual terms, and smooth leakage where moving."""
+        """Basis functions: those of poles, the residual terms, and smooth leakage if ``moving``."""
         s, forces = self.spectra.s, self.spectra.forces
         relative = s / np.mean(np.abs(s))
         smooth = [forces * s**self.spectra.order * relative**power for power in POWERS]
@@ -191,7 +199,7 @@ class SpectralFit(PoleFit):
         return pairs(*np.sum(families, axis=3))
 
     def moved(self, nonlinear: np.ndarray) -> SpectralFit:
-        """Return the fit with other poles, near the band and stable."""
+        """Return the fit with other poles, clipped to stable ones near the band."""
         omega = np.abs(self.spectra.s)
         low, high = 0.5 * omega[0], omega[-1] + 0.1 * (omega[-1] - omega[0])
         imaginary = np.clip(nonlinear.imag, low, high)
@@ -202,11 +210,11 @@ class SpectralFit(PoleFit):
         return np.asarray(residues * functions[0] + residues.conj() * functions[1])
 
     def factor_errors(self) -> np.ndarray:
-        """Return what the force of a blow has as an error: one factor for all lines of a mode."""
+        """Return variances (blocks, m) of the relative error of a blow's force, equal for all lines of a mode."""
         return self.spectra.force_errors(self.poles.imag)
 
     def gradient_covariance(self, slopes: np.ndarray) -> np.ndarray:
-        """Allow for an exponential window in frequency responses, by which the noise of lines is correlated.
+        """Return the covariance of the gradient, with noise of lines correlated by an exponential window.
 
         White noise times ``exp(-a t)`` has lines with the correlation ``1 / (1 + (s_k - s_l) / (2 a))``.
         """
@@ -244,10 +252,10 @@ class SpectralFit(PoleFit):
         )
 
     def with_noise(self) -> SpectralFit:
-        """Return the fit with noise as the residuals have it: of a smooth colour for all outputs, or the given ones.
+        """Return the fit with a noise model estimated from its residuals, of smooth or given colour.
 
-        The logarithm of residuals' squares is a robust measure of the colour: the few lines of a mode that is still
-        missing hardly count.
+        The logarithm of the squared residuals is a robust measure of the colour, hardly affected by the few lines of
+        a missing mode.
         """
         spectra, blocks = self.spectra, len(self.values)
         floor = ROUNDING**2 * np.mean(np.abs(self.values) ** 2, axis=(0, 2))[:, None] + 1e-300
@@ -260,16 +268,16 @@ class SpectralFit(PoleFit):
         return replace(self, colour=colour, level=2.0 * blocks * np.sum(squares / colour, axis=1) / self.degrees)
 
     def starts(self) -> list[SpectralFit]:
-        """Return fits with the largest mode of the residuals, and with each split in two.
+        """Return starting points with the largest mode of the residuals, and with each mode split in two.
 
-        A mode that is still missing may pass for coloured noise, so white noise is tried as well.
+        White noise is used as well, as a missing mode resembles coloured noise.
         """
         level = np.mean(np.abs(self.residuals) ** 2, axis=(0, 2))
         white = replace(self, colour=np.ones_like(self.colour[:1]), level=level)
         return [*(replace(fit, poles=np.append(self.poles, fit.largest())) for fit in (white, self)), *white.splits()]
 
     def longer(self) -> SpectralFit:
-        """Return the best fit with one more mode; blows may start from rest or not."""
+        """Return the best fit with one more mode, from rest or with a free motion."""
         best = super().longer()
         if self.spectra.pulses.shape[1] == 0:
             return best
@@ -299,9 +307,17 @@ class SpectralFit(PoleFit):
 
 @dataclass(frozen=True)
 class ModalParameters:
-    """Modal mass (kg), damping (N s/m) and stiffness (N/m) at a drive point, with standard errors.
+    """Modal parameters at a drive point.
 
-    ``phase``: degrees between the residue and that of a real mode; ``note``: what is doubtful, empty if nothing is.
+    Attributes:
+        m: Modal mass (kg).
+        c: Modal damping (N s/m).
+        k: Modal stiffness (N/m).
+        m_sd: Standard error of ``m``.
+        c_sd: Standard error of ``c``.
+        k_sd: Standard error of ``k``.
+        phase: Phase of the residue relative to that of a real mode (degrees).
+        note: Warning if this phase is large; otherwise empty.
     """
 
     m: float
@@ -315,10 +331,10 @@ class ModalParameters:
 
 
 def modal_parameters(mode: Mode, output: int = 0) -> ModalParameters:
-    """Return m, c, k of a mode whose force acts where ``output`` is measured, in N and SI units.
+    """Return the modal parameters of a mode in SI units; the force acts at ``output``.
 
-    A real mode has the residue ``1 / (2j m omega_d)`` (D. J. Ewins, 2000, chapter 2). Errors of frequency, damping
-    ratio and residue are taken as independent; those of the last two agree in sign, so that of c is too large.
+    The residue of a real mode is ``1 / (2j m omega_d)`` (D. J. Ewins, 2000, chapter 2). Errors of frequency, damping
+    ratio and residue are treated as independent; those of the last two are correlated, so that of c is too large.
     """
     residue, rate, ratio = complex(mode.shape[output]), 2.0 * np.pi * mode.frequency, mode.damping_ratio
     m = 1.0 / (2.0 * abs(residue) * rate * np.sqrt(1.0 - ratio**2))
@@ -326,7 +342,7 @@ def modal_parameters(mode: Mode, output: int = 0) -> ModalParameters:
     turn = mode.damping_ratio_sd / ratio
     sds = np.hypot(size, [hertz, turn, hertz])
     phase = float(np.degrees(np.angle(1j * residue)))
-    off = f"the residue is {phase:.0f} degrees off that of a real mode at a drive point"
+    off = f"the phase of the residue differs by {phase:.0f} degrees from that of a real mode at a drive point"
     c, k = 2.0 * ratio * rate * m, rate**2 * m
     m_sd, c_sd, k_sd = (float(sd) for sd in np.array([m, c, k]) * sds)
     return ModalParameters(float(m), float(c), float(k), m_sd, c_sd, k_sd, phase, off if abs(phase) > REAL_MODE else "")
@@ -346,21 +362,21 @@ class SpectralLikelihood(ModalIdentifier):
     scope = (Blows, FrequencyResponses)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
-        """Fit one mode, two and so on; answer those in the band."""
+        """Add modes one by one; return those in the band."""
         assert isinstance(problem.data, Blows | FrequencyResponses)
         low, high = problem.band or (0.0, np.inf)
         spectra = Spectra.of(problem.data, low, high)
         if spectra.s.size < LEAST_LINES:
-            return ModalEstimate((), status=Status.DIVERGED, message=f"{spectra.s.size} lines in the band are too few")
+            return ModalEstimate((), status=Status.DIVERGED, message=f"too few lines in the band: {spectra.s.size}")
         fit, modes, decided = add_modes(SpectralFit.empty(spectra), problem)
         if not modes:
-            return ModalEstimate((), status=Status.DIVERGED, message="no mode there")
+            return ModalEstimate((), status=Status.DIVERGED, message="no significant mode")
         sentences = [f"{len(modes)} mode{'s' * (len(modes) > 1)}: {decided}"]
         if fit.moving:
-            sentences.append("the records do not start from rest, which is allowed for")
+            sentences.append("the records do not start from rest, which the fit includes")
         for a, b in combinations(modes, 2):
             if b.frequency - a.frequency < (a.bandwidth + b.bandwidth) / 2.0:
                 sentences.append(
-                    f"{a.frequency:.4g} and {b.frequency:.4g} Hz are close: within their half-power bandwidth"
+                    f"the modes at {a.frequency:.4g} and {b.frequency:.4g} Hz are within their half-power bandwidth"
                 )
         return ModalEstimate(modes, fit.degrees, message="; ".join(sentences))

@@ -1,12 +1,11 @@
-"""Modes of free vibrations: maximum likelihood of damped waves in all channels together.
+"""Modes of free vibrations: maximum likelihood of damped waves in all channels jointly.
 
-A channel is ``Re sum_m shape_m exp(pole_m (t - t0))``, a constant and noise. Poles are common. The noise of each
-channel has a size of its own and, at even times, a colour: an autoregression of the residuals, by which all is
-whitened.
+A channel is the sum of ``Re sum_m shape_m exp(pole_m (t - t0))``, a constant and noise. Poles are common. The noise of
+each channel has its own variance and, at even times, its own colour: an autoregression of the residuals, which whitens
+the channel.
 
-Modes are added one by one while the criterion of white noise falls, as the autoregression of a fit that lacks strong
-modes would stand for them; then the number is judged with the noise's coefficients counted, so that a hump in the noise
-does not pass for a mode.
+Modes are first added with white noise, as an autoregression would represent strong missing modes; then their number is
+selected with coloured noise, whose coefficients are counted, so that a peak of the noise spectrum is not a mode.
 """
 
 from __future__ import annotations
@@ -22,27 +21,31 @@ from bench.likelihood.autoregression import Autoregression, autoregression, even
 from bench.modal.pole_search import DECAYS, ROUNDING, PoleFit, add_modes
 
 MOST_GROWTH = 3.0
-"""Largest exponent of a wave: a search may try more on its way."""
+"""Upper limit of the exponent of a wave, which may be exceeded during a search."""
 POWERS = (1, 2, -1)
-"""Powers of the amplitude by which frequency and damping may change: those of a spring, a drag and dry friction."""
+"""Powers of the amplitude in amplitude-dependent frequency and damping, for springs, drag and dry friction."""
 CLEAR = 10.0
-"""Difference of the criterion that is very strong evidence (R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773,
-1995): by so much two modes must be better than one whose frequency and damping change with its amplitude."""
+"""Decrease of the criterion (very strong evidence: R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90:773, 1995) by
+which two modes must be better than one with amplitude-dependent frequency and damping."""
 HARMONICS, HARMONIC = (2, 3), 0.05
-"""Multiples of a changing frequency, and distance from one, relative, within which a wave is its harmonic."""
-RESOLVED, BESIDE = 0.25, 0.25
-"""Least distance of two modes, in cycles over the record; and least distance from a bent one, over its frequency."""
+"""Multiples of an amplitude-dependent frequency, and relative distance within which a mode is a harmonic."""
+RESOLVED, SEPARATE = 0.25, 0.25
+"""Least distance of two modes in cycles over the record; least relative distance from an amplitude-dependent one."""
 PATIENCE = 2
-"""Modes that are added in vain before the search ends."""
+"""Number of modes that are added without a decrease of the criterion before the search ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class WaveFit(PoleFit):
-    """Damped waves beside values (1, channels, n) at ``times`` (n,) from 0 on.
+    """Fit of damped waves to values (1, channels, n).
 
-    ``filters``: by which the misfit of each channel is whitened, of variance 1; none where noise is taken as white.
-    One mode may be ``bent``, its frequency and damping changing with its amplitude: the exponent has the terms
-    ``bends`` beside; a search may try that where it ``may_bend``.
+    Attributes:
+        times: Times (s), from 0; shape (n,).
+        filters: Noise models of variance 1 by which channels are whitened; empty for white noise.
+        may_bend: Whether a mode may have amplitude-dependent frequency and damping.
+        bent: Number of this mode; None if there is none.
+        bends: Coefficients of its amplitude-dependent exponent.
+        curves: Terms of this exponent, shape (terms, n).
     """
 
     times: np.ndarray
@@ -54,13 +57,13 @@ class WaveFit(PoleFit):
 
     @staticmethod
     def empty(times: np.ndarray, samples: np.ndarray, may_bend: bool = False) -> WaveFit:
-        """Return the fit of constants alone, with white noise of the size of the samples."""
-        about, apart = samples[None] - np.mean(samples, axis=1, keepdims=True), 2.0 / float(np.ptp(times))
-        first = WaveFit(np.zeros(0, complex), np.ones(len(samples)), about, apart, times - times[0], may_bend=may_bend)
-        return first.with_noise()
+        """Return the fit of constants with white noise."""
+        centred, resolution = samples[None] - np.mean(samples, axis=1, keepdims=True), 2.0 / float(np.ptp(times))
+        poles, level = np.zeros(0, complex), np.ones(len(samples))
+        return WaveFit(poles, level, centred, resolution, times - times[0], may_bend=may_bend).with_noise()
 
     def whitened(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows (1, channels or 1, k, n) as (1, channels, n, k), (1, 1, n, k) for white noise."""
+        """Whiten rows (1, channels or 1, k, n); return columns (1, channels, n, k), or (1, 1, n, k) if white."""
         if self.filters:
             rows = np.broadcast_to(rows[0], (len(self.filters), *rows.shape[2:]))
             rows = np.stack([noise.whiten(part) for noise, part in zip(self.filters, rows, strict=True)])[None]
@@ -68,7 +71,7 @@ class WaveFit(PoleFit):
 
     @cached_property
     def waves(self) -> np.ndarray:
-        """``exp(pole t)`` (m, n), 1 at first."""
+        """Waves ``exp(pole t)``, shape (m, n); 1 at time 0."""
         exponents = self.poles[:, None] * self.times
         if self.bent is not None:
             exponents[self.bent] += self.bends @ self.curves
@@ -92,7 +95,7 @@ class WaveFit(PoleFit):
         return np.append(self.poles, self.bends)
 
     def moved(self, nonlinear: np.ndarray) -> WaveFit:
-        """Return the fit with other poles, slower than the sampling and no slower than the record, and bends."""
+        """Return the fit with other bends and poles, clipped between half a cycle per two records and Nyquist."""
         fastest, m = np.pi * (self.times.size - 1) / self.times[-1], self.poles.size
         real, imaginary = np.clip(nonlinear.real[:m], -fastest, 0.0), nonlinear.imag[:m]
         imaginary = np.clip(imaginary, 0.5 * np.pi / self.times[-1], fastest)
@@ -107,10 +110,10 @@ class WaveFit(PoleFit):
 
     @property
     def criterion(self) -> float:
-        """The Bayesian information criterion with the best noise of these residuals, by its exact likelihood.
+        """Bayesian information criterion with the noise model estimated from the residuals, by the exact likelihood.
 
-        The variance of Levinson and Durbin holds the ends of the residuals, which resonant noise makes many times too
-        large: a wave that lowers them would pass for a mode.
+        The variance by Levinson and Durbin includes the ends of the residuals, which are far too large for resonant
+        noise: a wave that reduces them would be accepted as a mode.
         """
         n, total = self.times.size, 0.0
         noises, deviations = self._noises(bool(self.filters)), np.std(self.values[0], axis=1)
@@ -121,14 +124,14 @@ class WaveFit(PoleFit):
         return float(total + (self.unknowns + sum(noise.order for noise in noises)) * np.log(n))
 
     def _noises(self, coloured: bool, spent: float = 0.0) -> list[Autoregression]:
-        """Return the noises of the residuals, which are smaller by the degrees of freedom that the fit has spent."""
+        """Return noise models of the residuals, corrected for the degrees of freedom ``spent`` by the fit."""
         if coloured and even_times(self.times):
             return [autoregression(channel, spent) for channel in self.residuals[0]]
         scale = 1.0 / max(self.times.size - spent, 1.0)
         return [Autoregression(np.zeros(0), float(scale * r @ r) or 1e-300) for r in self.residuals[0]]
 
     def with_noise(self, coloured: bool | None = None) -> WaveFit:
-        """Return the fit with noise as its residuals have it, of a colour or white, by default as it is."""
+        """Return the fit with a noise model estimated from its residuals, coloured or white; by default as before."""
         coloured = bool(self.filters) if coloured is None else coloured
         noises = self._noises(coloured, self.unknowns / self.level.size)
         filters = tuple(replace(noise, variance=1.0) for noise in noises) if coloured else ()
@@ -139,7 +142,7 @@ class WaveFit(PoleFit):
         return self.values.size > 4 * self.unknowns
 
     def starts(self) -> list[WaveFit]:
-        """Return fits with the largest wave of the residuals, with a mode split in two, with the strongest bent."""
+        """Return starting points: the largest wave of the residuals added, a mode split, or the strongest mode bent."""
         starts = [replace(self, poles=np.append(self.poles, self.largest_wave()))]
         starts += [fit for i, fit in enumerate(self.splits()) if i != self.bent]
         return [*starts, self.with_bend()] if self.may_bend and self.bent is None and self.poles.size else starts
@@ -150,18 +153,19 @@ class WaveFit(PoleFit):
 
     @property
     def plausible(self) -> bool:
-        """Return whether no two modes are at one frequency, as friction shows them, and none beside a bent one."""
+        """Whether no two modes have equal frequencies, as for friction, and none is near an amplitude-dependent one."""
         rates = self.poles.imag
-        apart = np.abs(rates[:, None] - rates) + np.diag(np.full(rates.size, np.inf))
-        beside = np.inf if self.bent is None else np.min(apart[self.bent]) / rates[self.bent]
-        return bool(np.min(apart, initial=np.inf) > 2 * np.pi * RESOLVED / self.times[-1] and beside > BESIDE)
+        distances = np.abs(rates[:, None] - rates) + np.diag(np.full(rates.size, np.inf))
+        nearest = np.inf if self.bent is None else np.min(distances[self.bent]) / rates[self.bent]
+        resolved = np.min(distances, initial=np.inf) > 2 * np.pi * RESOLVED / self.times[-1]
+        return bool(resolved and nearest > SEPARATE)
 
     def with_bend(self) -> WaveFit:
-        """Return the fit with its strongest mode bent.
+        """Return the fit with amplitude-dependent frequency and damping of its strongest mode.
 
-        Where frequency and damping change a little with the amplitude ``a = exp(-rate t)``, averaging gives terms of
-        the exponent in powers of it (A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, section 2.3).
-        They are taken about their line of least squares, so that the pole stays that of the mean.
+        For a weak dependence on the amplitude ``a = exp(-rate t)``, averaging gives terms of the exponent in powers of
+        it (A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, section 2.3). Their least-squares lines are
+        subtracted, so that the pole is that of the mean.
         """
         size = np.sum(np.linalg.norm(self.residues[0, :, :, None] * self.waves, axis=2), axis=0)
         bent = int(np.argmax(size))
@@ -188,7 +192,7 @@ class WaveFit(PoleFit):
 
 @dataclass(frozen=True)
 class Waves(ModalIdentifier):
-    """Maximum likelihood of damped waves in all channels together."""
+    """Maximum likelihood of damped waves in all channels jointly."""
 
     version = 2
     card = ModalCard(
@@ -200,7 +204,7 @@ class Waves(ModalIdentifier):
     scope = (FreeDecays,)
 
     def identify_modes(self, problem: ModalProblem) -> ModalEstimate:
-        """Fit one mode, two and so on; answer those in the band."""
+        """Add modes one by one; return those in the band."""
         assert isinstance(problem.data, FreeDecays)
         data, auto = problem.data, problem.count is None
         first = WaveFit.empty(data.times, np.atleast_2d(data.values), auto)
@@ -219,12 +223,12 @@ class Waves(ModalIdentifier):
         changes = ""
         if fit.bent is not None:
             bent = float(abs(fit.poles[fit.bent])) / (2 * np.pi)
-            changes = f"; frequency or damping of the mode at {bent:.4g} Hz change with its amplitude"
+            changes = f"; frequency or damping of the mode at {bent:.4g} Hz depends on its amplitude"
             if auto:
                 linear = [m for m in modes if all(abs(m.frequency / bent / k - 1) > HARMONIC for k in HARMONICS)]
-                changes += ", and its harmonics are left out" if len(linear) < len(modes) else ""
+                changes += ", and its harmonics are excluded" if len(linear) < len(modes) else ""
                 modes = tuple(linear)
         if not modes:
-            return ModalEstimate((), status=Status.DIVERGED, message="no mode stands out of the noise there")
+            return ModalEstimate((), status=Status.DIVERGED, message="no significant mode")
         message = f"{len(modes)} mode{'' if len(modes) == 1 else 's'}: {decided}{changes}"
         return ModalEstimate(modes, float(max(data.values.size - fit.unknowns, 1)), message=message)

@@ -15,7 +15,7 @@ from bench.records.reading import Recording
 
 BASE = "b"
 """Role of the column with the acceleration of the ground."""
-RELATIVE, ABSOLUTE = "relative", "absolute"
+ABSOLUTE = "absolute"
 
 
 def with_base_excitation(recording: Recording, motion: str | None) -> Recording:

@@ -1,4 +1,4 @@
-"""Records as hypothesis makes them: random bytes, damaged records of every kind, and texts that are nearly records."""
+"""Hypothesis strategies for records: random bytes, damaged records of every format, and nearly valid texts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SEEDS = {
     "parquet": parquet({"t": list(range(60)), "x": list(range(60))}),
     "mat": mat(),
 }
-"""Records that are read, for damage to begin from."""
+"""Valid records, which are damaged."""
 CELLS = st.one_of(
     st.floats(width=32).map(repr), st.integers(-(10**30), 10**30).map(str), st.text(max_size=6),
     st.sampled_from(["", "nan", "1,5", "1.234,5", '"', "1e999", "−3", "2026-11-25", "#", "t (s)", "x [mm]", "\x00"]),

@@ -1,7 +1,7 @@
-"""How often the interval of this record covers the true value on simulated records, and how wide it is.
+"""Coverage and width of the interval for this record on simulated records.
 
-The narrowest interval that holds is the narrower of two: that assuming white noise and the stated one, each multiplied
-by one factor for all records of a kind, by which it covers 95 % of them.
+The narrowest calibrated interval is the narrower of two: that assuming white noise and the stated one, each multiplied
+by a factor for all records of a kind at which its coverage is 95 %.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def autoregressive(rho: float, rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def drift(rng: np.random.Generator, n: int) -> np.ndarray:
-    """White noise and a straight drift to three times its standard deviation on either side."""
+    """Draw white noise with a linear drift to three times its standard deviation on either side."""
     return rng.standard_normal(n) + 3.0 * rng.choice([-1, 1]) * np.linspace(-1.0, 1.0, n)
 
 
@@ -58,11 +58,11 @@ KINDS: dict[str, tuple[Noise, tuple[float, float], bool]] = {
     "drift": (drift, (20.0, 20.0), False),
     "friction": (white, (20.0, 40.0), True),
 }
-"""Noise, range of the signal-to-noise ratio (dB), and whether there is dry friction, which the class then has."""
+"""Noise, range of the signal-to-noise ratio (dB), and whether record and model have dry friction."""
 
 
 def intervals_of(kind: str, rng: np.random.Generator) -> tuple[dict[str, StatedInterval], dict[str, float]] | None:
-    """Draw a record of 1 Hz; return its intervals and the true values, None without an answer or where it is split."""
+    """Draw a record of 1 Hz; return its intervals and the true values, None if it is split or the fit fails."""
     noise, decibels, friction = KINDS[kind]
     rate, ratio = 2 * np.pi, float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
     cycles = rng.uniform(6.0, 6.0 + 0.5 / ratio)
@@ -81,16 +81,16 @@ def intervals_of(kind: str, rng: np.random.Generator) -> tuple[dict[str, StatedI
         return None
     model = compiled_output_error(problem)
     theta = model.settle(model.vector(truth)[None])[0]
-    there = at_theta(model, theta)
-    if there is None or there.white is None:
+    fit = at_theta(model, theta)
+    if fit is None or fit.white is None:
         return None
-    estimate = estimate_at(model, theta, there.white, there.used, Cost())
-    found = stated_intervals(estimate, linearise(problem, estimate))
-    return found, {"k_over_m": truth["k"], "c_over_m": truth["c"]}
+    estimate = estimate_at(model, theta, fit.white, fit.used, Cost())
+    intervals = stated_intervals(estimate, linearise(problem, estimate))
+    return intervals, {"k_over_m": truth["k"], "c_over_m": truth["c"]}
 
 
 def motion(t: np.ndarray, p: dict[str, float], phase: float) -> np.ndarray:
-    """Displacement (n,) of a free decay from unit amplitude: in closed form, or with friction by integration."""
+    """Return the displacement (n,) of a free decay from unit amplitude, in closed form or by integration."""
     s, rate = p["c"] / 2.0, np.sqrt(p["k"])
     start = np.array([np.cos(phase), -rate * np.sin(phase)])
     if "mu" not in p:
@@ -107,13 +107,13 @@ def motion(t: np.ndarray, p: dict[str, float], phase: float) -> np.ndarray:
 
 def row(kind: str, name: str, drawn: list[tuple[dict[str, StatedInterval], dict[str, float]]]) -> list[str]:
     """Summarise the intervals of one quantity."""
-    stated = [(found[name], truth[name]) for found, truth in drawn]
-    covered = [one.record_low <= true <= one.record_high for one, true in stated]
-    covered_white = [one.white_low <= true <= one.white_high for one, true in stated]
-    finite = [(one, true) for one, true in stated if one.record_low > 0 and not one.limit]
-    errors = np.array([abs(np.log(true / one.value)) for one, true in finite])
-    halves = np.array([np.log(one.record_high / one.record_low) / 2.0 for one, _ in finite])
-    of_white = np.array([(one.white_high - one.white_low) / 2.0 / one.value for one, _ in finite])
+    stated = [(intervals[name], truth[name]) for intervals, truth in drawn]
+    covered = [i.record_low <= true <= i.record_high for i, true in stated]
+    covered_white = [i.white_low <= true <= i.white_high for i, true in stated]
+    finite = [(i, true) for i, true in stated if i.record_low > 0 and not i.limit]
+    errors = np.array([abs(np.log(true / i.value)) for i, true in finite])
+    halves = np.array([np.log(i.record_high / i.record_low) / 2.0 for i, _ in finite])
+    of_white = np.array([(i.white_high - i.white_low) / 2.0 / i.value for i, _ in finite])
     narrowest = min(float(np.quantile(errors / half, 0.95) * np.median(half)) for half in (halves, of_white))
     low, high = wilson_interval(sum(covered), len(covered))
     return [
@@ -125,7 +125,7 @@ def row(kind: str, name: str, drawn: list[tuple[dict[str, StatedInterval], dict[
 
 COLUMNS = (
     "record", "quantity", "records", "limits only", "coverage (%)", "coverage assuming white noise (%)",
-    "median half-width (%)", "over the narrowest that holds",
+    "median half-width (%)", "over the narrowest calibrated",
 )  # fmt: skip
 
 
@@ -134,11 +134,11 @@ def record_intervals(
     kinds: Annotated[tuple[str, ...], OneOf(tuple(KINDS)), "kinds of records"] = tuple(KINDS),
     seed: Annotated[int, Within(ge=0), "seed of all records"] = 1,
 ) -> int:
-    """Measure coverage and width of the interval of this record on simulated free decays."""
+    """Measure coverage and width of the interval for this record on simulated free decays."""
     rows = []
     for kind in kinds:
         rngs = [np.random.default_rng([seed, *kind.encode(), i]) for i in range(records)]
-        drawn = [found for rng in tracked(rngs, "record") if (found := intervals_of(kind, rng)) is not None]
+        drawn = [result for rng in tracked(rngs, "record") if (result := intervals_of(kind, rng)) is not None]
         rows += [row(kind, name, drawn) for name in QUANTITIES]
     print(markdown_table(rows, COLUMNS))
     return 0

@@ -1,4 +1,4 @@
-"""The modal track: its truth, its bound and its scores against formulas and integrations of their own; its command."""
+"""Modal track: simulation, bound and scores, compared with formulas and numerical integration; its command."""
 
 import re
 from pathlib import Path
@@ -42,14 +42,14 @@ def test_the_bound_of_an_undamped_wave_is_that_of_a_sine() -> None:
     """D. C. Rife, R. R. Boorstyn, IEEE Trans. Information Theory 20:591, 1974: 24 σ² / (A² n³) for a real sine."""
     n, frequency = 2000, 7.3
     bound = modal_bound(single_wave(frequency, 1e-7, n))
-    wanted = np.sqrt(24.0 * SIGMA**2 / (AMPLITUDE**2 * n**3)) / (2.0 * np.pi * frequency * STEP)
-    assert bound[0, 0] == pytest.approx(wanted, rel=0.01)
+    expected = np.sqrt(24.0 * SIGMA**2 / (AMPLITUDE**2 * n**3)) / (2.0 * np.pi * frequency * STEP)
+    assert bound[0, 0] == pytest.approx(expected, rel=0.01)
 
 
-def test_the_bound_of_a_decay_that_ends_is_that_of_its_rate() -> None:
+def test_the_bound_of_a_long_decay_is_the_closed_form() -> None:
     """Y.-X. Yao, S. M. Pandit, IEEE Trans. Signal Processing 43:878, 1995, in the limit of a long record.
 
-    The derivative by the pole, ``t exp(pole t)``, without what ``exp(pole t)`` explains has the energy 1 / (8 rate³).
+    The derivative by the pole, ``t exp(pole t)``, orthogonal to ``exp(pole t)``, has the energy 1 / (8 rate³).
     """
     frequency, damping_ratio = 10.0, 0.02
     bound = modal_bound(single_wave(frequency, damping_ratio, 1000))
@@ -58,7 +58,7 @@ def test_the_bound_of_a_decay_that_ends_is_that_of_its_rate() -> None:
     assert bound[:, 0] == pytest.approx([by_pole / size, by_pole / (damping_ratio * size)], rel=0.03)
 
 
-def test_the_response_to_a_blow_is_that_of_an_integration() -> None:
+def test_the_response_to_a_blow_equals_a_numerical_integration() -> None:
     frequency, damping_ratio, constant = np.array([40.0]), np.array([0.02]), 1.7
     (pole,), rate = poles(frequency, damping_ratio), 65536.0
     times = np.arange(16384) / rate
@@ -68,12 +68,12 @@ def test_the_response_to_a_blow_is_that_of_an_integration() -> None:
     )
     size = abs(pole)
     system = ([constant, 0.0, 0.0], [1.0, -2.0 * pole.real, size**2])
-    _, wanted, _ = lsim(system, blow_force(times, starts, peaks)[0], times)
-    assert np.abs(response[0, 0] - wanted).max() < 1e-4 * np.abs(wanted).max()
+    _, expected, _ = lsim(system, blow_force(times, starts, peaks)[0], times)
+    assert np.abs(response[0, 0] - expected).max() < 1e-4 * np.abs(expected).max()
 
 
-def test_noise_of_the_force_costs_little_where_the_force_is_zero_outside_of_the_blow_and_much_where_it_is_not() -> None:
-    """The force as further unknowns of a linear response, measured with noise: at its blow, or at every sample."""
+def test_noise_of_the_force_hardly_increases_the_bound_if_the_force_is_zero_outside_of_the_blow() -> None:
+    """The samples of the force are nuisance parameters, measured with noise, within the blow or everywhere."""
     scenario = ModalScenario("", (40.0, 95.0), (0.01, 0.015), (1.0, 0.7), 2048.0, 1024, blows=1)
     problem, truth = scenario.draw(0, 0)
     data, roots = problem.data, poles(truth.frequencies, truth.damping_ratios)
@@ -104,7 +104,7 @@ def test_noise_of_the_force_costs_little_where_the_force_is_zero_outside_of_the_
     assert np.all(bounds[2] > 3.0 * bounds[0])
 
 
-def test_a_missed_mode_a_spurious_mode_and_a_fit_without_a_result_are_counted() -> None:
+def test_missed_modes_spurious_modes_and_failed_fits_are_counted() -> None:
     truth = ModalTruth(np.array([10.0, 20.0]), np.array([0.01, 0.02]), np.abs, np.ones((2, 1)), np.ones(1))
     bound = np.array([[0.001, 0.001], [0.01, 0.01]])
     near = [[10.01, 0.01, 0.004, 0.0001], [20.0, 0.0202, 0.02, 0.0004]]
@@ -125,7 +125,7 @@ def test_a_missed_mode_a_spurious_mode_and_a_fit_without_a_result_are_counted() 
     assert damping_ratio["coverage_pct"] == pytest.approx(100.0)
 
 
-def test_the_command_writes_the_table_and_goes_on_from_what_is_stored(tmp_path: Path, capsys) -> None:
+def test_the_command_writes_the_table_and_resumes_from_stored_fits(tmp_path: Path, capsys) -> None:
     folders = [f"{name}={tmp_path / name}" for name in ("store", "out", "tex")]
     line = ["-m", "experiment=modal", "scenario=two_modes,hammer_blows", "method=waves", "workers=1", *folders]
     assert main([*line, "replicates=1"]) == 0

@@ -1,4 +1,4 @@
-"""Modes on spectra against closed forms, an independent Fisher information, and drawn blows."""
+"""Modes of spectra, compared with closed forms, an independent Fisher information, and simulated blows."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_frequency_responses_without_noise_give_the_modes_exactly(name: str, ord
     assert np.array([mode.shape for mode in estimate.modes]) == pytest.approx(RESIDUES, rel=1e-6)
 
 
-def test_blows_that_end_before_their_motion_give_the_modes_exactly() -> None:
+def test_truncated_blows_give_the_modes_exactly() -> None:
     rate, over, n = 1000.0, 16, 600
     times = np.arange(n * over) / (rate * over)
     force = np.where(np.abs(times - 0.05) < 0.008, np.cos(np.pi * (times - 0.05) / 0.016) ** 6, 0.0)
@@ -53,7 +53,7 @@ def test_blows_that_end_before_their_motion_give_the_modes_exactly() -> None:
     assert np.array([mode.shape for mode in estimate.modes]) == pytest.approx(RESIDUES, rel=2e-2, abs=1e-6)
 
 
-def test_intervals_of_frequency_responses_cover_the_truth_as_often_as_stated() -> None:
+def test_errors_of_frequency_responses_agree_with_standard_errors() -> None:
     rng, clean, scores = np.random.default_rng(5), response(LINES, 0), []
     sigma = 0.01 * np.max(np.abs(clean), axis=1, keepdims=True)
     for _ in range(8):
@@ -78,7 +78,7 @@ def test_mass_damping_and_stiffness_of_one_degree_of_freedom() -> None:
 
 
 SHORT = ModalScenario("", (40.0,), (0.01,), (1.0,), 1024.0, 512, blows=3, band=(15.0, 120.0))
-"""Three blows on one mode, whose motion has fallen to a third at the end of a record."""
+"""Three blows on one mode, whose motion has decayed to a third at the end of a record."""
 
 
 def test_standard_errors_of_blows_are_those_of_a_fisher_information_by_finite_differences() -> None:
@@ -114,7 +114,7 @@ def test_standard_errors_of_blows_are_those_of_a_fisher_information_by_finite_di
     assert abs(mode.frequency - x[0]) < 4.0 * bound[0]
 
 
-def test_intervals_of_blows_cover_the_truth_as_often_as_stated() -> None:
+def test_the_coverage_of_intervals_of_blows_is_95_percent() -> None:
     scores = []
     for replicate in range(100):
         problem, truth = SHORT.draw(11, replicate)
@@ -125,7 +125,7 @@ def test_intervals_of_blows_cover_the_truth_as_often_as_stated() -> None:
     assert np.abs(np.mean(scores, axis=0)).max() < 0.4  # four standard errors of the mean
 
 
-def test_without_the_transient_term_the_damping_of_a_record_that_ends_early_is_biased(
+def test_without_the_transient_term_the_damping_of_a_truncated_record_is_biased(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     problem, truth = replace(SHORT, snr_db=80.0, force_snr_db=80.0).draw(0, 0)

@@ -1,4 +1,4 @@
-"""Damped waves by maximum likelihood: exact without noise, at the bound with it, and as many as there are."""
+"""Damped waves by maximum likelihood: exact without noise, efficient with noise, and the number of modes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from bench.entrants.modal import make_modal
 
 RATE = 200.0
 T = np.arange(1000) / RATE
-APART = ((7.3, 0.012), (19.1, 0.02), (33.0, 0.008))
+SEPARATE = ((7.3, 0.012), (19.1, 0.02), (33.0, 0.008))
 CLOSE = ((10.0, 0.01), (10.2, 0.012))
-"""One half-power bandwidth apart."""
+"""The distance of these modes is a half-power bandwidth."""
 SHAPES = np.array([[1.0, 0.6, 0.4], [-0.7, 0.9j, 0.5 - 0.2j], [0.3, -1.0, 0.8j]])
 
 
 def decays(modes: tuple[tuple[float, float], ...], shapes: np.ndarray, times: np.ndarray = T) -> np.ndarray:
-    """Return the free motion of natural frequencies (Hz) and damping ratios, about 0.2: (channels, n)."""
+    """Return the free motion (channels, n) of natural frequencies (Hz) and damping ratios, with an offset of 0.2."""
     rates = 2 * np.pi * np.array([f for f, _ in modes])
     ratios = np.array([ratio for _, ratio in modes])
     poles = -ratios * rates + 1j * rates * np.sqrt(1 - ratios**2)
@@ -56,7 +56,7 @@ def bound(modes: tuple[tuple[float, float], ...], shapes: np.ndarray, size: floa
     return np.sqrt(np.diag(covariance)[: 2 * m]).reshape(m, 2)
 
 
-@pytest.mark.parametrize("modes", [APART, CLOSE])
+@pytest.mark.parametrize("modes", [SEPARATE, CLOSE])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_without_noise_they_are_exact(modes: tuple[tuple[float, float], ...], channels: int) -> None:
     estimate = answer(decays(modes, SHAPES[:channels]), count=len(modes))
@@ -66,8 +66,10 @@ def test_without_noise_they_are_exact(modes: tuple[tuple[float, float], ...], ch
         assert mode.shape == pytest.approx(SHAPES[:channels, i], rel=1e-5)
 
 
-@pytest.mark.parametrize(("modes", "channels"), [(APART, 1), (APART, 3), (CLOSE, 1)])
-def test_errors_are_at_the_bound_and_intervals_hold_them(modes: tuple[tuple[float, float], ...], channels: int) -> None:
+@pytest.mark.parametrize(("modes", "channels"), [(SEPARATE, 1), (SEPARATE, 3), (CLOSE, 1)])
+def test_errors_are_at_the_bound_and_intervals_are_calibrated(
+    modes: tuple[tuple[float, float], ...], channels: int
+) -> None:
     size, errors, stated = 0.03, [], []
     for seed in range(25):
         estimate = answer(decays(modes, SHAPES[:channels]) + noise(size, seed, channels))
@@ -82,22 +84,22 @@ def test_errors_are_at_the_bound_and_intervals_hold_them(modes: tuple[tuple[floa
 
 
 def test_channels_are_weighted_by_their_noise() -> None:
-    clean, loud = decays(APART, SHAPES[:1]) + noise(0.01, 0), decays(APART, SHAPES[1:2]) + noise(3.0, 1)
-    alone, both = answer(clean, count=3), answer(np.vstack([clean, loud]), count=3)
-    for one, two in zip(alone.modes, both.modes, strict=True):
-        assert two.frequency == pytest.approx(one.frequency, abs=one.frequency_sd)
-        assert two.frequency_sd < 1.02 * one.frequency_sd
+    clean, loud = decays(SEPARATE, SHAPES[:1]) + noise(0.01, 0), decays(SEPARATE, SHAPES[1:2]) + noise(3.0, 1)
+    single, both = answer(clean, count=3), answer(np.vstack([clean, loud]), count=3)
+    for first, second in zip(single.modes, both.modes, strict=True):
+        assert second.frequency == pytest.approx(first.frequency, abs=first.frequency_sd)
+        assert second.frequency_sd < 1.02 * first.frequency_sd
 
 
-def test_humps_of_coloured_noise_are_no_modes() -> None:
+def test_peaks_of_coloured_noise_are_no_modes() -> None:
     for seed in range(5):
         coloured = lfilter([1.0], [1.0, -1.6, 0.85], noise(0.02, seed))
-        assert frequencies(answer(decays(APART[:2], SHAPES[:1]) + coloured)) == pytest.approx([7.3, 19.1], rel=0.01)
+        assert frequencies(answer(decays(SEPARATE[:2], SHAPES[:1]) + coloured)) == pytest.approx([7.3, 19.1], rel=0.01)
 
 
 @pytest.mark.parametrize("seed", [1002, 1003, 1011])
-def test_the_ends_of_resonant_noise_make_no_mode(seed: int) -> None:
-    """Variances of Levinson and Durbin take the ends of these records for modes."""
+def test_resonant_noise_is_no_mode(seed: int) -> None:
+    """With variances by Levinson and Durbin, the ends of these records would be fitted by modes."""
     resonant = lfilter([1.0], [1.0, -1.6, 0.85], noise(1.0, seed))
     assert answer(resonant).status is Status.DIVERGED
     estimate = answer(decays(((7.3, 0.012), (19.1, 0.02)), SHAPES[:1]) + 0.05 * resonant)
@@ -108,7 +110,7 @@ def test_noise_alone_has_no_mode() -> None:
     assert answer(noise(1.0, 0)).status is Status.DIVERGED
 
 
-def test_one_mode_of_friction_or_of_a_bent_spring_is_one() -> None:
+def test_a_mode_with_friction_or_a_nonlinear_spring_is_a_single_mode() -> None:
     times = np.arange(1500) / 100.0
     size = np.exp(-0.13 * times)
     drag, spring = np.log1p(0.5 * (1 - size)), 0.8 * (1 - size**2)
@@ -120,19 +122,19 @@ def test_one_mode_of_friction_or_of_a_bent_spring_is_one() -> None:
         assert "amplitude" in estimate.message or amplitude is friction
 
 
-def test_only_modes_in_the_band_are_answered() -> None:
-    estimate = answer(decays(APART, SHAPES) + noise(0.02, 0, 3), band=(15.0, 25.0))
+def test_only_modes_in_the_band_are_returned() -> None:
+    estimate = answer(decays(SEPARATE, SHAPES) + noise(0.02, 0, 3), band=(15.0, 25.0))
     assert frequencies(estimate) == pytest.approx([19.1], rel=1e-3)
-    asked = answer(decays(APART, SHAPES) + noise(0.02, 0, 3), band=(15.0, 40.0), count=2)
-    assert frequencies(asked) == pytest.approx([19.1, 33.0], rel=1e-3)
+    counted = answer(decays(SEPARATE, SHAPES) + noise(0.02, 0, 3), band=(15.0, 40.0), count=2)
+    assert frequencies(counted) == pytest.approx([19.1, 33.0], rel=1e-3)
 
 
-def test_poles_that_pass_close_by_each_other_on_their_way_are_two_modes() -> None:
+def test_poles_that_come_close_during_the_search_are_two_modes() -> None:
     problem, _ = modal_scenario("half_a_bandwidth_apart").draw(0, 23)
     assert frequencies(make_modal("waves").identify_modes(problem)) == pytest.approx([15.0, 15.15], rel=1e-3)
 
 
-def test_uneven_times_and_a_mode_that_soon_dies_out() -> None:
+def test_uneven_times_and_a_heavily_damped_mode() -> None:
     times = np.sort(np.random.default_rng(0).uniform(0.0, 5.0, 1000))
     modes = ((7.3, 0.012), (40.0, 0.08))
     estimate = answer(decays(modes, np.array([[1.0, 1.0]]), times) + noise(0.02, 1), times)

@@ -1,4 +1,4 @@
-"""A few seconds of the fuzzer of records; ``python -m tests.fuzz`` goes on for minutes."""
+"""A few seconds of the fuzzer of records; ``python -m tests.fuzz`` runs for minutes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from bench.records.reading import ReadOptions, files, read_recording
 
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=RECORDS, options=OPTIONS)
-def test_a_record_is_read_or_refused_in_one_line(data: bytes, options: ReadOptions, tmp_path: Path) -> None:
-    with pytest.MonkeyPatch.context() as patch:  # a process for each would take minutes
+def test_a_record_is_read_or_rejected_in_one_line(data: bytes, options: ReadOptions, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:  # separate processes would take minutes
         patch.setattr(files, "_table_of_child", lambda path: files._table(path.read_bytes(), path))
         check_record(data, options, tmp_path / "record")
 
 
 @pytest.mark.parametrize("name", SEEDS)
-def test_the_records_that_are_damaged_are_read_as_they_are(name: str, tmp_path: Path) -> None:
-    """So that the fuzzer's damage meets what is behind the first checks."""
+def test_undamaged_records_of_the_fuzzer_are_valid(name: str, tmp_path: Path) -> None:
+    """Otherwise damaged ones would fail the first checks only."""
     (tmp_path / "record").write_bytes(SEEDS[name])
     assert read_recording(tmp_path / "record", AS_SEEDS).signals[0].values.size == 60

@@ -1,4 +1,4 @@
-"""The stated interval: closed forms of its parts, and how often it holds the truth of simulated records."""
+"""Stated intervals: comparison of their components with closed forms, and coverage on simulated records."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ MOTION = np.exp(-ZETA * OMEGA * T) * np.cos(OMEGA * np.sqrt(1 - ZETA**2) * T)
 
 
 def fitted(x: np.ndarray, times: np.ndarray = T) -> tuple[Problem, LinearisedFit, dict[str, StatedInterval]]:
-    """The least squares from the truth on, and the intervals that are stated of it."""
+    """Fit a record by least squares, starting at the true parameters, and state the intervals."""
     problem = Problem(sum_from("sdof"), (Record((Channel(times, x, offset=True),)),))
     model = OutputError(problem)
     theta = model.settle(model.vector({"m": 1.0, "c": TRUE["c_over_m"], "k": TRUE["k_over_m"]})[None])[0]
-    found = at_theta(model, theta)
-    assert found is not None
-    estimate = estimate_at(model, theta, found.white, found.used, Cost())
-    at = linearise(problem, estimate)
-    assert at is not None
-    return problem, at, stated_intervals(estimate, at, parts_of(at, natural_frequency(at) or 1.0))
+    initial = at_theta(model, theta)
+    assert initial is not None
+    estimate = estimate_at(model, theta, initial.white, initial.used, Cost())
+    fit = linearise(problem, estimate)
+    assert fit is not None
+    return problem, fit, stated_intervals(estimate, fit, parts_of(fit, natural_frequency(fit) or 1.0))
 
 
 # noise of any colour
@@ -58,54 +58,54 @@ def fitted(x: np.ndarray, times: np.ndarray = T) -> tuple[Problem, LinearisedFit
 
 @pytest.mark.parametrize("coefficients", [(1.2, -0.5), (-0.4, 0.3), (0.9, -0.81)])
 def test_an_autoregression_of_known_coefficients_is_recovered(coefficients: tuple[float, float]) -> None:
-    """Of 20 000 samples: the coefficients' deviations are below 0.007, as sqrt((1 - a2²)/n)."""
+    """For 20 000 samples the standard errors of the coefficients are below 0.007, sqrt((1 - a2²)/n)."""
     errors = 0.5 * np.random.default_rng(1).standard_normal(21_000)
-    found = autoregression(lfilter([1.0], [1.0, *(-np.array(coefficients))], errors)[1000:])
-    assert found.order >= 2
-    np.testing.assert_allclose(found.coefficients[:2], coefficients, atol=0.03)
-    np.testing.assert_allclose(found.coefficients[2:], 0.0, atol=0.03)
-    assert found.variance == pytest.approx(0.25, rel=0.05)
+    noise = autoregression(lfilter([1.0], [1.0, *(-np.array(coefficients))], errors)[1000:])
+    assert noise.order >= 2
+    np.testing.assert_allclose(noise.coefficients[:2], coefficients, atol=0.03)
+    np.testing.assert_allclose(noise.coefficients[2:], 0.0, atol=0.03)
+    assert noise.variance == pytest.approx(0.25, rel=0.05)
 
 
-def test_the_freedom_that_a_fit_has_spent_is_given_back_to_the_variance() -> None:
+def test_the_variance_is_corrected_for_the_degrees_of_freedom() -> None:
     r = np.random.default_rng(2).standard_normal(400)
     assert autoregression(r, 40.0).variance == pytest.approx(autoregression(r).variance / 0.9)
 
 
-def test_white_noise_is_seldom_taken_for_coloured() -> None:
-    """BIC: the chance of a first order alone is P(chi² > log n), here 1.7 %; of all orders a few per cent."""
+def test_white_noise_is_seldom_identified_as_coloured() -> None:
+    """By BIC the probability of a first order alone is P(chi² > log n), here 1.7 %; of any order a few per cent."""
     orders = [autoregression(np.random.default_rng(seed).standard_normal(300)).order for seed in range(300)]
     assert np.mean(np.array(orders) > 0) < 3 * chi2.sf(np.log(300), 1)
 
 
 @pytest.mark.parametrize("rho", [0.8, -0.6, 0.99])
 def test_the_autocovariance_of_a_first_order_is_its_closed_form(rho: float) -> None:
-    found = Autoregression(np.array([rho]), 0.3).autocovariance(500)
-    np.testing.assert_allclose(found, 0.3 * rho ** np.arange(500) / (1 - rho**2), rtol=1e-6, atol=1e-9)
+    covariances = Autoregression(np.array([rho]), 0.3).autocovariance(500)
+    np.testing.assert_allclose(covariances, 0.3 * rho ** np.arange(500) / (1 - rho**2), rtol=1e-6, atol=1e-9)
 
 
 def test_whitening_undoes_the_filter() -> None:
     errors = np.random.default_rng(3).standard_normal(200)
     values = lfilter([2.0], [1.0, -1.2, 0.5], errors)
-    found = Autoregression(np.array([1.2, -0.5]), 4.0).whiten(values)
-    np.testing.assert_allclose(found[2:], errors[2:], atol=1e-9)
+    whitened = Autoregression(np.array([1.2, -0.5]), 4.0).whiten(values)
+    np.testing.assert_allclose(whitened[2:], errors[2:], atol=1e-9)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 40])
 def test_whitened_values_have_the_likelihood_of_the_dense_covariance(n: int) -> None:
-    """``r' S⁻¹ r`` with the Toeplitz matrix in full, the first values included."""
+    """It equals ``r' S⁻¹ r`` with the full Toeplitz matrix, including the first values."""
     noise = Autoregression(np.array([1.2, -0.5, 0.1]), 0.7)
     values = np.random.default_rng(4).standard_normal((2, n))
     dense = toeplitz(noise.autocovariance(n))
-    meant = np.einsum("bi,ij,bj->b", values, np.linalg.inv(dense), values)
-    np.testing.assert_allclose(np.sum(noise.whiten(values) ** 2, axis=-1), meant, rtol=1e-9)
+    expected = np.einsum("bi,ij,bj->b", values, np.linalg.inv(dense), values)
+    np.testing.assert_allclose(np.sum(noise.whiten(values) ** 2, axis=-1), expected, rtol=1e-9)
 
 
 # covariances
 
 
 def test_the_white_covariance_is_that_of_a_linear_regression() -> None:
-    """``s² (J'J)⁻¹`` with ``s² = r'r / (n - p)``, from derivatives that are taken here."""
+    """It is ``s² (J'J)⁻¹`` with ``s² = r'r / (n - p)``, with derivatives by finite differences."""
     _, at, _ = fitted(MOTION + 0.02 * np.random.default_rng(5).standard_normal(300))
     steps = 1e-6 * np.eye(at.theta.size)
     slopes = [(at.model.predict(at.theta + s) - at.model.predict(at.theta - s)) / 2e-6 for s in steps]
@@ -119,36 +119,36 @@ def test_the_white_covariance_is_that_of_a_linear_regression() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_coloured_covariance_is_the_sandwich_of_a_dense_matrix(seed: int) -> None:
-    """``(J'J)⁻¹ J'SJ (J'J)⁻¹`` with a Toeplitz ``S`` in full."""
+    """It is ``(J'J)⁻¹ J'SJ (J'J)⁻¹`` with a full Toeplitz matrix ``S``."""
     noise = lfilter([0.6], [1.0, -0.8], np.random.default_rng(seed).standard_normal(500))[200:]
     _, at, _ = fitted(MOTION + 0.05 * noise)
-    (own,) = at.noises
-    assert own is not None
-    assert own.order > 0
-    # the covariances by the recursion of Yule and Walker, run from a unit impulse: c_k = s² sum_j psi_j psi_(j+k)
-    psi = lfilter([1.0], [1.0, *-own.coefficients], np.eye(1, 5000)[0])
-    covariances = own.variance * np.array([psi[: 5000 - k] @ psi[k:] for k in range(300)])
+    (estimated,) = at.noises
+    assert estimated is not None
+    assert estimated.order > 0
+    # covariances by the impulse response of the autoregression: c_k = s² sum_j psi_j psi_(j+k)
+    psi = lfilter([1.0], [1.0, *-estimated.coefficients], np.eye(1, 5000)[0])
+    covariances = estimated.variance * np.array([psi[: 5000 - k] @ psi[k:] for k in range(300)])
     bread = np.linalg.inv(at.slopes.T @ at.slopes)
     dense = bread @ at.slopes.T @ toeplitz(covariances) @ at.slopes @ bread
     known = replace(at, known_noises=at.noises).coloured
     assert known is not None
     np.testing.assert_allclose(known, dense, rtol=1e-4, atol=1e-9 * np.max(np.abs(dense)))
-    assert at.coloured is not None  # by the periodogram, near the same
+    assert at.coloured is not None  # by the periodogram, so only approximately equal
     assert 0.3 < np.trace(at.coloured[:2, :2]) / np.trace(known[:2, :2]) < 3.0
 
 
-def test_the_spectrum_that_a_fit_leaves_has_no_bias_where_the_fit_takes_most() -> None:
-    """White noise of variance 4, less its share along sines next to one frequency: 4 at every frequency."""
+def test_the_spectrum_of_residuals_is_unbiased() -> None:
+    """Sines near a frequency are removed from white noise of variance 4; the estimate is 4 at every frequency."""
     t, rng = np.arange(300), np.random.default_rng(0)
     slopes = np.stack([f(2 * np.pi * 30.4 * t / 300) * g for f in (np.sin, np.cos) for g in (1.0, t / 300.0)], axis=1)
     basis = np.linalg.qr(slopes)[0]
     noise = 2.0 * rng.standard_normal((2000, 300))
     left = noise - noise @ basis @ basis.T
-    found = np.mean([local_spectrum(one, slopes, 1024) for one in left], axis=0)
-    np.testing.assert_allclose(found, 4.0, rtol=0.06)
+    spectrum = np.mean([local_spectrum(residuals, slopes, 1024) for residuals in left], axis=0)
+    np.testing.assert_allclose(spectrum, 4.0, rtol=0.06)
 
 
-def test_of_white_noise_both_covariances_agree() -> None:
+def test_both_covariances_agree_for_white_noise() -> None:
     _, at, _ = fitted(MOTION + 0.02 * np.random.default_rng(5).standard_normal(300))
     assert at.noises[0] is not None
     assert at.noises[0].order == 0
@@ -159,34 +159,34 @@ def test_of_white_noise_both_covariances_agree() -> None:
 # parts
 
 
-def test_paule_and_mandel_of_equal_variances_is_the_textbook_difference() -> None:
-    """With one variance v for all: ``s² - v``, s² the sample variance, of 0, 1, 2, 3, 4: 2.5."""
+def test_paule_mandel_for_equal_variances() -> None:
+    """The estimate is ``s² - v`` with the sample variance s², which is 2.5 for 0, 1, 2, 3, 4."""
     y = np.arange(5.0)
     assert paule_mandel(y, np.full(5, 0.1)).variance == pytest.approx(2.5 - 0.1, rel=1e-6)
     assert paule_mandel(y, np.full(5, 2.6)).variance == 0.0
 
 
-def test_paule_and_mandel_of_two_estimates_by_hand() -> None:
-    """Two: ``Q = (y1 - y2)² / (v1 + v2 + 2 u) = 1``, so ``u = ((y1 - y2)² - v1 - v2) / 2``."""
+def test_paule_mandel_for_two_estimates() -> None:
+    """From ``Q = (y1 - y2)² / (v1 + v2 + 2 u) = 1`` follows ``u = ((y1 - y2)² - v1 - v2) / 2``."""
     assert paule_mandel(np.array([1.0, 4.0]), np.array([0.5, 1.5])).variance == pytest.approx((9 - 2) / 2, rel=1e-6)
 
 
-def test_the_variance_between_parts_is_drawn_towards_the_prior() -> None:
-    """Of 0, 1, 2, 3, 4 with errors of variance 0.1 the moment estimate is 2.4, with four degrees of freedom."""
+def test_the_variance_between_parts_is_shrunk_towards_the_prior() -> None:
+    """For 0, 1, 2, 3, 4 with errors of variance 0.1 the estimate is 2.4, with four degrees of freedom."""
     shrunk = between_parts(np.arange(5.0), np.full(5, 0.1), 0.5, np.zeros(5), 1.0).variance
     assert shrunk == pytest.approx((4 * 2.4 + PRIOR_DOF * 0.5) / (4 + PRIOR_DOF), rel=1e-6)
 
 
-def test_a_dependence_on_the_amplitude_is_no_scatter_between_parts() -> None:
-    """Values along a line, of errors far below: the spread is the prior's, drawn down by the parts that agree."""
+def test_a_dependence_on_the_amplitude_is_not_scatter_between_parts() -> None:
+    """For values on a line with small errors the variance is below that of the prior."""
     sizes = np.linspace(0.0, -2.0, 6)
     variance, slope, _ = between_parts(1.0 + 0.4 * sizes, np.full(6, 1e-8), 1e-4, sizes, 0.09)
     assert variance < 1e-4
     assert slope == pytest.approx(0.4, rel=0.01)
 
 
-def test_a_scatter_beyond_the_amplitude_is_its_mean_square() -> None:
-    """0.1, -0.1 by turns, of no errors, at one amplitude: six values about their mean."""
+def test_scatter_at_equal_amplitudes_is_the_mean_square() -> None:
+    """Six values alternate between 0.1 and -0.1."""
     values = 0.1 * np.array([1.0, -1.0] * 3)
     variance, slope, chance = between_parts(values, np.full(6, 1e-10), 1e-6, np.linspace(0.0, -1e-3, 6), 1e-4)
     assert variance == pytest.approx((5 * 0.06 / 5 + PRIOR_DOF * 1e-6) / (5 + PRIOR_DOF), rel=0.01)
@@ -194,8 +194,8 @@ def test_a_scatter_beyond_the_amplitude_is_its_mean_square() -> None:
     assert chance < 1e-10
 
 
-def test_noise_alone_seldom_makes_parts_differ() -> None:
-    """Cochran's statistic of values about a line whose slope is drawn from its prior: uniform chances."""
+def test_p_values_of_homogeneous_parts_are_uniform() -> None:
+    """The values lie about a line whose slope is drawn from its prior."""
     rng = np.random.default_rng(0)
     sizes, errors = np.linspace(0.0, -2.0, 6), np.geomspace(1e-4, 1e-2, 6)
     chances = [
@@ -207,22 +207,22 @@ def test_noise_alone_seldom_makes_parts_differ() -> None:
     assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.02)
 
 
-def test_a_step_of_gauss_and_newton_fits_a_part_as_a_record() -> None:
-    """The first part of a record in noise of 26 dB is its first two cycles: a fit of these samples alone."""
+def test_a_gauss_newton_step_fits_a_part_as_a_separate_record() -> None:
+    """The first part of the record is its first two cycles, which are also fitted separately."""
     x = MOTION + 0.05 * np.random.default_rng(3).standard_normal(300)
     _, at, whole = fitted(x)
     first = parts_of(at, natural_frequency(at) or 1.0)[0]
     n = int(np.searchsorted(T, 2.0 * 2 * np.pi / OMEGA))
-    _, alone, part = fitted(x[:n], T[:n])
-    assert alone.white is not None
+    _, separate, part = fitted(x[:n], T[:n])
+    assert separate.white is not None
     change = [np.log(part[name].value / whole[name].value) for name in ("c_over_m", "k_over_m")]
-    error = np.sqrt(np.diag(alone.white)[:2])
+    error = np.sqrt(np.diag(separate.white)[:2])
     np.testing.assert_array_less(np.abs(first.logs - at.theta[:2] - change), 0.5 * error)
     np.testing.assert_allclose(np.sqrt(np.diag(first.covariance)), error, rtol=0.3)
 
 
-def test_parts_widen_the_interval_of_a_repeat_where_the_frequency_changes() -> None:
-    """``cos(6 t + 0.06 t²)``: from 6 to 7.2 rad/s, so ln k/m changes by ``2 ln(1.2)`` over the record."""
+def test_a_changing_frequency_widens_the_interval_of_a_repeat() -> None:
+    """In ``cos(6 t + 0.06 t²)`` the frequency rises from 6 to 7.2 rad/s, so ln k/m changes by ``2 ln(1.2)``."""
     x = np.cos(6.0 * T + 0.06 * T**2) + 0.005 * np.random.default_rng(6).standard_normal(300)
     _, at, intervals = fitted(x)
     k = intervals["k_over_m"]
@@ -232,11 +232,11 @@ def test_parts_widen_the_interval_of_a_repeat_where_the_frequency_changes() -> N
     assert np.log(k.high / k.low) / 2 < 2 * np.log(1.2)
 
 
-def test_records_fitted_together_have_the_interval_of_their_spread() -> None:
-    """Two records whose k/m differ by 4 %: each is a part, and another one may differ as much."""
+def test_the_interval_of_several_records_includes_their_spread() -> None:
+    """The k/m of two records differ by 4 %; each is a part, and another record may differ as much."""
     rng = np.random.default_rng(9)
     x = [np.exp(-0.24 * T) * np.cos(OMEGA * factor * T) + 0.01 * rng.standard_normal(300) for factor in (0.99, 1.01)]
-    problem = Problem(sum_from("sdof"), tuple(Record((Channel(T, one, offset=True),)) for one in x))
+    problem = Problem(sum_from("sdof"), tuple(Record((Channel(T, values, offset=True),)) for values in x))
     model = OutputError(problem)
     at = at_theta(model, model.settle(model.vector({"m": 1.0, "c": TRUE["c_over_m"], "k": TRUE["k_over_m"]})[None])[0])
     assert at is not None
@@ -248,11 +248,11 @@ def test_records_fitted_together_have_the_interval_of_their_spread() -> None:
     assert k.low < 35.3 < 36.8 < k.high < 40.0
 
 
-# one joint distribution
+# joint distribution
 
 
-def test_intervals_agree_with_each_other() -> None:
-    """``f = (k/m)^(1/2) / 2 pi``: half of the relative width, of a repeat and of this record."""
+def test_intervals_are_consistent() -> None:
+    """As ``f = (k/m)^(1/2) / 2 pi``, its relative width is half that of k/m, for a repeat and for this record."""
     _, _, intervals = fitted(MOTION + 0.05 * np.random.default_rng(7).standard_normal(300))
     k, f = intervals["k_over_m"], intervals["natural_frequency"]
     for kind in ("", "record_"):
@@ -260,8 +260,8 @@ def test_intervals_agree_with_each_other() -> None:
         assert widths[0] == pytest.approx(2 * widths[1], rel=1e-6)
 
 
-def test_a_clock_that_may_be_wrong_widens_what_hangs_on_time() -> None:
-    """Of a relative error r of the clock ln k/m has the error 2 r, ln c/m has r, and the damping ratio none."""
+def test_an_error_of_the_sampling_rate_widens_intervals() -> None:
+    """A relative error r of the sampling rate gives errors of 2 r in ln k/m, r in ln c/m, none in the damping ratio."""
     problem, at, _ = fitted(MOTION + 1e-4 * np.random.default_rng(8).standard_normal(300))
     theta = np.log([TRUE["c_over_m"], TRUE["k_over_m"]])
     model = OutputError(problem)
@@ -273,8 +273,8 @@ def test_a_clock_that_may_be_wrong_widens_what_hangs_on_time() -> None:
     assert halves["damping_ratio"] < 0.002
 
 
-def test_classes_as_good_widen_both_intervals() -> None:
-    """Of equal weights and values that differ by 20 %: half of ``ln(1.2)²`` more of variance."""
+def test_tied_classes_widen_both_intervals() -> None:
+    """Equal weights and values that differ by 20 % add a variance of ``ln(1.2)² / 2``."""
     problem, at, before = fitted(MOTION + 1e-3 * np.random.default_rng(8).standard_normal(300))
     variance = np.log(1.2) ** 2 / 2
     model = OutputError(problem)
@@ -288,8 +288,8 @@ def test_classes_as_good_widen_both_intervals() -> None:
     assert k.record_high - k.record_low < 2 * (before["k_over_m"].record_high - before["k_over_m"].record_low)
 
 
-def test_a_damping_that_the_data_leave_open_has_a_limit_and_takes_nothing_from_the_stiffness() -> None:
-    """Of an undamped motion: c/m is at most about as much as would show, and k/m keeps its interval."""
+def test_an_undetermined_damping_has_a_limit_and_does_not_affect_the_stiffness() -> None:
+    """The motion is undamped."""
     undamped = np.cos(OMEGA * T)
     limits = []
     for seed in range(8):
@@ -307,38 +307,38 @@ def test_a_damping_that_the_data_leave_open_has_a_limit_and_takes_nothing_from_t
 # the interval
 
 
-def test_of_white_noise_the_stated_interval_is_that_of_least_squares() -> None:
-    """Student's t with n - p degrees of freedom, about the value."""
+def test_the_interval_for_white_noise_is_that_of_least_squares() -> None:
+    """It is that of Student's t with n - p degrees of freedom."""
     stretches = []
     for seed in range(8):
-        _, at, found = fitted(MOTION + 0.02 * np.random.default_rng(20 + seed).standard_normal(300))
-        k, own = found["k_over_m"], at.gradient(at.model.system.groups[0])
-        assert at.white is not None
-        half = student.ppf(0.975, 295) * np.sqrt(own @ at.white @ own)
+        _, fit, intervals = fitted(MOTION + 0.02 * np.random.default_rng(20 + seed).standard_normal(300))
+        k, gradient = intervals["k_over_m"], fit.gradient(fit.model.system.groups[0])
+        assert fit.white is not None
+        half = student.ppf(0.975, 295) * np.sqrt(gradient @ fit.white @ gradient)
         assert (k.white_high - k.white_low) / 2 / k.value == pytest.approx(half, rel=1e-3)
         stretches.append((k.record_high - k.record_low) / (k.white_high - k.white_low))
     assert np.median(stretches) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.slow
-def test_of_white_noise_hardly_any_interval_of_a_record_is_wider() -> None:
-    """The order of the noise is 0 in most of 100 records: the test for colour alone has a level of a few per cent."""
+def test_white_noise_hardly_ever_widens_an_interval() -> None:
+    """The order of the noise is 0 in most of 100 records, as the test for colour has a level of a few per cent."""
     widths = np.array([
-        [own.colour for own in fitted(MOTION + 0.05 * np.random.default_rng(s).standard_normal(300))[2].values()]
+        [i.colour for i in fitted(MOTION + 0.05 * np.random.default_rng(s).standard_normal(300))[2].values()]
         for s in range(100)
     ])  # fmt: skip
     assert np.sum(np.any(np.abs(widths - 1.0) > 0.05, axis=1)) <= 8
 
 
 class Coverage(NamedTuple):
-    """How often each interval held the truth, over both ratios and all records."""
+    """Coverage of each interval, over both ratios and all records."""
 
     stated: float
     white: float
 
 
 def coverage(kind: str, records: int) -> Coverage:
-    """Of records at 20 dB; a drift goes three times the noise to either side."""
+    """Return the coverage on records at 20 dB; a drift reaches three times the noise on either side."""
     stated, white = [], []
     for seed in range(records):
         rng = np.random.default_rng(seed)
@@ -347,42 +347,42 @@ def coverage(kind: str, records: int) -> Coverage:
             noise = lfilter([0.6], [1.0, -0.8], rng.standard_normal(500))[200:]
         if kind == "drift":
             noise = noise + 3.0 * np.linspace(-1.0, 1.0, 300)
-        _, _, found = fitted(MOTION + 0.1 * np.std(MOTION) * noise)
+        _, _, intervals = fitted(MOTION + 0.1 * np.std(MOTION) * noise)
         for name, truth in TRUE.items():
-            own = found[name]
-            stated.append(own.record_low < truth < own.record_high)
-            white.append(own.white_low < truth < own.white_high)
+            interval = intervals[name]
+            stated.append(interval.record_low < truth < interval.record_high)
+            white.append(interval.white_low < truth < interval.white_high)
     return Coverage(float(np.mean(stated)), float(np.mean(white)))
 
 
 @pytest.mark.slow
-def test_white_noise_is_covered_as_promised() -> None:
-    """400 records and two ratios: of 95 % the deviation is about 1 %."""
-    found = coverage("white", 400)
-    assert 0.92 <= found.stated <= 0.98
-    assert 0.92 <= found.white <= 0.98
+def test_the_coverage_for_white_noise_is_95_percent() -> None:
+    """For 400 records and two ratios the standard error is about 1 %."""
+    share = coverage("white", 400)
+    assert 0.92 <= share.stated <= 0.98
+    assert 0.92 <= share.white <= 0.98
 
 
 @pytest.mark.slow
-def test_noise_of_the_first_order_is_covered_where_the_white_interval_fails() -> None:
-    """By theory the white interval is too narrow by the spectrum's height at OMEGA over its mean, twice or so."""
-    found = coverage("first order", 200)
-    assert 0.92 <= found.stated <= 1.0
-    assert found.white < 0.75
+def test_intervals_cover_under_coloured_noise_but_not_those_assuming_white_noise() -> None:
+    """The latter are too narrow by about two, the root of the spectrum at OMEGA over its mean."""
+    share = coverage("first order", 200)
+    assert 0.92 <= share.stated <= 1.0
+    assert share.white < 0.75
 
 
 @pytest.mark.slow
-def test_a_drift_is_covered_where_the_white_interval_fails() -> None:
-    found = coverage("drift", 150)
-    assert 0.92 <= found.stated <= 1.0
-    assert found.white < found.stated - 0.1
+def test_intervals_cover_under_drift_but_not_those_assuming_white_noise() -> None:
+    share = coverage("drift", 150)
+    assert 0.92 <= share.stated <= 1.0
+    assert share.white < share.stated - 0.1
 
 
-# forces left out
+# missing forces
 
 
-def test_a_softening_spring_is_not_said_to_lack_a_cubic_one() -> None:
-    """The two are one force with two signs; the record is of a pendulum with air drag."""
+def test_a_cubic_spring_is_not_added_to_a_softening_one() -> None:
+    """They are the same force with opposite signs; the record is of a pendulum with quadratic damping."""
 
     def law(t, y):  # type: ignore[no-untyped-def]
         return [y[1], -(OMEGA**2) * np.sin(y[0]) - 0.2 * y[1] - 0.1 * abs(y[1]) * y[1]]
@@ -396,8 +396,8 @@ def test_a_softening_spring_is_not_said_to_lack_a_cubic_one() -> None:
     assert missing_forces(at) == ("quadratic damping",)
 
 
-def test_friction_that_a_linear_model_lacks_is_named() -> None:
-    """A decay with dry friction of 1 % of the spring's first force, in white noise of 40 dB; and one without."""
+def test_the_friction_that_a_linear_model_lacks_is_detected() -> None:
+    """Friction is 1 % of the initial spring force, in white noise of 40 dB; a record without friction is compared."""
 
     def law(t, y):  # type: ignore[no-untyped-def]
         return [y[1], -(OMEGA**2) * y[0] - 0.2 * y[1] - 0.01 * OMEGA**2 * np.tanh(y[1] / 1e-3)]
@@ -413,23 +413,23 @@ def test_friction_that_a_linear_model_lacks_is_named() -> None:
 # limits
 
 
-def test_a_limit_is_on_the_scale_of_the_parameter_that_is_open() -> None:
-    """Of 2 with a standard error of 1.5 times itself: ``2 (1 + 1.645 * 1.5)``, and of the reciprocal one over it.
+def test_a_limit_is_on_the_scale_of_the_undetermined_parameter() -> None:
+    """For 2 with a relative standard error of 1.5 the upper limit is ``2 (1 + 1.645 * 1.5)``.
 
-    Of a square root of that parameter the error of the logarithm is half, and the limit the root.
+    For a reciprocal the lower limit is ``2 / (1 + 1.645 * 1.5)``, and for a square root the limit is the root.
     """
-    own = StatedInterval(2.0, *[math.nan] * 6, "")
-    most, least = limited(own, 1.5, 1.0), limited(own, 1.5, -1.0)
+    interval = StatedInterval(2.0, *[math.nan] * 6, "")
+    most, least = limited(interval, 1.5, 1.0), limited(interval, 1.5, -1.0)
     assert (most.low, most.high, most.limit) == (0.0, pytest.approx(2 * (1 + 1.644854 * 1.5)), "at most")
     assert (least.low, least.high, least.limit) == (pytest.approx(2 / (1 + 1.644854 * 1.5)), math.inf, "at least")
-    assert limited(own, 0.75, 0.5).high == pytest.approx(2 * math.sqrt(1 + 1.644854 * 1.5))
+    assert limited(interval, 0.75, 0.5).high == pytest.approx(2 * math.sqrt(1 + 1.644854 * 1.5))
 
 
 # differences of criteria
 
 
-def test_the_error_of_a_difference_of_criteria_is_its_spread_over_records() -> None:
-    """Two residuals with a common part, of many records: the standard deviation of the difference of criteria."""
+def test_the_error_of_a_difference_of_criteria_is_its_standard_deviation_over_records() -> None:
+    """The residuals of two fits to each record have a common part."""
     differences, errors = [], []
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -441,6 +441,6 @@ def test_the_error_of_a_difference_of_criteria_is_its_spread_over_records() -> N
     assert np.median(errors) == pytest.approx(np.std(differences), rel=0.25)
 
 
-def test_a_fit_differs_from_itself_by_nothing() -> None:
+def test_the_criterion_of_a_fit_does_not_differ_from_itself() -> None:
     logs = np.random.default_rng(1).standard_normal(100)
     assert criterion_error(logs, logs) == 0.0

@@ -1,4 +1,4 @@
-"""Simulated replicas of a record: what they keep of it, how coverage is judged, and that an interval is corrected."""
+"""Simulated replicas of a record: their properties, coverage, and correction of intervals."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def values(replica: Problem) -> np.ndarray:
     return replica.records[0].channels[0].values
 
 
-def test_a_seed_and_a_number_make_a_replica() -> None:
+def test_a_replica_depends_on_seed_and_number_only() -> None:
     problem = record()
     first, again, other = replicas(problem, 3), replicas(problem, 5), replicas(problem, 3, seed=1)
     for a, b, c in zip(first, again[:3], other, strict=True):
@@ -74,8 +74,8 @@ def test_a_seed_and_a_number_make_a_replica() -> None:
     assert not np.any(values(first[0]) == values(first[1]))
 
 
-def test_a_replica_is_the_fit_with_as_much_noise() -> None:
-    """Mean of many replicas: the fit; their scatter: the noise (0.02), each within four standard errors of chance."""
+def test_replicas_have_the_mean_of_the_fit_and_the_noise_of_the_record() -> None:
+    """Mean and standard deviation are within about four standard errors."""
     problem = record()
     finding = finding_of(problem)
     assert finding.fit is not None
@@ -90,23 +90,22 @@ def test_a_replica_is_the_fit_with_as_much_noise() -> None:
     assert truth["k"] / truth["m"] == pytest.approx(ratio, rel=1e-9)
 
 
-def test_a_replica_keeps_times_force_and_what_else_is_told() -> None:
+def test_a_replica_keeps_times_force_and_offset() -> None:
     times = np.arange(120) / 10.0
     force = Force(times, np.sin(3.0 * times))
     x = np.sin(3.0 * times) / 30.0 + 1e-3 * np.random.default_rng(0).standard_normal(120)
     problem = Problem(SDOF(), (Record((Channel(times, x, offset=True),), (force,)),))
-    replica = replicas(problem, 1)[0]
-    own = replica.records[0]
-    assert own.forces == (force,)
-    np.testing.assert_array_equal(own.channels[0].times, times)
-    assert own.channels[0].offset
+    (simulated,) = replicas(problem, 1)[0].records
+    assert simulated.forces == (force,)
+    np.testing.assert_array_equal(simulated.channels[0].times, times)
+    assert simulated.channels[0].offset
     assert {q.name for q in determined_quantities(problem)} > {"m", "c", "k"}
     assert {q.name for q in determined_quantities(record())} == {
         "k_over_m", "c_over_m", "natural_frequency", "damping_ratio",
     }  # fmt: skip
 
 
-def test_nominal_values_of_a_prior_are_drawn_about_the_truth() -> None:
+def test_nominal_values_of_a_prior_are_drawn_about_the_true_values() -> None:
     prior = Prior(P, dict.fromkeys(P, 0.1))
     problem = replace(record(), prior=prior)
     finding = finding_of(problem)
@@ -118,17 +117,17 @@ def test_nominal_values_of_a_prior_are_drawn_about_the_truth() -> None:
     assert z.std() == pytest.approx(1.0, rel=0.1)
 
 
-def test_a_replica_is_rounded_as_its_record_is() -> None:
+def test_a_replica_is_rounded_as_its_record() -> None:
     problem = record(step=0.01)
-    own = problem.records[0].channels[0].values
-    assert rounding_step(own) == pytest.approx(0.01, rel=1e-6)
+    measured = values(problem)
+    assert rounding_step(measured) == pytest.approx(0.01, rel=1e-6)
     for replica in replicas(problem, 3):
-        places = (values(replica) - own[0]) / 0.01
-        np.testing.assert_allclose(places, np.round(places), atol=1e-6)
+        multiples = (values(replica) - measured[0]) / 0.01
+        np.testing.assert_allclose(multiples, np.round(multiples), atol=1e-6)
 
 
 def test_rounding_adds_no_noise() -> None:
-    """A step of the noise's own size: what the replicas' residuals amount to is still the noise of the record."""
+    """With a step of the size of the noise, residuals of replicas still have the noise of the record."""
     problem = record(step=0.03)
     finding = finding_of(problem)
     assert finding.fit is not None
@@ -139,12 +138,12 @@ def test_rounding_adds_no_noise() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_sensor_that_does_not_round_has_no_step(seed: int) -> None:
+def test_values_that_are_not_rounded_have_no_step(seed: int) -> None:
     assert rounding_step(np.random.default_rng(seed).standard_normal(200)) == 0.0
     assert rounding_step(np.zeros(5)) == 0.0
 
 
-def test_noise_of_a_replica_has_the_residuals_colour() -> None:
+def test_the_noise_of_a_replica_has_the_colour_of_the_residuals() -> None:
     problem = record(rho=0.8, times=np.arange(400) / 10.0)
     finding = finding_of(problem)
     assert finding.fit is not None
@@ -169,13 +168,13 @@ def test_a_miss_is_one_at_the_ends_of_an_interval() -> None:
 
 
 def test_widening_is_an_order_statistic() -> None:
-    """Of 1, 2, …, 39 the quantile of the (n + 1) rule at 0.95 is the 38th."""
+    """The 0.95 quantile of 1, 2, …, 39 by the (n + 1) rule is 38."""
     assert widening_of(np.arange(1.0, 40.0)) == pytest.approx(38.0)
     assert math.isnan(widening_of(np.ones(19)))
 
 
 def exact(sd: float, stated_sd: float, n: int) -> ReplicaCoverage:
-    """Coverage of a method whose logarithms of k/m scatter by ``sd`` and which states ``stated_sd``."""
+    """Return the coverage of a method whose errors of ln k/m have ``sd``, and intervals have ``stated_sd``."""
     rng, finding = np.random.default_rng(3), finding_of(record())
     answers = []
     for _ in range(n):
@@ -192,7 +191,7 @@ def stated(value: float, low: float, high: float) -> StatedInterval:
 
 
 def test_an_exact_normal_method_needs_no_widening() -> None:
-    """The 95 % point of 2000 misses is within 3 standard errors, 3 % each, of one; half the interval needs two."""
+    """The 0.95 quantile of 2000 misses is within 3 standard errors, 3 % each, of 1; half the interval needs 2."""
     line = exact(0.1, 0.1, 2000)
     assert line.widening == pytest.approx(1.0, abs=0.08)
     assert line.covered == pytest.approx(0.95, abs=0.015)
@@ -200,37 +199,37 @@ def test_an_exact_normal_method_needs_no_widening() -> None:
     assert exact(0.1, 0.05, 2000).widening == pytest.approx(2.0, abs=0.16)
 
 
-def test_only_what_is_beyond_chance_is_corrected() -> None:
-    own = finding_of(record()).intervals["k_over_m"]
+def test_only_significant_differences_are_corrected() -> None:
+    interval = finding_of(record()).intervals["k_over_m"]
     assert exact(0.1, 0.1, 200).corrected is None
     for stated_sd, factor in ((0.05, 2.0), (0.2, 0.5)):
         corrected = exact(0.1, stated_sd, 1000).corrected
         assert corrected is not None
-        ratio = math.log(corrected[1] / own.value) / math.log(own.record_high / own.value)
+        ratio = math.log(corrected[1] / interval.value) / math.log(interval.record_high / interval.value)
         assert ratio == pytest.approx(factor, rel=0.12)
 
 
-def test_an_interval_that_reaches_zero_is_widened_in_itself() -> None:
+def test_an_interval_that_includes_zero_is_widened_on_the_linear_scale() -> None:
     assert widened(1.0, -1.0, 2.0, 2.0) == (-3.0, 3.0)
 
 
-def test_as_many_replicas_are_fitted_as_were_asked_for() -> None:
-    """And each is the same whichever process fits it."""
+def test_the_requested_number_of_replicas_is_fitted() -> None:
+    """Each is the same in whichever process it is fitted."""
     finding, (job,) = finding_of(record()), request_of({"data": ["x"], "method": ["output_error"]}).jobs
-    seen = list[tuple[int, float]]()
+    progress = list[tuple[int, float]]()
     with Workers() as workers:
-        lines = coverage_on_replicas(finding, job, 31, workers, lambda done, left: seen.append((done, left)))
+        lines = coverage_on_replicas(finding, job, 31, workers, lambda done, left: progress.append((done, left)))
         again = coverage_on_replicas(finding, job, 31, workers, lambda done, left: None)
     assert {line.quantity for line in lines} == {"k_over_m", "c_over_m", "natural_frequency", "damping_ratio"}
     assert {line.n for line in lines} == {31}
     errors = {line.quantity: line.median_error_pct for line in lines}
     assert 0.0 < errors["natural_frequency"] < errors["damping_ratio"] < 20.0
-    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
-    assert seen[-1] == (31, 0.0)
+    assert [done for done, _ in progress] == sorted(done for done, _ in progress)
+    assert progress[-1] == (31, 0.0)
     assert again == lines
 
 
-def test_a_worker_that_is_over_its_limit_is_replaced() -> None:
+def test_a_worker_that_exceeds_its_limit_is_replaced() -> None:
     with Workers() as workers:
         late = workers.submit(0.3, time.sleep, 60.0)
         roots = [workers.submit(60.0, math.sqrt, float(i)) for i in range(3)]
@@ -239,7 +238,7 @@ def test_a_worker_that_is_over_its_limit_is_replaced() -> None:
         assert [root.result() for root in roots] == [0.0, 1.0, math.sqrt(2.0)]
 
 
-def test_bad_input_of_a_task_is_raised_where_it_was_asked_for() -> None:
+def test_an_input_error_of_a_task_is_raised_by_its_future() -> None:
     with Workers() as workers, pytest.raises(InputError, match="method"):
         workers.submit(60.0, refuse).result()
 
@@ -257,10 +256,10 @@ def test_the_study_s_noise_has_the_stated_colour_and_size() -> None:
 
 
 @pytest.mark.slow
-def test_corrected_intervals_hold_the_truth_under_coloured_noise() -> None:
-    """Of thirty records with forty replicas each at least 24, of white intervals not 27.
+def test_corrected_intervals_cover_the_true_value_under_coloured_noise() -> None:
+    """Of thirty corrected intervals at least 24 cover the true value, of intervals assuming white noise fewer than 27.
 
-    Where 95 % cover the truth, six studies in 10,000 have fewer than 24.
+    For a coverage of 95 %, fewer than 24 have a probability of 0.0006.
     """
     rows = study.coverage("coloured", 30, 40, 5)
     white, corrected = ([float(row[i].partition(" ")[0]) for row in rows] for i in (3, 5))

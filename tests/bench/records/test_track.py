@@ -1,4 +1,4 @@
-"""The measured track: scores of siblings with known answers, fits that are made once, and records that are absent."""
+"""Measured track: scores of siblings in closed form, storage of fits, and missing records."""
 
 from __future__ import annotations
 
@@ -33,67 +33,67 @@ TINY = {"title": "t", "licence": "none", "source": "here", "folder": "x", "files
 
 
 def stated(value: float, error: float, white: float) -> StatedInterval:
-    """An interval of a repeat, of the record and assuming white noise, of such errors of the logarithm."""
+    """Return an interval with standard errors of the logarithm, for repeat and record, and assuming white noise."""
     ends = [value * math.exp(sign * HALF * e) for e in (error, error, white) for sign in (-1.0, 1.0)]
     return StatedInterval(value, *ends, "")
 
 
 def frame(*intervals: StatedInterval) -> pd.DataFrame:
-    """The answers of siblings."""
+    """Return the intervals of siblings."""
     return pd.DataFrame([asdict(interval) for interval in intervals])
 
 
 def row(sibling: str, interval: StatedInterval, trust: str = "trust") -> dict[str, Any]:
-    """The row of a fit that states k/m."""
+    """Return the row of a fit with an interval of k/m."""
     head = {"sibling": sibling, "method": "ls", "status": "ok", "trust": trust, "quantity": "k_over_m"}
     return {**head, "withdrawn": int(trust == "do not trust"), "held_out": 90.0, "wall_s": 1.0, **asdict(interval)}
 
 
 def test_siblings_that_scatter_as_stated() -> None:
-    """Logarithms 0, 1, 2: standard deviation 1. The others' means are 1.5, 1, 0.5.
+    """The logarithms 0, 1, 2 have the standard deviation 1; the means of the others are 1.5, 1, 0.5.
 
-    An interval of half-width h about the value scores ``2 h + 40 max(d - h, 0)`` at a distance d from the mean, 1.5, 0
-    and 1.5 here: 2 h of the ideal one with h = 1.96, and ``0.98 + (2/3) 40 (1.5 - 0.49)`` of the white one.
+    The score of an interval of half-width h is ``2 h + 40 max(d - h, 0)`` at the distance d from the mean, here 1.5, 0
+    and 1.5: 2 h for the ideal one with h = 1.96, and ``0.98 + (2/3) 40 (1.5 - 0.49)`` assuming white noise.
     """
-    found = compare_siblings(frame(*(stated(math.exp(v), 1.0, 0.25) for v in (0.0, 1.0, 2.0))), known=2 * math.e)
-    assert (found["ratio_repeat"], found["ratio_white"]) == pytest.approx((1.0, 4.0), rel=1e-5)
-    assert (found["covered_repeat"], found["covered_white"], found["counted"]) == (3, 1, 3)
-    assert found["score_repeat"] == pytest.approx(1.0, rel=1e-6)
-    assert found["score_white"] == pytest.approx((0.98 + 2 / 3 * 40 * (1.5 - 0.49)) / 3.92, rel=1e-3)
-    assert found["width_white"] == pytest.approx(math.exp(0.49), rel=1e-3)
-    assert (found["value"], found["error_pct"]) == pytest.approx((math.e, 50.0))
+    scores = compare_siblings(frame(*(stated(math.exp(v), 1.0, 0.25) for v in (0.0, 1.0, 2.0))), known=2 * math.e)
+    assert (scores["ratio_repeat"], scores["ratio_white"]) == pytest.approx((1.0, 4.0), rel=1e-5)
+    assert (scores["covered_repeat"], scores["covered_white"], scores["counted"]) == (3, 1, 3)
+    assert scores["score_repeat"] == pytest.approx(1.0, rel=1e-6)
+    assert scores["score_white"] == pytest.approx((0.98 + 2 / 3 * 40 * (1.5 - 0.49)) / 3.92, rel=1e-3)
+    assert scores["width_white"] == pytest.approx(math.exp(0.49), rel=1e-3)
+    assert (scores["value"], scores["error_pct"]) == pytest.approx((math.e, 50.0))
 
 
-def test_one_sibling_alone_is_not_compared() -> None:
-    found = compare_siblings(frame(stated(9.0, 1.0, 1.0)))
-    assert found["counted"] == 0
-    assert math.isnan(found["ratio_repeat"])
-    assert math.isnan(found["error_pct"])
+def test_a_single_sibling_is_not_compared() -> None:
+    scores = compare_siblings(frame(stated(9.0, 1.0, 1.0)))
+    assert scores["counted"] == 0
+    assert math.isnan(scores["ratio_repeat"])
+    assert math.isnan(scores["error_pct"])
 
 
-def test_an_answer_without_an_interval_states_nothing_and_a_limit_is_counted() -> None:
+def test_missing_intervals_are_ignored_and_limits_are_counted() -> None:
     nothing = StatedInterval(100.0, *[math.nan] * 6, "")
     limit = StatedInterval(1.0, 0.0, 4.0, 0.0, 4.0, 0.1, 10.0, "", "at most")
-    found = compare_siblings(frame(stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing, limit))
-    assert [found[name] for name in ("n", "counted", "limits", "covered_repeat")] == [4, 2, 1, 2]
+    scores = compare_siblings(frame(stated(9.0, 1.0, 1.0), stated(10.0, 1.0, 1.0), nothing, limit))
+    assert [scores[name] for name in ("n", "counted", "limits", "covered_repeat")] == [4, 2, 1, 2]
 
 
 def test_totals_add_counts_and_take_medians() -> None:
     good = compare_siblings(frame(*(stated(math.exp(v), 1.0, 1.0) for v in (0.0, 1.0, 2.0))))
     bad = compare_siblings(frame(*(stated(math.exp(v), 0.1, 0.1) for v in (0.0, 2.0))))
-    found = total(pd.DataFrame([good, bad, compare_siblings(frame(stated(1.0, 1.0, 1.0)))]), "repeat")
-    assert (found["covered"], found["counted"]) == (3, 5)
-    assert found["ratio"] == pytest.approx((1.0 + 2 / np.sqrt(2) / 0.1) / 2.0, rel=1e-5)
-    assert found["worst"] == bad["score_repeat"]
-    assert found["score"] == pytest.approx((1.0 + found["worst"]) / 2.0)
+    scores = total(pd.DataFrame([good, bad, compare_siblings(frame(stated(1.0, 1.0, 1.0)))]), "repeat")
+    assert (scores["covered"], scores["counted"]) == (3, 5)
+    assert scores["ratio"] == pytest.approx((1.0 + 2 / np.sqrt(2) / 0.1) / 2.0, rel=1e-5)
+    assert scores["worst"] == bad["score_repeat"]
+    assert scores["score"] == pytest.approx((1.0 + scores["worst"]) / 2.0)
 
 
 def lines(files: Any) -> list[dict[str, str]]:
-    """The lines of the table's CSV."""
+    """Return the rows of the CSV table."""
     return list(csv.DictReader(io.StringIO(files["table11.csv"])))
 
 
-def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
+def test_withdrawn_estimates_are_counted_but_not_scored() -> None:
     rows = [row(str(v), stated(v, 1.0, 1.0), "do not trust" if v > 50 else "trust") for v in (9.0, 10.0, 99.0)]
     panel = TrackPanel.of_rows("s", MeasuredSet(**TINY), "sdof", rows)
     assert panel.agreements["counted"].tolist() == [2]
@@ -103,7 +103,7 @@ def test_withdrawn_answers_count_in_no_coverage_but_are_counted() -> None:
     assert [line["withdrawn"] for line in lines(files) if line["sibling"] == "all"] == ["1"]
 
 
-def test_a_panel_without_answers_has_its_rows() -> None:
+def test_a_panel_without_estimates_has_its_rows() -> None:
     silent = {"sibling": "1", "method": "ls", "status": "diverged", "trust": "do not trust", "withdrawn": 0}
     files = track_table([TrackPanel.of_rows("s", MeasuredSet(**TINY), "sdof", [silent])], "again")
     assert "1 fits, 1 of them without an answer" in files["table11.md"]
@@ -115,8 +115,8 @@ def test_widths_against_certified_values() -> None:
     known = of.known["k_over_m"]
     assert known.sd is not None
     half = 2.0484071 * known.sd  # Student's t, 28 degrees of freedom
-    one = StatedInterval(known.value, *(0.0, 1.0) * 2, known.value - half, known.value + half, "")
-    (text,), headers = method_rows(TrackPanel.of_rows("mgh17", of, "sdof", [row("1", one)]))
+    interval = StatedInterval(known.value, *(0.0, 1.0) * 2, known.value - half, known.value + half, "")
+    (text,), headers = method_rows(TrackPanel.of_rows("mgh17", of, "sdof", [row("1", interval)]))
     assert text[headers.index("k/m white/certified")] == "1.0000"
     assert text[headers.index("k/m error")] == "0 %"
 
@@ -136,8 +136,8 @@ def test_a_recording_is_cut_scaled_and_thinned() -> None:
 
 
 @pytest.mark.parametrize("name", set_names())
-def test_sets_are_whole(name: str) -> None:
-    """Every definition reads; a packaged one's files are there, with where they are from, and pose problems."""
+def test_sets_are_complete(name: str) -> None:
+    """Every definition is valid; the files of packaged sets exist, with their provenance, and can be read."""
     of = measured_set(name)
     if not of.packaged:
         assert list(tasks(name, of, ["ls"], None, 60.0)) == []
@@ -154,38 +154,38 @@ def test_packaged_records_are_small() -> None:
     assert sum(path.stat().st_size for path in folder.rglob("*")) < 500_000
 
 
-def test_an_unknown_set_is_said() -> None:
+def test_an_unknown_set_is_rejected() -> None:
     with pytest.raises(InputError, match="known sets: airtrack"):
         measured_set("nowhere")
 
 
 def tracked(arguments: Sequence[str]) -> int:
-    """Run the experiment with the fields of a command line."""
+    """Run the experiment with the arguments of a command line."""
     return measured(**read_arguments(measured, arguments))
 
 
-def test_the_command_fits_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = [f"store={tmp_path / 'kept'}", f"out={tmp_path}", "set=mgh17,silverbox", "method=output_error"]
-    assert tracked(asked) == 0
+def test_the_command_resumes_from_stored_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = [f"store={tmp_path / 'kept'}", f"out={tmp_path}", "set=mgh17,silverbox", "method=output_error"]
+    assert tracked(arguments) == 0
     text = (tmp_path / "table11.md").read_text(encoding="utf-8")
     assert "not found under data_root=: silverbox/SNLS80mV.csv.gz" in text
     assert "| 1.0000 " in text
     rows = list(csv.DictReader(io.StringIO((tmp_path / "table11.csv").read_text(encoding="utf-8"))))
     absent = [r["status"] for r in rows if r["set"] == "silverbox"]
     assert absent == ["not found under data_root=: silverbox/SNLS80mV.csv.gz"] * 2
-    own = [r for r in rows if r["quantity"] == "k_over_m" and r["sibling"] == "all"]
-    assert float(own[0]["error_pct"]) < 1e-3
+    summary = [r for r in rows if r["quantity"] == "k_over_m" and r["sibling"] == "all"]
+    assert float(summary[0]["error_pct"]) < 1e-3
 
-    assert tracked([*asked, "data_root=.", "dry_run=true"]) == 0
-    assert tracked([a.replace("output_error", "ls") for a in asked] + ["fit=false"]) == 0
+    assert tracked([*arguments, "data_root=.", "dry_run=true"]) == 0
+    assert tracked([a.replace("output_error", "ls") for a in arguments] + ["fit=false"]) == 0
     assert "1 fits are not made yet" in (tmp_path / "table11.md").read_text(encoding="utf-8")
 
     monkeypatch.setattr(pool, "Children", lambda preload: pytest.fail("it fits again"))
-    assert tracked(asked) == 0
+    assert tracked(arguments) == 0
     assert (tmp_path / "table11.md").read_text(encoding="utf-8") == text
 
 
-def test_the_class_may_be_left_to_the_record(tmp_path: Path) -> None:
+def test_the_class_can_be_selected_automatically(tmp_path: Path) -> None:
     given = ["set=airtrack", "method=shooting", "system=auto", f"store={tmp_path}", f"out={tmp_path}"]
     assert tracked([*given, "dry_run=true"]) == 0
     of = measured_set("airtrack").model_copy(update={"systems": ["auto"]})
@@ -195,27 +195,27 @@ def test_the_class_may_be_left_to_the_record(tmp_path: Path) -> None:
     assert stated["k_over_m"]["value"] == pytest.approx(6.2, rel=0.05)
 
 
-def test_what_makes_a_fit_new(tmp_path: Path) -> None:
-    """Another definition, or a method's other settings; not the title, and not a longer limit unless it ran out."""
+def test_the_key_of_a_fit_depends_on_definition_and_settings(tmp_path: Path) -> None:
+    """It does not depend on the title; a longer time limit matters only after a timeout."""
     of = measured_set("mgh17")
-    (one,) = tasks("mgh17", of, ["ls"], None, 60.0)
+    (fit,) = tasks("mgh17", of, ["ls"], None, 60.0)
     (titled,) = tasks("mgh17", of.model_copy(update={"title": "other"}), ["ls"], None, 60.0)
     (thinned,) = tasks("mgh17", of.model_copy(update={"thin": 2}), ["ls"], None, 60.0)
     (weak,) = tasks("mgh17", of, ["ls_weak"], None, 60.0)
-    assert one.key == titled.key
-    assert len({one.key, thinned.key, weak.key}) == 3
-    late = [{**one.head, "status": "timeout", "timeout_s": 60.0, "held_out": math.nan}]
-    write_result(tmp_path, one.key, json.dumps(late).encode())
-    assert one.stored(tmp_path)
-    stored = one.read(tmp_path)
+    assert fit.key == titled.key
+    assert len({fit.key, thinned.key, weak.key}) == 3
+    late = [{**fit.head, "status": "timeout", "timeout_s": 60.0, "held_out": math.nan}]
+    write_result(tmp_path, fit.key, json.dumps(late).encode())
+    assert fit.stored(tmp_path)
+    stored = fit.read(tmp_path)
     assert stored is not None
     assert math.isnan(stored[0].pop("held_out"))
-    assert not replace(one, timeout_s=120.0).stored(tmp_path)
+    assert not replace(fit, timeout_s=120.0).stored(tmp_path)
     assert not weak.stored(tmp_path)
 
 
 def test_a_free_run_of_the_right_model_has_no_error(tmp_path: Path) -> None:
-    """m x'' + c x' = f with f = m a constant: from rest x = a t²/2 without damping."""
+    """For ``m x'' = f`` with a constant force from rest, ``x = f t² / (2 m)``."""
     times = np.arange(200) * 0.01
     rows = "".join(f"{t:.17g},{0.5 * t * t:.17g},2.0\n" for t in times)
     (tmp_path / "x.csv").write_text("t (s),x (m),f (N)\n" + rows, encoding="utf-8")
