@@ -126,7 +126,9 @@ def _comparison(measured: Measured, workers: Workers, missing: dict[str, str]) -
     return comparison
 
 
-def _answers(request: Request, measured: Measured, workers: Workers, on_progress: OnProgress) -> tuple[Answer, list[Finding]]:
+def _answers(
+    request: Request, measured: Measured, workers: Workers, on_progress: OnProgress
+) -> tuple[Answer, list[Finding]]:
     """Run the jobs of a request in parallel; return the primary answer and the results of the other methods in order.
 
     Other methods that do not accept measured records are skipped.

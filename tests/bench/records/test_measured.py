@@ -110,7 +110,7 @@ def test_fields_that_do_not_apply_to_a_record_are_rejected(
     [
         pytest.param(["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, "),
         pytest.param(["system=sdof+coulomb+coulomb"], "coulomb is repeated"),
-        pytest.param(["system=sdof+pendulum"], "a sum has one of the two"),
+        pytest.param(["system=sdof+pendulum"], "these terms exclude each other"),
         pytest.param(["fixed.m=0"], "fixed.m=0.0: a positive mass"),
         (["fixed.q=1"], "q"),
         pytest.param(["fixed.k=9"], "only ratios to the mass are identifiable; add a force or a prior"),
@@ -263,8 +263,8 @@ def test_one_of_several_methods_suffices_for_exit_status_0(tmp_path: Path, capsy
     assert main(["method=exact,wrong", *path]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"record: {tmp_path / 'record.csv'}"
-    assert [line.split()[0] for line in lines if line.startswith(("exact ", "wrong "))] == ["exact", "wrong"]
-    assert any(line.strip().startswith("wrong: no estimate") for line in lines)
+    assert [line.split()[0] for line in lines if line.startswith(("exact ", "wrong "))] == ["exact"]
+    assert any(line.strip().startswith("wrong") for line in lines)
     assert main(["method=wrong,needy", *path]) == 1
 
 

@@ -161,7 +161,7 @@ def test_a_certificate_compares_modes_with_other_methods(capsys: pytest.CaptureF
     assert "off" not in {agreement for of_modes in methods.values() for agreement in of_modes.values()}
     page = Path("out/certificate.html").read_text(encoding="utf-8")
     assert page.count("data:image/svg") == 3
-    assert "Shapes, over the sensor" in page
+    assert "Mode shapes, relative to the sensor" in page
     assert main(["certify", "data=noise.csv", "modes=auto", "out=none"]) == 1
     assert "Do not trust" in Path("none/certificate.html").read_text(encoding="utf-8")
     assert main(["certify", "data=one.csv", "modes=2", "system=duffing"]) == 2
@@ -226,7 +226,7 @@ def test_an_interrupted_record_keeps_no_cells(
 
     monkeypatch.setattr(measured_record, "identify_records", interrupt)
     assert main(["data=one.csv", "modes=2"]) == 130
-    assert capsys.readouterr().err == "\nbench: interrupted\n"
+    assert capsys.readouterr().err == "\nbench: interrupted; results of a record are not saved\n"
 
 
 def test_a_fit_beyond_its_time_limit_is_ended_and_reported(capsys: pytest.CaptureFixture[str]) -> None:
