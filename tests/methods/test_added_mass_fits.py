@@ -28,9 +28,9 @@ def clean(times: np.ndarray = TIMES) -> list[np.ndarray]:
     return [closed_form({**P, "m": P["m"] + a}, 0.8, 0.5, times) for a in (0.0, ADDED)]
 
 
-def problem(sigma: float = 0.0, seed: int = 0, told: bool = False, times: np.ndarray = TIMES) -> Problem:
+def problem(sigma: float = 0.0, seed: int = 0, known: bool = False, times: np.ndarray = TIMES) -> Problem:
     """Two records of the plant without a prior, noise of standard deviation ``sigma`` (m)."""
-    start = InitialState(np.array([0.8]), np.array([0.5])) if told else None
+    start = InitialState(np.array([0.8]), np.array([0.5])) if known else None
     rng = np.random.default_rng(seed)
     plain, loaded = (Channel(times, y + sigma * rng.standard_normal(y.size)) for y in clean(times))
     return Problem(SDOF(), (Record((plain,), (), start), Record((loaded,), (), start, np.array([ADDED]))))
@@ -45,8 +45,8 @@ def method(name: str) -> Identifier:
 
 def values(estimate: Estimate, system: System) -> np.ndarray:
     assert estimate.status is Status.OK, estimate.message
-    found = [estimate.marginal(system.quantity(name)) for name in system.names]
-    return np.array([f.value for f in found])  # type: ignore[union-attr]
+    computed = [estimate.marginal(system.quantity(name)) for name in system.names]
+    return np.array([f.value for f in computed])  # type: ignore[union-attr]
 
 
 FITS: list[Any] = [("shooting", False), ("shooting", True), ("output_error", True), ("ekf", True), ("ukf", True)]
@@ -59,13 +59,13 @@ FITS += [
 """Output error starts at a period of six records: with an untold start the phase slips, loads or none."""
 
 
-@pytest.mark.parametrize(("name", "told"), FITS)
-def test_clean_records_give_mass_damping_and_stiffness(name: str, told: bool) -> None:
+@pytest.mark.parametrize(("name", "known"), FITS)
+def test_clean_records_give_mass_damping_and_stiffness(name: str, known: bool) -> None:
     units = Units(mass=1e-3, length=1e-3, time=0.1)
-    given = problem(told=told).expressed_in(units)
-    found = values(method(name).identify(given, np.random.default_rng(0)).expressed_in(units.inverse), SDOF())
+    given = problem(known=known).expressed_in(units)
+    estimate = values(method(name).identify(given, np.random.default_rng(0)).expressed_in(units.inverse), SDOF())
     # the filters' steps put the frequency off by 4e-6, and the mass is told by the difference of two frequencies
-    np.testing.assert_allclose(found, list(P.values()), rtol=1e-4 if name in ("ekf", "ukf") else 1e-5)
+    np.testing.assert_allclose(estimate, list(P.values()), rtol=1e-4 if name in ("ekf", "ukf") else 1e-5)
 
 
 @pytest.mark.parametrize(
@@ -85,12 +85,12 @@ def test_regressions_tell_the_mass_of_dense_records(
 
     It is given fewer: its cost grows faster than their square.
     """
-    dense = problem(told=True, times=np.linspace(0.0, 8.0, samples))
+    dense = problem(known=True, times=np.linspace(0.0, 8.0, samples))
     lacking = missing_package(name)
     if lacking:
         pytest.skip(lacking)
-    found = values(make_method(name, settings).identify(dense, np.random.default_rng(0)), SDOF())
-    np.testing.assert_allclose(found, list(P.values()), rtol=tolerance)
+    estimate = values(make_method(name, settings).identify(dense, np.random.default_rng(0)), SDOF())
+    np.testing.assert_allclose(estimate, list(P.values()), rtol=tolerance)
 
 
 def test_a_library_of_one_law_is_refused_two_rigs() -> None:
@@ -100,7 +100,7 @@ def test_a_library_of_one_law_is_refused_two_rigs() -> None:
     assert "added mass" in sentence
 
 
-def standard_errors(sigma: float, told: bool) -> np.ndarray:
+def standard_errors(sigma: float, known: bool) -> np.ndarray:
     """Cramér-Rao bound on log m, log c, log k, starts told or not, by complex steps of the closed form."""
     theta, rows = np.array([*np.log(list(P.values())), 0.8, 0.5, 0.8, 0.5]), []
     for i in range(theta.size):
@@ -112,17 +112,17 @@ def standard_errors(sigma: float, told: bool) -> np.ndarray:
             wd = np.sqrt(k / (m + added) - a * a)
             parts.append(np.exp(-a * TIMES) * (x0 * np.cos(wd * TIMES) + (v0 + a * x0) / wd * np.sin(wd * TIMES)))
         rows.append(np.imag(np.concatenate(parts)) / 1e-30)
-    slopes = np.array(rows[:3] if told else rows)
+    slopes = np.array(rows[:3] if known else rows)
     return np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T)))[:3] * sigma
 
 
-@pytest.mark.parametrize(("name", "told"), [*FITS, ("mcmc", False)])
-def test_the_uncertainty_is_that_of_the_closed_form(name: str, told: bool) -> None:
+@pytest.mark.parametrize(("name", "is_known"), [*FITS, ("mcmc", False)])
+def test_the_uncertainty_is_that_of_the_closed_form(name: str, is_known: bool) -> None:
     """43 degrees of freedom: the noise is known to 11 %, a width from draws to a few per cent more."""
-    sigma, given = 0.02, problem(0.02, 4, told)
+    sigma, given = 0.02, problem(0.02, 4, is_known)
     estimate = method(name).identify(given, np.random.default_rng(1))
     assert estimate.status is Status.OK, estimate.message
-    bounds = standard_errors(sigma, told)
+    bounds = standard_errors(sigma, is_known)
     for parameter, bound in zip(P, bounds, strict=True):
         marginal = estimate.marginal(SDOF().quantity(parameter))
         assert marginal is not None
@@ -143,8 +143,8 @@ def test_two_masses_with_one_of_them_loaded() -> None:
         x = np.array([expm(a * t) @ [0.5, -0.4, 0.0, 1.0] for t in TIMES]).T
         load = np.array([0.0, added]) if added else None
         records.append(Record((Channel(TIMES, x[0]), Channel(TIMES, x[1], dof=1)), added_mass=load))
-    found = method("shooting").identify(Problem(Chain(2), tuple(records)), np.random.default_rng(0))
-    np.testing.assert_allclose(values(found, Chain(2)), list(TWO.values()), rtol=1e-4)
+    estimate = method("shooting").identify(Problem(Chain(2), tuple(records)), np.random.default_rng(0))
+    np.testing.assert_allclose(values(estimate, Chain(2)), list(TWO.values()), rtol=1e-4)
 
 
 @pytest.mark.parametrize("loads", [(0.0, 0.7), (0.2, 0.7)])
@@ -179,8 +179,8 @@ def test_the_gradient_sampler_has_the_density_of_mcmc() -> None:
     points = np.append(mode, np.log(0.03 * model.rms)) + 0.02 * np.random.default_rng(0).standard_normal(
         (4, mode.size + 2)
     )
-    own = [float(log_density(layout, data, phi)) for phi in points]
-    np.testing.assert_allclose(own, posterior(points), rtol=1e-5, atol=1e-4)
+    computed = [float(log_density(layout, data, phi)) for phi in points]
+    np.testing.assert_allclose(computed, posterior(points), rtol=1e-5, atol=1e-4)
 
 
 def test_parameters_that_run_off_together_are_held() -> None:
@@ -190,9 +190,9 @@ def test_parameters_that_run_off_together_are_held() -> None:
     given, truth = scenario.replicates(0, 12)[11]
     estimate = make_method("collocation", {}).identify(given, np.random.default_rng(0))
     assert "very wide prior" in estimate.message
-    found = estimate.marginal(SDOF().quantity("m"))
-    assert found is not None
-    low, high = found.interval(0.999)
+    computed = estimate.marginal(SDOF().quantity("m"))
+    assert computed is not None
+    low, high = computed.interval(0.999)
     assert low < truth.parameters["m"] < high
 
 

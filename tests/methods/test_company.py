@@ -67,20 +67,20 @@ def numbers(estimate: Estimate) -> list[np.ndarray]:
     if distribution is None:
         return []
     assert isinstance(distribution, Normal)
-    own = [distribution.mean] if distribution.covariance is None else [distribution.mean, distribution.covariance]
+    computed = [distribution.mean] if distribution.covariance is None else [distribution.mean, distribution.covariance]
     responses = [response(np.linspace(0.0, 5.0, 7)) for response in estimate.reconstructions]
-    return [*own, *responses, *estimate.traces.values()]
+    return [*computed, *responses, *estimate.traces.values()]
 
 
 @each_method
 def test_an_answer_is_the_same_alone_and_in_company(method: Identifier) -> None:
     problems = mixed()
     company = method.identify_many(problems, [np.random.default_rng(i) for i in range(len(problems))])
-    for i, (problem, found) in enumerate(zip(problems, company, strict=True)):
+    for i, (problem, computed) in enumerate(zip(problems, company, strict=True)):
         alone = method.identify(problem, np.random.default_rng(i))
-        assert (found.status, found.message) == (alone.status, alone.message)
-        for one, two in zip(numbers(alone), numbers(found), strict=True):
-            np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9 * np.max(np.abs(one)))
+        assert (computed.status, computed.message) == (alone.status, alone.message)
+        for first, two in zip(numbers(alone), numbers(computed), strict=True):
+            np.testing.assert_allclose(two, first, rtol=1e-9, atol=1e-9 * np.max(np.abs(first)))
     assert company[0].status is Status.OK
 
 
@@ -90,6 +90,6 @@ def test_parts_that_fit_into_memory_are_as_the_whole(method: Identifier, monkeyp
     whole = method.identify_many(problems, [np.random.default_rng(i) for i in range(5)])
     monkeypatch.setattr("methods.regression.identifier.MOST_AT_ONCE", 2 * 40 * 25)
     parts = method.identify_many(problems, [np.random.default_rng(i) for i in range(5)])
-    for one, two in zip(whole, parts, strict=True):
-        for a, b in zip(numbers(one), numbers(two), strict=True):
+    for first, two in zip(whole, parts, strict=True):
+        for a, b in zip(numbers(first), numbers(two), strict=True):
             np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9 * np.max(np.abs(a)))

@@ -23,9 +23,9 @@ def test_a_step_gives_duhamels_integral() -> None:
     times = np.array([0.0, 0.3, 0.7, 1.1, 4.0, 8.0])
     d, w, t = 0.3, 2.0, np.maximum(times - 0.7, 0.0)
     expected = 2.0 * (1.0 - np.exp(-d * t) * (np.cos(w * t) + d / w * np.sin(w * t))) / (w**2 + d**2)
-    found = forced_motion([STEP], np.array(RATE), times)
-    assert found.shape == (3, times.size, 1)
-    assert np.allclose(found[0, :, 0], expected, atol=1e-12)
+    computed = forced_motion([STEP], np.array(RATE), times)
+    assert computed.shape == (3, times.size, 1)
+    assert np.allclose(computed[0, :, 0], expected, atol=1e-12)
 
 
 def test_a_joined_force_gives_the_response_of_another_library() -> None:
@@ -108,10 +108,10 @@ def test_a_damping_that_the_noise_hides_is_held(method: str) -> None:
     problem, truth = expand(override, multirun=False)[0].cell().scenario.replicates(0, 2)[1]
     estimate = make_method(method, {}).identify(problem, np.random.default_rng(0))
     assert "very wide prior" in estimate.message
-    found = estimate.parameters
-    assert found is not None
-    widths = np.sqrt(np.diag(found.covariance))  # type: ignore[union-attr]
-    away = (found.mean - np.log([truth.parameters[name] for name in found.names])) / widths  # type: ignore[union-attr]
+    computed = estimate.parameters
+    assert computed is not None
+    widths = np.sqrt(np.diag(computed.covariance))  # type: ignore[union-attr]
+    away = (computed.mean - np.log([truth.parameters[name] for name in computed.names])) / widths  # type: ignore[union-attr]
     assert 1.0 < np.max(widths) <= 3.0
     assert np.all(np.abs(away) < 4.0)
 
@@ -134,10 +134,10 @@ def test_sensors_of_velocity_and_acceleration_serve_under_a_force(measures: str,
     """1 % noise on 25 samples: each parameter to a few per cent, and the intervals of that size, not of the edge's."""
     problem, p = _sensed(measures)
     estimate = make_method("collocation", settings).identify(problem, np.random.default_rng(0))
-    found = estimate.parameters
-    assert found is not None
-    away = found.mean - np.log([p[name] for name in found.names])  # type: ignore[union-attr]
-    widths = np.sqrt(np.diag(found.covariance))  # type: ignore[union-attr]
+    computed = estimate.parameters
+    assert computed is not None
+    away = computed.mean - np.log([p[name] for name in computed.names])  # type: ignore[union-attr]
+    widths = np.sqrt(np.diag(computed.covariance))  # type: ignore[union-attr]
     assert np.all(np.abs(away) < 0.05)
     assert np.all((widths > 1e-4) & (widths < 0.03))
 
@@ -149,9 +149,9 @@ def test_two_masses_under_a_force_are_told_with_widths_to_match(method: str) -> 
     if lacking:
         pytest.skip(lacking)
     problem, p = _problem("chain2_forced", 40)
-    found = make_method(method, {}).identify(problem, np.random.default_rng(0)).parameters
-    assert found is not None
-    away = found.mean - np.log([p[name] for name in found.names])  # type: ignore[union-attr]
-    widths = np.sqrt(np.diag(found.covariance))  # type: ignore[union-attr]
+    estimate = make_method(method, {}).identify(problem, np.random.default_rng(0)).parameters
+    assert estimate is not None
+    away = estimate.mean - np.log([p[name] for name in estimate.names])  # type: ignore[union-attr]
+    widths = np.sqrt(np.diag(estimate.covariance))  # type: ignore[union-attr]
     assert np.all(np.abs(away) < 4.5 * widths)
     assert np.all(widths < 0.1)

@@ -33,9 +33,9 @@ def test_sample_times_that_nearly_coincide():
     values = np.cos(2.8 * times) * np.exp(-0.2 * times)
     problem = Problem(SDOF(), (Record((Channel(times, values),)),))
     for method in ("ls", "sindy"):
-        found = _fit(method, problem)
-        assert found.status in (Status.OK, Status.DIVERGED, Status.UNSUPPORTED)
-        assert found.status is Status.OK or found.message
+        estimate = _fit(method, problem)
+        assert estimate.status in (Status.OK, Status.DIVERGED, Status.UNSUPPORTED)
+        assert estimate.status is Status.OK or estimate.message
 
 
 def test_a_regression_objects_to_a_residual_that_is_not_affine():
@@ -49,5 +49,5 @@ def test_output_error_says_that_its_search_ran_away():
     """The first of two masses, start unknown, no prior: two directions are open, and the mass matrix gets singular."""
     for replicate in range(3):
         problem = _problem("system=chain2_first", "initial_state=unknown", "prior=none", replicate=replicate)
-        found = _fit("output_error", problem)
-        assert found.status is Status.OK or found.message
+        estimate = _fit("output_error", problem)
+        assert estimate.status is Status.OK or estimate.message

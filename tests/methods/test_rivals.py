@@ -71,11 +71,11 @@ def test_the_path_runs_from_our_start_to_the_answer(name: str) -> None:
     assert np.all(loss > 0)
     assert loss[-1] < 0.1 * loss[0]
     assert estimate.groups is not None
-    found = estimate.groups.values()
+    computed = estimate.groups.values()
     gauge, damping, stiffness = parameters.T
     np.testing.assert_array_equal(gauge, 1.0)
-    np.testing.assert_allclose(stiffness[-1], found["k_over_m"], rtol=1e-12)
-    np.testing.assert_allclose(damping[-1], found["c_over_m"], rtol=1e-12)
+    np.testing.assert_allclose(stiffness[-1], computed["k_over_m"], rtol=1e-12)
+    np.testing.assert_allclose(damping[-1], computed["c_over_m"], rtol=1e-12)
     # the scan's grid of frequencies is a quarter of half a cycle a record wide: k/m is in its square
     spacing = 2.0 * np.pi / 8.0 / 6.0
     assert abs(np.sqrt(stiffness[0]) - np.sqrt(P["k"] / P["m"])) < 2.0 * spacing

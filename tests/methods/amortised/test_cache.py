@@ -26,16 +26,16 @@ class Maker:
 
 
 def test_many_at_a_time_train_once(tmp_path: Path) -> None:
-    make, found = Maker(), list[Arrays]()
-    threads = [threading.Thread(target=lambda: found.append(cached(tmp_path, IDENTITY, make))) for _ in range(4)]
+    make, computed = Maker(), list[Arrays]()
+    threads = [threading.Thread(target=lambda: computed.append(cached(tmp_path, IDENTITY, make))) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert make.calls == 1
-    assert len(found) == 4
-    for own in found:
-        np.testing.assert_array_equal(own["weight"], np.arange(6.0).reshape(2, 3))
+    assert len(computed) == 4
+    for part in computed:
+        np.testing.assert_array_equal(part["weight"], np.arange(6.0).reshape(2, 3))
     assert len(list(tmp_path.glob("*.npz"))) == 1
     assert not list(tmp_path.glob("*.tmp"))
 
@@ -59,8 +59,8 @@ def test_a_torn_file_is_made_anew(tmp_path: Path) -> None:
 
 def test_where_nothing_can_be_written_it_is_trained_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    found = cached(tmp_path / "file", IDENTITY, Maker())
-    assert found["weight"].shape == (2, 3)
+    computed = cached(tmp_path / "file", IDENTITY, Maker())
+    assert computed["weight"].shape == (2, 3)
 
 
 def test_a_stated_folder_is_taken(tmp_path: Path) -> None:

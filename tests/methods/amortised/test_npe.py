@@ -57,15 +57,15 @@ def test_the_truth_lies_evenly_in_the_mixtures_of_fresh_records(folder: Path) ->
     for (frequency, ratio), y, start in zip(logs, values, starts, strict=True):
         drawn = density.mixture_of(network, network_inputs(LAYOUT, y[None], start[None])).draw(200, rng)
         levels.append([np.mean(drawn[:, 0] < frequency), np.mean(drawn[:, 1] < frequency + ratio)])
-    for own in np.array(levels).T:
-        assert kstest(own, "uniform").statistic < 0.2
+    for part in np.array(levels).T:
+        assert kstest(part, "uniform").statistic < 0.2
 
 
 def test_corrected_draws_are_the_posterior_by_quadrature(folder: Path) -> None:
     """On a grid of k/m and c/m, with the likelihood RSS^(-N/2) of the closed form and the prior of both."""
     problem = record()
-    found = answer(folder, problem, corrected=True)
-    assert isinstance(found.parameters, Draws), found.message
+    estimate = answer(folder, problem, corrected=True)
+    assert isinstance(estimate.parameters, Draws), estimate.message
     a, b = np.meshgrid(np.linspace(-0.15, 0.15, 51), np.linspace(-1.6, 1.2, 51), indexing="ij")
     a, b = a + np.log(11.0 / 1.4), b + np.log(0.5)
     y = problem.records[0].channels[0].values
@@ -78,12 +78,12 @@ def test_corrected_draws_are_the_posterior_by_quadrature(folder: Path) -> None:
     logs = -10.0 * np.log(rss) - 0.5 * np.sum(away * np.linalg.solve(covariance, away), axis=0)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    samples = np.log(found.parameters.samples)
-    for own, axis in ((samples[:, 2] - samples[:, 0], a.ravel()), (samples[:, 1] - samples[:, 0], b.ravel())):
+    samples = np.log(estimate.parameters.samples)
+    for computed, axis in ((samples[:, 2] - samples[:, 0], a.ravel()), (samples[:, 1] - samples[:, 0], b.ravel())):
         mean = weights @ axis
         sd = np.sqrt(weights @ (axis - mean) ** 2)
-        assert np.mean(own) == pytest.approx(mean, abs=0.2 * sd)
-        assert np.std(own) == pytest.approx(sd, rel=0.2)
+        assert np.mean(computed) == pytest.approx(mean, abs=0.2 * sd)
+        assert np.std(computed) == pytest.approx(sd, rel=0.2)
 
 
 def test_the_mass_is_drawn_as_the_prior_says_given_both_groups() -> None:
@@ -111,15 +111,15 @@ def test_the_prior_of_the_groups_is_that_of_draws() -> None:
 def test_training_again_gives_the_same_network(folder: Path) -> None:
     settings = {**SMALL, "steps": 5, "seed": 3}
     first, second = (density.trained(LAYOUT, settings, 1e-3) for _ in range(2))
-    for own, other in zip(first.parameters(), second.parameters(), strict=True):
-        assert torch.equal(own, other)
+    for computed, other in zip(first.parameters(), second.parameters(), strict=True):
+        assert torch.equal(computed, other)
 
 
 def test_without_a_prior_only_groups_are_claimed(folder: Path) -> None:
-    found = answer(folder, record(prior=None))
-    assert found.parameters is None
-    assert isinstance(found.groups, Normal)
-    assert found.groups.mean[0] == pytest.approx(11.0 / 1.4, rel=0.2)
+    estimate = answer(folder, record(prior=None))
+    assert estimate.parameters is None
+    assert isinstance(estimate.groups, Normal)
+    assert estimate.groups.mean[0] == pytest.approx(11.0 / 1.4, rel=0.2)
 
 
 def test_draws_outside_the_box_are_not_trusted() -> None:

@@ -31,25 +31,25 @@ def test_simulated_records_have_the_stated_noise() -> None:
     """The clean motion comes from the closed form; the noise is drawn evenly in decibels."""
     layout = SampleLayout(40, 0.0, True)
     logs, values, starts = simulated(layout, 400, np.random.default_rng(3))
-    found = []
+    computed = []
     for (frequency, ratio), y, (x0, v0) in zip(np.exp(logs), values, starts, strict=True):
         clean = closed_form({"m": 1.0, "c": 2 * ratio * frequency, "k": frequency**2}, x0, v0, layout.times)
-        found.append(10 * np.log10(np.mean(clean**2) / np.mean((y - clean) ** 2)))
-    assert np.mean(found) == pytest.approx(np.mean(DECIBELS), abs=3.0)
-    assert np.std(found) == pytest.approx((DECIBELS[1] - DECIBELS[0]) / np.sqrt(12), rel=0.1)
+        computed.append(10 * np.log10(np.mean(clean**2) / np.mean((y - clean) ** 2)))
+    assert np.mean(computed) == pytest.approx(np.mean(DECIBELS), abs=3.0)
+    assert np.std(computed) == pytest.approx((DECIBELS[1] - DECIBELS[0]) / np.sqrt(12), rel=0.1)
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_the_anchor_is_the_frequency_and_size_does_not_matter(told: bool) -> None:
-    layout = SampleLayout(40, 0.0, told)
+@pytest.mark.parametrize("known", [True, False])
+def test_the_anchor_is_the_frequency_and_size_does_not_matter(known: bool) -> None:
+    layout = SampleLayout(40, 0.0, known)
     omega = np.array([2 * np.pi * 5.2])
     even, odd = unit_responses(omega, np.array([0.02]), layout.times)
-    start = np.array([[1.0, 9.0]]) if told else None
+    start = np.array([[1.0, 9.0]]) if known else None
     y = even + 9.0 * odd
-    own = network_inputs(layout, y, start)
-    assert abs(own.anchor[0] - np.log(omega[0])) <= own.step[0]
+    computed = network_inputs(layout, y, start)
+    assert abs(computed.anchor[0] - np.log(omega[0])) <= computed.step[0]
     other = network_inputs(layout, 1e-3 * y, None if start is None else 1e-3 * start)
-    np.testing.assert_allclose(other.features, own.features, atol=1e-5)
+    np.testing.assert_allclose(other.features, computed.features, atol=1e-5)
 
 
 def mixture() -> Mixture:
@@ -59,19 +59,21 @@ def mixture() -> Mixture:
 
 @pytest.mark.parametrize("dof", [np.inf, 6.0])
 def test_the_density_of_a_mixture_is_scipys(dof: float) -> None:
-    own, x = replace(mixture(), dof=dof), np.random.default_rng(0).standard_normal((5, 2))
-    parts = zip(np.exp(own.log_weights), own.centres, own.roots @ own.roots.swapaxes(1, 2), strict=True)
+    computed, x = replace(mixture(), dof=dof), np.random.default_rng(0).standard_normal((5, 2))
+    parts = zip(
+        np.exp(computed.log_weights), computed.centres, computed.roots @ computed.roots.swapaxes(1, 2), strict=True
+    )
     expected = sum(w * multivariate_t(m, s, df=dof).pdf(x) for w, m, s in parts)
-    np.testing.assert_allclose(np.exp(own.log_density(x)), expected)
+    np.testing.assert_allclose(np.exp(computed.log_density(x)), expected)
 
 
 def test_a_mixture_times_a_normal_is_the_normalised_product() -> None:
-    own, mean, covariance = mixture(), np.array([0.5, 0.0]), np.array([[0.3, 0.1], [0.1, 0.6]])
+    computed, mean, covariance = mixture(), np.array([0.5, 0.0]), np.array([[0.3, 0.1], [0.1, 0.6]])
     axis = np.linspace(-5.0, 5.0, 201)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    product = np.exp(own.log_density(grid)) * multivariate_normal(mean, covariance).pdf(grid)
+    product = np.exp(computed.log_density(grid)) * multivariate_normal(mean, covariance).pdf(grid)
     product /= product.sum() * (axis[1] - axis[0]) ** 2
-    np.testing.assert_allclose(np.exp(own.times(mean, covariance).log_density(grid)), product, atol=1e-6)
+    np.testing.assert_allclose(np.exp(computed.times(mean, covariance).log_density(grid)), product, atol=1e-6)
 
 
 def test_draws_have_the_moments_of_the_mixture() -> None:
@@ -99,8 +101,8 @@ def test_the_likelihood_with_a_told_start_is_the_sum_of_squares_to_the_power() -
     """Gaussian noise with density 1/sigma: the integral over sigma is RSS^(-N/2)."""
     problem = record(InitialState(np.array([1.0]), np.array([2.0])))
     expected = np.array([-6.0 * np.log(rss(problem, logs, 1.0, 2.0)) for logs in POINTS])
-    found = log_likelihood(problem, POINTS)
-    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-6)
+    computed = log_likelihood(problem, POINTS)
+    np.testing.assert_allclose(computed - computed[0], expected - expected[0], atol=1e-6)
 
 
 def test_an_unknown_start_is_integrated_out() -> None:
@@ -112,5 +114,5 @@ def test_an_unknown_start_is_integrated_out() -> None:
         unit = [closed_form({"m": 1.0, "c": c, "k": k}, *start, TIMES) for start in ((1.0, 0.0), (0.0, np.sqrt(k)))]
         squares = np.sum((y - np.outer(x, unit[0]) - np.outer(u, unit[1])) ** 2, axis=1)
         expected.append(np.log(np.sum(squares**-6.0)))
-    found = log_likelihood(problem, POINTS)
-    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=5e-3)
+    computed = log_likelihood(problem, POINTS)
+    np.testing.assert_allclose(computed - computed[0], np.array(expected) - expected[0], atol=5e-3)

@@ -46,10 +46,10 @@ def test_it_has_the_bias_of_noisy_columns() -> None:
     columns = np.stack([x[1:-1], x[:-2]], axis=1)
     a = np.linalg.solve(columns.T @ columns + 1499 * noise**2 * np.eye(2), columns.T @ x[2:])
     y = x + noise * np.random.default_rng(2).standard_normal((40, 1501))
-    found = np.mean([groups(AR(bootstrap=0), record(own, times)).mean for own in y], axis=0)
+    computed = np.mean([groups(AR(bootstrap=0), record(part, times)).mean for part in y], axis=0)
     expected = groups_of(a, step)
     assert expected[1] > 2.0 * p["c"]
-    np.testing.assert_allclose(found, expected, rtol=0.05)
+    np.testing.assert_allclose(computed, expected, rtol=0.05)
     np.testing.assert_allclose(coefficients_of(expected, step), a, rtol=1e-9)
 
 

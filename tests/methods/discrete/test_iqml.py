@@ -39,9 +39,9 @@ def maximum_likelihood(y: np.ndarray, times: np.ndarray, offset: bool = False) -
         x = closed_form({"m": 1.0, "c": theta[1], "k": theta[0]}, theta[2], theta[3], times)
         return np.asarray(x + (theta[4] if offset else 0.0) - y)
 
-    found = least_squares(misfit, [*TRUE, 0.8, 0.5, *([y.mean()] if offset else [])], xtol=1e-12, ftol=1e-12)
-    variance = 2.0 * found.cost / (y.size - found.x.size)
-    return found.x[:2], np.sqrt(variance * np.diag(np.linalg.inv(found.jac.T @ found.jac)))[:2]
+    computed = least_squares(misfit, [*TRUE, 0.8, 0.5, *([y.mean()] if offset else [])], xtol=1e-12, ftol=1e-12)
+    variance = 2.0 * computed.cost / (y.size - computed.x.size)
+    return computed.x[:2], np.sqrt(variance * np.diag(np.linalg.inv(computed.jac.T @ computed.jac)))[:2]
 
 
 def test_the_weight_is_that_of_the_difference_equations_noise() -> None:
@@ -62,12 +62,12 @@ def test_it_ends_at_the_maximum_of_the_likelihood(samples: int, offset: bool) ->
     times = np.linspace(0.0, 10.0, samples)
     noise = 0.02 * np.random.default_rng(6).standard_normal(samples)
     y = closed_form(PLANT, 0.8, 0.5, times) + noise + 0.4 * offset
-    found = groups(record(y, times, offset))
+    computed = groups(record(y, times, offset))
     expected, errors = maximum_likelihood(y, times, offset)
-    assert found.covariance is not None
-    assert np.all(np.abs(found.mean - expected) < 0.2 * errors), (found.mean - expected) / errors
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), errors, rtol=0.05)
-    assert found.dof == samples - 4 - offset
+    assert computed.covariance is not None
+    assert np.all(np.abs(computed.mean - expected) < 0.2 * errors), (computed.mean - expected) / errors
+    np.testing.assert_allclose(np.sqrt(np.diag(computed.covariance)), errors, rtol=0.05)
+    assert computed.dof == samples - 4 - offset
 
 
 @pytest.mark.parametrize("snr", [40.0, 20.0, 10.0])
@@ -77,9 +77,9 @@ def test_it_is_at_the_bound_of_the_unknown_start(snr: float) -> None:
     bound = compute_bound(scenario).relative_sd
     problems = [p for p, _ in scenario.replicates(5, 100)]
     fits = IQML().identify_many(problems, [np.random.default_rng(i) for i in range(100)])
-    found = np.array([fit.groups.mean for fit in fits if fit.groups is not None])
-    assert len(found) == 100
-    excess = np.sqrt(np.mean((found / TRUE - 1) ** 2, axis=0)) / [bound["k_over_m"], bound["c_over_m"]]
+    computed = np.array([fit.groups.mean for fit in fits if fit.groups is not None])
+    assert len(computed) == 100
+    excess = np.sqrt(np.mean((computed / TRUE - 1) ** 2, axis=0)) / [bound["k_over_m"], bound["c_over_m"]]
     assert np.all(excess > 0.8), excess
     assert np.all(excess < 1.2), excess
     for quantity, true in zip(SDOF().groups, TRUE, strict=True):

@@ -96,13 +96,13 @@ def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> N
     joint = distribution(Problem(SDOF(), (Record((Channel(times, y),)),), sure), p)
     nodes = Nodes.of(joint.model, 0.002)
     about = joint.trajectories(np.array([[*np.log(list(p.values())), 0.3, -2.0]]), nodes)  # any other start
-    found = smooth(joint, nodes, rule, np.array([[0.2]]), about, np.zeros((*about.shape, joint.size)))
+    computed = smooth(joint, nodes, rule, np.array([[0.2]]), about, np.zeros((*about.shape, joint.size)))
     columns = np.stack([closed_form(p, 1.0, 0.0, times), closed_form(p, 0.0, 1.0, times)], axis=1)
     inverse = np.linalg.inv(columns.T @ columns / 0.2**2 + np.diag(1.0 / np.diag(joint.first()[1])[:2]))
     expected, sd = inverse @ columns.T @ y / 0.2**2, np.sqrt(np.diag(inverse))
-    np.testing.assert_allclose(found.means[0, 0, :2] / sd, expected / sd, atol=1e-3)
+    np.testing.assert_allclose(computed.means[0, 0, :2] / sd, expected / sd, atol=1e-3)
     np.testing.assert_allclose(
-        found.covariances[0, 0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3
+        computed.covariances[0, 0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3
     )
 
 
@@ -162,19 +162,19 @@ def test_the_tangent_is_the_derivative() -> None:
 
 
 @BOTH
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_clean_data_give_the_groups(method: Identifier, told: str) -> None:
-    problem, _ = scenario(100.0, initial_state=told, prior=None).replicates(0, 1)[0]
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_clean_data_give_the_groups(method: Identifier, initial_state: str) -> None:
+    problem, _ = scenario(100.0, initial_state=initial_state, prior=None).replicates(0, 1)[0]
     estimate = fit(method, problem)
     assert value(estimate, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-4)
     assert value(estimate, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-3)
 
 
 @BOTH
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_it_agrees_with_output_error(method: Identifier, told: str) -> None:
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_it_agrees_with_output_error(method: Identifier, initial_state: str) -> None:
     """At 30 dB both are the most probable parameters of the same model, found by code that shares only the physics."""
-    for problem, _ in scenario(30.0, initial_state=told).replicates(3, 3):
+    for problem, _ in scenario(30.0, initial_state=initial_state).replicates(3, 3):
         mine, other = fit(method, problem), fit(SingleShooting(), problem)
         assert isinstance(mine.parameters, Normal)
         assert isinstance(other.parameters, Normal)
@@ -203,12 +203,12 @@ def test_several_records_sensors_and_a_force(method: Identifier) -> None:
     times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
     push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
     start, records = InitialState(np.array([0.5]), np.array([0.0])), []
-    for measures, forces, told in (("displacement", (push,), True), ("acceleration", (), False)):
-        blank = Channel(times, times, measures, offset=not told)  # type: ignore[arg-type]
+    for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
+        blank = Channel(times, times, measures, offset=not known)  # type: ignore[arg-type]
         clean = measurements(system, PLANT, start, Record((blank,), forces))
-        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not told)
-        channel = Channel(times, noisy, measures, offset=not told)  # type: ignore[arg-type]
-        records.append(Record((channel,), forces, start if told else None))
+        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not known)
+        channel = Channel(times, noisy, measures, offset=not known)  # type: ignore[arg-type]
+        records.append(Record((channel,), forces, start if known else None))
     estimate = fit(method, Problem(system, tuple(records)))
     for name, true in PLANT.items():
         marginal = estimate.marginal(system.quantity(name))
@@ -274,11 +274,11 @@ def test_the_filter_carries_hidden_states(method: Identifier) -> None:
 
 
 @BOTH
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_a_prior_cycles_away_does_not_lose_the_motion(method: Identifier, told: str) -> None:
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_a_prior_cycles_away_does_not_lose_the_motion(method: Identifier, initial_state: str) -> None:
     """Ten cycles, and stiffness stated four times too high: ten cycles too many. The truth lies in the interval."""
     p = {"m": 1.3, "c": 0.2, "k": 51.0}
-    made = scenario(20.0, parameters=p, samples=60, initial_state=told)
+    made = scenario(20.0, parameters=p, samples=60, initial_state=initial_state)
     for problem, _ in made.replicates(1, 2):
         assert problem.prior is not None
         stated = Prior({"m": 1.3, "c": 0.6, "k": 204.0}, {"m": 0.02, "c": 1.0, "k": 1.0})
@@ -323,13 +323,13 @@ def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
         bank = FilterBatch(means, covariances, means, covariances, flat, none, flat, none)
         return _combined(joint, bank, np.log([1.0, odds]), 0)
 
-    covariance, said = combined(6.0, 1.0)
+    covariance, message = combined(6.0, 1.0)
     np.testing.assert_allclose(np.diag(covariance), [2.0, 2.0, 2.0 + 0.5 * 36.0])
-    assert "50%" in said[0]
+    assert "50%" in message[0]
     for away, odds in ((6.0, 0.01), (0.5, 1.0)):
-        covariance, said = combined(away, odds)
+        covariance, message = combined(away, odds)
         np.testing.assert_allclose(covariance, np.eye(3))
-        assert not said
+        assert not message
 
 
 @BOTH
@@ -400,9 +400,9 @@ def test_values_one_by_one_are_the_update_by_all_of_them() -> None:
 def test_a_value_without_noise_leaves_no_negative_variance() -> None:
     """Joseph's form, where ``P - K H P`` is all rounding: a value with a part in 1e10 of the distribution's spread."""
     slopes, nothing = np.array([[0.0, 2.0, 0.0]]), np.zeros(1)
-    found = update(MEAN, COVARIANCE, slopes, nothing, np.array([1e-20]), nothing, np.array([True])).spread
-    assert (slopes @ found @ slopes.T)[0, 0] == pytest.approx(1e-20, rel=1e-6)
-    assert np.all(np.linalg.eigvalsh(found) > -1e-17)
+    computed = update(MEAN, COVARIANCE, slopes, nothing, np.array([1e-20]), nothing, np.array([True])).spread
+    assert (slopes @ computed @ slopes.T)[0, 0] == pytest.approx(1e-20, rel=1e-6)
+    assert np.all(np.linalg.eigvalsh(computed) > -1e-17)
 
 
 @BOTH

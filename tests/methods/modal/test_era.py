@@ -56,8 +56,8 @@ CASES = [
 @pytest.mark.parametrize("settings", [{}, {"bootstrap": 0}, {"rows": 0.3}], ids=["default", "plain", "wide"])
 def test_exact_samples_give_the_groups_exactly(system: System, p: dict[str, float], settings: dict[str, float]) -> None:
     problem = record(system, p, times=np.linspace(0.0, 4.0, 41) if p.get("c") == 9.0 else None)
-    found = groups(problem, **settings).mean
-    np.testing.assert_allclose(found, [group.value(p) for group in system.groups], rtol=1e-6, atol=1e-7)
+    computed = groups(problem, **settings).mean
+    np.testing.assert_allclose(computed, [group.value(p) for group in system.groups], rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize(("system", "p"), [(SDOF(), ONE), (Chain(2), TWO)], ids=["one", "two"])
@@ -96,12 +96,14 @@ def test_two_masses_come_near_the_bound_and_the_covariance_is_the_spread() -> No
     bound = compute_bound(scenario).relative_sd
     fits = [groups(problem) for problem, _ in scenario.replicates(5, 40)]
     truth = np.array([group.value(TWO) for group in Chain(2).groups])
-    errors = np.array([found.mean for found in fits]) / truth - 1
+    errors = np.array([computed.mean for computed in fits]) / truth - 1
     excess = np.sqrt(np.mean(errors**2, axis=0)) / [bound[group.name] for group in Chain(2).groups]
     assert np.all(excess > 0.7), excess
     assert np.all(excess < 1.8), excess
-    told = np.median([np.sqrt(np.diag(found.covariance)) for found in fits if found.covariance is not None], axis=0)
-    np.testing.assert_allclose(told / truth, np.sqrt(np.mean(errors**2, axis=0)), rtol=0.4)
+    known = np.median(
+        [np.sqrt(np.diag(computed.covariance)) for computed in fits if computed.covariance is not None], axis=0
+    )
+    np.testing.assert_allclose(known / truth, np.sqrt(np.mean(errors**2, axis=0)), rtol=0.4)
 
 
 def test_weights_pay() -> None:

@@ -44,9 +44,9 @@ def groups(name: str, problem: Problem, **settings: float) -> Normal:
 def test_exact_samples_give_the_groups(name: str, p: dict[str, float], offset: float) -> None:
     """At five samples a cycle and less, where differences have a bias of 11 %, and about another level."""
     times = np.linspace(0.0, 4.0, 25) if p is OVERDAMPED else TIMES
-    found = groups(name, record(closed_form(p, 0.8, 0.5, times) + offset, times, offset != 0.0))
-    np.testing.assert_allclose(found.mean, [p["k"] / p["m"], p["c"] / p["m"]], rtol=1e-5, atol=1e-7)
-    assert found.dof == 25 - 4 - (offset != 0.0)
+    computed = groups(name, record(closed_form(p, 0.8, 0.5, times) + offset, times, offset != 0.0))
+    np.testing.assert_allclose(computed.mean, [p["k"] / p["m"], p["c"] / p["m"]], rtol=1e-5, atol=1e-7)
+    assert computed.dof == 25 - 4 - (offset != 0.0)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.5])
@@ -64,8 +64,8 @@ def test_the_decrement_of_a_dense_exact_record(p: dict[str, float], uneven: bool
     times = DENSE.copy()
     if uneven:
         times[1:-1] += np.random.default_rng(2).uniform(-0.3, 0.3, 1498) * times[1]
-    found = groups("log_decrement", record(closed_form(p, 0.8, 0.5, times), times)).mean
-    np.testing.assert_allclose(found, [p["k"] / p["m"], p["c"] / p["m"]], rtol=2e-3)
+    computed = groups("log_decrement", record(closed_form(p, 0.8, 0.5, times), times)).mean
+    np.testing.assert_allclose(computed, [p["k"] / p["m"], p["c"] / p["m"]], rtol=2e-3)
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -81,8 +81,10 @@ def test_a_growing_vibration_is_given_as_it_is_and_said_to_grow(name: str) -> No
 def test_the_covariance_is_the_spread_over_replicates(name: str) -> None:
     scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0 if name == "matrix_pencil" else 35.0)
     fits = [groups(name, problem) for problem, _ in scenario.replicates(21, 60)]
-    spread = np.std([found.mean for found in fits], axis=0)
-    sds = np.median([np.sqrt(np.diag(found.covariance)) for found in fits if found.covariance is not None], axis=0)
+    spread = np.std([computed.mean for computed in fits], axis=0)
+    sds = np.median(
+        [np.sqrt(np.diag(computed.covariance)) for computed in fits if computed.covariance is not None], axis=0
+    )
     np.testing.assert_allclose(sds, spread, rtol=0.5)
 
 

@@ -40,12 +40,12 @@ def test_the_top_of_the_parabola_by_closed_form(h: float) -> None:
     3h/2, the parabola ``a t² + c`` through them tops at ``c = cos(h/2) + (cos(h/2) - cos(3h/2))/8``.
     """
     on = np.arange(-3, 4) * h
-    at, heights = extremes(on, np.cos(on)[None], np.array([[3]]))
-    np.testing.assert_allclose([at[0, 0], heights[0, 0]], [0.0, 1.0], atol=1e-12)
+    place, heights = extremes(on, np.cos(on)[None], np.array([[3]]))
+    np.testing.assert_allclose([place[0, 0], heights[0, 0]], [0.0, 1.0], atol=1e-12)
     between = (np.arange(-3, 3) + 0.5) * h
-    at, heights = extremes(between, -np.cos(between)[None], np.array([[2]]))
+    place, heights = extremes(between, -np.cos(between)[None], np.array([[2]]))
     expected = np.cos(h / 2) + (np.cos(h / 2) - np.cos(1.5 * h)) / 8
-    np.testing.assert_allclose([at[0, 0], heights[0, 0]], [0.0, -expected], atol=1e-12)
+    np.testing.assert_allclose([place[0, 0], heights[0, 0]], [0.0, -expected], atol=1e-12)
 
 
 def test_noise_about_zero_makes_no_crossings() -> None:
@@ -96,5 +96,5 @@ def test_an_offset_is_taken_out(level: float) -> None:
 
 
 def test_a_clipped_top_is_read_as_it_is() -> None:
-    at, heights = extremes(np.arange(5.0), np.array([[-1.0, 2.0, 2.0, 2.0, -1.0]]), np.array([[2]]))
-    np.testing.assert_array_equal([at[0, 0], heights[0, 0]], [2.0, 2.0])
+    place, heights = extremes(np.arange(5.0), np.array([[-1.0, 2.0, 2.0, 2.0, -1.0]]), np.array([[2]]))
+    np.testing.assert_array_equal([place[0, 0], heights[0, 0]], [2.0, 2.0])

@@ -67,19 +67,19 @@ def test_it_agrees_with_the_era_of_python_control(noise: float) -> None:
     y, step = problem.records[0].channels[0].values, TIMES[1]
     realised, _ = control.eigensys_realization(y, 2, m=16, n=8, dt=step)
     expected = groups_from_poles(np.asarray(realised.poles())[None], step)[0]
-    found = groups(problem)
-    assert found.covariance is not None
-    tolerance = np.sqrt(np.diag(found.covariance)) if noise else 1e-8
-    assert np.all(np.abs(found.mean - expected) <= tolerance)
+    computed = groups(problem)
+    assert computed.covariance is not None
+    tolerance = np.sqrt(np.diag(computed.covariance)) if noise else 1e-8
+    assert np.all(np.abs(computed.mean - expected) <= tolerance)
 
 
 def test_it_comes_near_the_bound_of_the_unknown_start() -> None:
     """Root mean square error over the bound at 20 dB: not below what 100 replicates allow, not far above."""
     scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0, initial_state="unknown")
     bound = compute_bound(scenario).relative_sd
-    found = np.array([groups(p, bootstrap=0).mean for p, _ in scenario.replicates(5, 100)])
+    computed = np.array([groups(p, bootstrap=0).mean for p, _ in scenario.replicates(5, 100)])
     truth = np.array([PLANT["k"] / PLANT["m"], PLANT["c"] / PLANT["m"]])
-    excess = np.sqrt(np.mean((found / truth - 1) ** 2, axis=0)) / [bound["k_over_m"], bound["c_over_m"]]
+    excess = np.sqrt(np.mean((computed / truth - 1) ** 2, axis=0)) / [bound["k_over_m"], bound["c_over_m"]]
     assert np.all(excess > 0.8), excess
     assert np.all(excess < 1.5), excess
 
@@ -91,8 +91,8 @@ def test_slopes_of_the_poles_are_those_of_the_estimator(index: int) -> None:
     true = np.array([[PLANT["k"] / PLANT["m"], PLANT["c"] / PLANT["m"]]])
     moved = np.stack([y + sign * 1e-6 * (np.arange(25) == index) for sign in (1, -1)])
     high, low = groups_from_poles(poles(moved, 1 / 3), step)
-    found = group_slopes(true, y[None], step, length)[0, :, index]
-    np.testing.assert_allclose(found, (high - low) / 2e-6, rtol=1e-5, atol=1e-7)
+    computed = group_slopes(true, y[None], step, length)[0, :, index]
+    np.testing.assert_allclose(computed, (high - low) / 2e-6, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("length", [2, 8, 20])
@@ -121,12 +121,12 @@ def test_large_noise_is_left_to_the_bootstrap() -> None:
     """The answer at small noise does not depend on the generator, at large noise it does."""
     for noise, same in ((0.01, True), (0.25, False)):
         problem = record(PLANT, noise=noise)
-        found = [MatrixPencil().identify(problem, np.random.default_rng(seed)).groups for seed in (0, 1)]
-        assert found[0] is not None
-        assert found[1] is not None
-        assert found[0].covariance is not None
-        assert found[1].covariance is not None
-        assert np.array_equal(found[0].covariance, found[1].covariance) is same
+        estimate = [MatrixPencil().identify(problem, np.random.default_rng(seed)).groups for seed in (0, 1)]
+        assert estimate[0] is not None
+        assert estimate[1] is not None
+        assert estimate[0].covariance is not None
+        assert estimate[1].covariance is not None
+        assert np.array_equal(estimate[0].covariance, estimate[1].covariance) is same
 
 
 @pytest.mark.parametrize("ratio", [0.9, 0.999, 1.001, 1.1, 1.3, 4.0])
@@ -137,8 +137,8 @@ def test_above_critical_damping_two_real_poles_give_the_groups(ratio: float) -> 
     times = np.linspace(0.0, 2.0, 25)
     amplitude = np.array([1.0, 1.0]) if ratio < 1 else np.array([-0.4, 1.4])
     y = (np.exp(rates * times[:, None]) @ amplitude).real
-    found = groups(Problem(SDOF(), (Record((Channel(times, y),)),))).mean
-    np.testing.assert_allclose(found, [9.0, 6.0 * ratio], rtol=1e-5)
+    computed = groups(Problem(SDOF(), (Record((Channel(times, y),)),))).mean
+    np.testing.assert_allclose(computed, [9.0, 6.0 * ratio], rtol=1e-5)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.3])

@@ -65,17 +65,17 @@ def test_little_noise_gives_the_answer_of_the_likelihood_and_its_standard_errors
 @pytest.mark.parametrize("name", REALISATIONS)
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_intervals_hold_at_white_and_at_coloured_noise(name: str, colour: float) -> None:
-    held, records = np.zeros(2), 25
+    covered, records = np.zeros(2), 25
     for seed in range(records):
         answer = modes(name, decays(0.005, seed=seed, colour=colour), count=3)
         reach = stdtrit(answer.degrees, 0.975)
         for mode, frequency, ratio in zip(answer.modes, FREQUENCIES, RATIOS, strict=True):
-            held += [
+            covered += [
                 abs(mode.frequency - frequency) < reach * mode.frequency_sd,
                 abs(mode.damping_ratio - ratio) < reach * mode.damping_ratio_sd,
             ]
     # of 75 draws at 95 %, 64 or fewer are a chance of 1 in 1000
-    assert np.all(held > 64)
+    assert np.all(covered > 64)
 
 
 @pytest.mark.parametrize("name", REALISATIONS)

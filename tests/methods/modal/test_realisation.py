@@ -23,12 +23,12 @@ def test_they_span_what_those_of_the_decomposition_do(shape: tuple[int, int], sm
     """Projectors on the two spans are alike to 1e-8, though products would lose a value of 1e-5 among the rounding."""
     given = matrices(*shape, smallest)
     expected = np.linalg.svd(given)[0][..., :2]
-    found = leading_vectors(given, 2)
-    np.testing.assert_allclose(found.swapaxes(1, 2) @ found, np.broadcast_to(np.eye(2), (3, 2, 2)), atol=1e-9)
-    np.testing.assert_allclose(found @ found.swapaxes(1, 2), expected @ expected.swapaxes(1, 2), atol=1e-8)
+    computed = leading_vectors(given, 2)
+    np.testing.assert_allclose(computed.swapaxes(1, 2) @ computed, np.broadcast_to(np.eye(2), (3, 2, 2)), atol=1e-9)
+    np.testing.assert_allclose(computed @ computed.swapaxes(1, 2), expected @ expected.swapaxes(1, 2), atol=1e-8)
 
 
 def test_sets_of_different_conditions_do_not_mix() -> None:
     given = np.concatenate([matrices(9, 6, 0.5), matrices(9, 6, 1e-6)])
-    for one, two in zip(given, leading_vectors(given, 2), strict=True):
-        np.testing.assert_allclose(two, leading_vectors(one[None], 2)[0], atol=1e-12)
+    for first, two in zip(given, leading_vectors(given, 2), strict=True):
+        np.testing.assert_allclose(two, leading_vectors(first[None], 2)[0], atol=1e-12)

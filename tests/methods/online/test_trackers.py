@@ -122,31 +122,31 @@ def test_a_filter_recovers_from_a_fault(kind, name, constant) -> None:
 def test_a_step_that_raises_costs_its_sample_alone(constant) -> None:
     _, stream, _ = constant
     whole, broken = (make_online("ekf").start(stream.layout) for _ in range(2))
-    own = broken.step
+    computed = broken.step
 
     def raising(sample, steps):
         raise ArithmeticError("made to fail")
 
     for i, sample in enumerate(stream.samples()):
         last = whole.update(sample)
-        broken.step = raising if i == 250 else own
-        found = broken.update(sample)
-        assert (found.status.value == "failed") == (i == 250)
+        broken.step = raising if i == 250 else computed
+        result = broken.update(sample)
+        assert (result.status.value == "failed") == (i == 250)
     sd = np.sqrt(np.diag(last.distribution.covariance))
     assert (
-        np.max(np.abs(last.distribution.mean - found.distribution.mean) / sd) < 0.5
+        np.max(np.abs(last.distribution.mean - result.distribution.mean) / sd) < 0.5
     )  # the force of that sample is known
 
 
 @pytest.mark.parametrize("name", ["change_points", "glr"])
-@pytest.mark.parametrize("at", range(250, 258))
-def test_a_jump_is_not_taken_for_a_change_by_a_hypothesis_that_was_just_born(at, name, constant) -> None:
+@pytest.mark.parametrize("place", range(250, 258))
+def test_a_jump_is_not_taken_for_a_change_by_a_hypothesis_that_was_just_born(place, name, constant) -> None:
     _, stream, bound = constant
     tracker, sigma = make_online(name).start(stream.layout), stream.truth.sigma[0]
     for i, sample in enumerate(stream.samples()):
-        value = sample.values[0] + (20 * sigma if i >= at else 0.0)
-        found = tracker.update(dataclasses.replace(sample, values=(value,)))
-    end = found.marginal(next(q for q in stream.layout.quantities if q.name == "k_over_m"))
+        value = sample.values[0] + (20 * sigma if i >= place else 0.0)
+        computed = tracker.update(dataclasses.replace(sample, values=(value,)))
+    end = computed.marginal(next(q for q in stream.layout.quantities if q.name == "k_over_m"))
     assert abs(np.log(end.value * SDOF["m"] / SDOF["k"])) < 5 * np.sqrt(bound["k_over_m"][-1])
 
 
@@ -155,21 +155,21 @@ def test_a_jump_of_the_sensors_zero_hardly_moves_what_is_found_behind_it(name, c
     _, stream, _ = constant
     settings = {"length": 100, "every": 50} if name.startswith("window") else {}
     plain, jumping = (make_online(name, settings).start(stream.layout) for _ in range(2))
-    seen = set()
+    statuses = set()
     for clean, faulty_one in zip(stream.samples(), faulty("jump", stream, 250), strict=True):
-        wanted, found = plain.update(clean), jumping.update(faulty_one)
-        seen.add(found.status.value)
+        wanted, computed = plain.update(clean), jumping.update(faulty_one)
+        statuses.add(computed.status.value)
     place = list(stream.layout.free).index("k")
-    assert abs(wanted.distribution.mean[place] - found.distribution.mean[place]) < 0.1
-    assert name == "rls" or "sensor_jump" in seen
+    assert abs(wanted.distribution.mean[place] - computed.distribution.mean[place]) < 0.1
+    assert name == "rls" or "sensor_jump" in statuses
 
 
 def test_no_equation_of_recursive_least_squares_reaches_across_a_jump(constant) -> None:
     _, stream, _ = constant
     trackers = [make_online("rls").start(stream.layout) for _ in range(13)]
     for i, sample in enumerate(stream.samples()):
-        for at, tracker in enumerate(trackers, 250):  # the first: without a jump
-            value = sample.values[0] + (20 * stream.truth.sigma[0] if i >= at > 250 else 0.0)
+        for place, tracker in enumerate(trackers, 250):  # the first: without a jump
+            value = sample.values[0] + (20 * stream.truth.sigma[0] if i >= place > 250 else 0.0)
             tracker.update(dataclasses.replace(sample, values=(value,)))
     plain, *jumping = (tracker._distribution() for tracker in trackers)
     off = [(distribution.mean - plain.mean) / np.sqrt(np.diag(plain.covariance)) for distribution in jumping]
@@ -204,11 +204,11 @@ def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubl
     first = next(i for i, standing in enumerate(standings) if standing.distribution is not None)
     assert first < 250
     assert all("no estimate yet" in standing.message for standing in standings[:first])
-    held = []
+    covered = []
     for standing, true in zip(standings[first:], frequency[first:], strict=True):
         low, high = np.sqrt(standing.marginal(quantity).interval(0.9999)) / (2.0 * np.pi)  # errors of a path stay alike
-        held.append(low <= true <= high)
-    assert np.mean(held) > 0.85
+        covered.append(low <= true <= high)
+    assert np.mean(covered) > 0.85
     for place in (first, 990, 1500, 1999):
         assert np.sqrt(standings[place].marginal(quantity).value) / (2.0 * np.pi) == pytest.approx(
             frequency[place], 0.03
@@ -303,21 +303,21 @@ def test_the_recursive_model_has_no_bias_where_plain_autoregression_has_a_large_
     s = np.log(np.roots([1.0, a1, a2]).astype(complex)) * 12.0
     plain = abs(np.log(-s.sum().real / (SDOF["c"] / SDOF["m"])))
     path = follow(make_online("ar", {"factor": 1.0}), stream)
-    ours = abs(errors(stream, path, "c_over_m")[-1])
+    own_error = abs(errors(stream, path, "c_over_m")[-1])
     assert plain > 10 * np.sqrt(bound["c_over_m"][-1])
-    assert ours < 4 * np.sqrt(bound["c_over_m"][-1])
+    assert own_error < 4 * np.sqrt(bound["c_over_m"][-1])
 
 
 @pytest.mark.parametrize(
-    ("name", "made", "said"),
+    ("name", "made", "message"),
     [
         ("ssi", {}, "unknown white force"),
         ("ar", {"system": "chain", "options": {"n": 2}, "parameters": {"m1": 1.0, "m2": 1.0, "c1": 0.1, "c2": 0.1,
                                                                        "k1": 9.0, "k2": 9.0}}, "one mass"),
     ],
 )  # fmt: skip
-def test_one_mass_methods_object_to_more(name, made, said) -> None:
-    assert said in make_online(name).objection(scenario(**made).layout())
+def test_one_mass_methods_object_to_more(name, made, message) -> None:
+    assert message in make_online(name).objection(scenario(**made).layout())
 
 
 @pytest.mark.parametrize(

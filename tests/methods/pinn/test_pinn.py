@@ -88,8 +88,8 @@ def plain_problem(
 
 
 def spread(n_fits: int) -> Spread:
-    one = np.ones(n_fits)
-    return Spread(np.tile([0.1, 0.2, 0.3, 0.4], (n_fits, 1)), 5.0 * one, 2.0 * one, 0.05 * one, 0.5 * one)
+    first = np.ones(n_fits)
+    return Spread(np.tile([0.1, 0.2, 0.3, 0.4], (n_fits, 1)), 5.0 * first, 2.0 * first, 0.05 * first, 0.5 * first)
 
 
 def small(
@@ -123,15 +123,15 @@ def small(
 
 @pytest.mark.parametrize("widths", [(1, 6, 2), (1, 6, 5, 1), (1, 4, 7, 3, 2)])
 def test_streams_are_autograds_derivatives(widths: tuple[int, ...]) -> None:
-    own = layers(widths)
+    computed = layers(widths)
     times = torch.linspace(0.0, 3.0, 9, dtype=torch.float64, requires_grad=True)
     h = (times / 1.5 - 1.0)[:, None]
-    for weight, bias in own[:-1]:
+    for weight, bias in computed[:-1]:
         h = torch.tanh(h @ torch.as_tensor(weight).T + torch.as_tensor(bias))
-    x = h @ torch.as_tensor(own[-1][0]).T + torch.as_tensor(own[-1][1])
+    x = h @ torch.as_tensor(computed[-1][0]).T + torch.as_tensor(computed[-1][1])
     tau = (times / 1.5 - 1.0).detach()[None]
     ansatz = Network(widths, tau, torch.full((1,), 1 / 1.5, dtype=torch.float64))
-    out = ansatz.forward(torch.as_tensor(tanh.flat(own))[None]).output[0]
+    out = ansatz.forward(torch.as_tensor(tanh.flat(computed))[None]).output[0]
     for j in range(widths[-1]):
         (v,) = torch.autograd.grad(x[:, j].sum(), times, create_graph=True, retain_graph=True)
         (a,) = torch.autograd.grad(v.sum(), times, retain_graph=True)
@@ -180,8 +180,8 @@ def test_jacobian_gradient_and_gram_agree_with_autograd(system: System, options:
 def _displacement(block: Block, ansatz: Ansatz, part: torch.Tensor, times: torch.Tensor) -> torch.Tensor:
     """The trainable function, (n_points, n_paths), written once more."""
     if isinstance(ansatz, SumAnsatz):
-        own, rest = part[:, : ansatz.inner.count], part[:, ansatz.inner.count :]
-        return _displacement(block, ansatz.inner, own, times) + _displacement(block, ansatz.fixed, rest, times)
+        computed, rest = part[:, : ansatz.inner.count], part[:, ansatz.inner.count :]
+        return _displacement(block, ansatz.inner, computed, times) + _displacement(block, ansatz.fixed, rest, times)
     if isinstance(ansatz, Network):
         h = (2.0 * times[0] / float(block.duration[0]) - 1.0)[:, None]
         *hidden, last = tanh.layers_of(part, ansatz.widths)
@@ -201,9 +201,9 @@ def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.
         times = torch.as_tensor(block.times[:1]).requires_grad_(True)
         x = _displacement(block, ansatz, part, times)
         if block.lift is not None:
-            told = block.lift[0, :2, 0].detach()  # at time 0 the first part is the told start itself
+            known = block.lift[0, :2, 0].detach()  # at time 0 the first part is the told start itself
             g = torch.exp(-((2.0 * times[0]) ** 2))[:, None]
-            x = (told[0] + told[1] * times[0][:, None]) * g + (1.0 - g) * x
+            x = (known[0] + known[1] * times[0][:, None]) * g + (1.0 - g) * x
         streams = [x]
         for _ in range(2):
             slopes = [torch.autograd.grad(c.sum(), times, create_graph=True)[0][0] for c in streams[-1].unbind(-1)]
@@ -219,9 +219,9 @@ def _autograd_jacobian(residuals: Residuals, z: torch.Tensor, deviations: torch.
 def test_exact_start_is_exact() -> None:
     residuals, z, deviations = small(exact=True)
     output = residuals.evaluate(z, deviations).outputs[0]
-    told = plain_problem(seed=0).records[0].initial_state
-    assert told is not None
-    torch.testing.assert_close(output[0, :2, 0, 0], torch.tensor([told.displacement[0], told.velocity[0]]))
+    known = plain_problem(seed=0).records[0].initial_state
+    assert known is not None
+    torch.testing.assert_close(output[0, :2, 0, 0], torch.tensor([known.displacement[0], known.velocity[0]]))
     assert residuals.n_rows == small()[0].n_rows - 2
 
 
@@ -265,11 +265,11 @@ def test_bands_of_splines_are_the_dense_equations(system: System) -> None:
     )
     torch.testing.assert_close(banded.size, dense.size)
     torch.testing.assert_close(banded.trace, dense.trace)
-    (step, promised), (expected, promise) = (own.solve(1e-3 * dense.size) for own in (banded, dense))
+    (step, promised), (expected, promise) = (item.solve(1e-3 * dense.size) for item in (banded, dense))
     torch.testing.assert_close(step, expected, rtol=1e-7, atol=1e-9)
     torch.testing.assert_close(promised, promise, rtol=1e-9, atol=0.0)
-    own, other = banded.posterior(), dense.posterior()
-    for part, wanted in zip([own.covariance, *own.variances], [other.covariance, *other.variances], strict=True):
+    item, other = banded.posterior(), dense.posterior()
+    for part, wanted in zip([item.covariance, *item.variances], [other.covariance, *other.variances], strict=True):
         torch.testing.assert_close(part, wanted, rtol=1e-5, atol=1e-7 * float(wanted.abs().max()))
 
 
@@ -329,8 +329,8 @@ def test_a_long_record_in_windows_agrees_with_the_simulated_response() -> None:
     assert stiffness is not None
     assert damping is not None
     assert damping.value / 2.0 == pytest.approx(expected.x[0], abs=0.3 * sd[0])
-    found = np.sqrt(stiffness.value - (damping.value / 2.0) ** 2)
-    assert found == pytest.approx(expected.x[1], abs=0.3 * sd[1])
+    computed = np.sqrt(stiffness.value - (damping.value / 2.0) ** 2)
+    assert computed == pytest.approx(expected.x[1], abs=0.3 * sd[1])
     pickle.loads(pickle.dumps(estimate))
 
 
@@ -369,8 +369,8 @@ def test_mixed_heads_have_orthonormal_columns_and_the_same_rows() -> None:
     state = mixed.evaluate(coefficients, deviations)
     linear = mixed.linearise(state, deviations)
     jacobian = torch.cat([part for _, part in mixed.jacobian_parts(state, linear)], 1)
-    own = jacobian[0, :, : mixed.ansatzes[0].count]
-    sizes = torch.linalg.svdvals(own)
+    computed = jacobian[0, :, : mixed.ansatzes[0].count]
+    sizes = torch.linalg.svdvals(computed)
     assert bool(((sizes - 1.0).abs() < 1e-6).all())
 
 
@@ -381,20 +381,22 @@ def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
     residuals = Residuals([scaled], networks(widths), 60, SDOF().names, np.zeros((1, 3)), np.ones(1))
     weights = tanh.flat(tanh.initial_layers(widths, 3.6, np.random.default_rng(0)))
     z = torch.as_tensor(np.r_[weights, 0.0, np.log([6.0, 500.0])])[None]
-    one = np.ones(1)
-    deviations = residuals.deviations(Spread(np.full((1, 1), 0.1), 10.0 * one, 10.0 * one, 0.02 * one, 0.4 * one))
+    first = np.ones(1)
+    deviations = residuals.deviations(
+        Spread(np.full((1, 1), 0.1), 10.0 * first, 10.0 * first, 0.02 * first, 0.4 * first)
+    )
 
-    def loss(at: np.ndarray) -> tuple[float, np.ndarray]:
-        state, gradient = residuals.gradient(torch.as_tensor(at[None]), deviations)
+    def loss(place: np.ndarray) -> tuple[float, np.ndarray]:
+        state, gradient = residuals.gradient(torch.as_tensor(place[None]), deviations)
         return float(state.loss[0]), np.asarray(gradient[0])
 
     options = {"maxiter": 1000, "maxcor": 30, "ftol": 1e-12}
-    found = minimize(loss, z[0].numpy(), jac=True, method="L-BFGS-B", options=options)
+    computed = minimize(loss, z[0].numpy(), jac=True, method="L-BFGS-B", options=options)
     walk = levenberg.Walk(z)
     levenberg.minimise(residuals, walk, deviations, 150, 1e-6)
     reached = float(residuals.evaluate(walk.z, deviations).loss[0])
-    assert reached <= found.fun * (1 + 1e-3)
-    assert found.fun < 1e-2 * residuals.evaluate(z, deviations).loss[0]
+    assert reached <= computed.fun * (1 + 1e-3)
+    assert computed.fun < 1e-2 * residuals.evaluate(z, deviations).loss[0]
 
 
 @pytest.mark.parametrize("method", [PINN(batch=3), Collocation(batch=3), PINN(batch=3, start="exact", iterations=15)])
@@ -414,16 +416,16 @@ def test_a_fit_is_the_same_alone_and_in_company(method: PhysicsInformed) -> None
 def test_band_is_the_delta_methods(method: PhysicsInformed) -> None:
     """Against the sensitivities of the simulated response at scipy's solution, by finite differences."""
     sigma = 0.02
-    own = record(sigma, known=True, seed=3)
-    estimate = method.identify(Problem(SDOF(), (own,), PRIOR), np.random.default_rng(0))
+    computed = record(sigma, known=True, seed=3)
+    estimate = method.identify(Problem(SDOF(), (computed,), PRIOR), np.random.default_rng(0))
     times = np.linspace(0.0, 8.0, 200)
     covariance = estimate.parameters.covariance  # type: ignore[union-attr]
     logs = estimate.parameters.mean  # type: ignore[union-attr]
-    assert own.initial_state is not None
+    assert computed.initial_state is not None
 
-    def path(at: np.ndarray) -> np.ndarray:
-        p = dict(zip(SDOF().names, np.exp(at), strict=True))
-        return simulate(SDOF(), p, own.initial_state, times).displacement[0]
+    def path(point: np.ndarray) -> np.ndarray:
+        p = dict(zip(SDOF().names, np.exp(point), strict=True))
+        return simulate(SDOF(), p, computed.initial_state, times).displacement[0]
 
     slopes = np.stack([(path(logs + e) - path(logs - e)) / 2e-4 for e in 1e-4 * np.eye(3)], 1)
     expected = np.sqrt(np.einsum("ti,ij,tj->t", slopes, covariance, slopes))
@@ -472,37 +474,37 @@ def test_noise_free_record_gives_the_truth(known: bool) -> None:
 def test_agrees_with_maximum_a_posteriori_by_simulation() -> None:
     """Value and standard deviation of every log-parameter against scipy on the simulated response."""
     sigma = 0.02
-    own = record(sigma, seed=3)
-    estimate = PINN().identify(Problem(SDOF(), (own,), PRIOR), np.random.default_rng(0))
+    computed = record(sigma, seed=3)
+    estimate = PINN().identify(Problem(SDOF(), (computed,), PRIOR), np.random.default_rng(0))
 
     def rows(z: np.ndarray) -> np.ndarray:
         p = dict(zip(SDOF().names, np.exp(z[:3]), strict=True))
-        path = simulate(SDOF(), p, InitialState(z[3:4], z[4:]), own.channels[0].times).displacement[0]
-        return np.concatenate([(path - own.channels[0].values) / sigma, PRIOR.residuals(z[:3])])
+        path = simulate(SDOF(), p, InitialState(z[3:4], z[4:]), computed.channels[0].times).displacement[0]
+        return np.concatenate([(path - computed.channels[0].values) / sigma, PRIOR.residuals(z[:3])])
 
-    found = least_squares(rows, np.r_[np.log(list(TRUE.values())), 0.6, -0.8])
+    result = least_squares(rows, np.r_[np.log(list(TRUE.values())), 0.6, -0.8])
     assert estimate.parameters is not None
     distribution = estimate.parameters
-    residual = rows(found.x)[:25]
+    residual = rows(result.x)[:25]
     noise = np.sqrt(residual @ residual / 21)  # sigma is not told: scipy's covariance at the estimated one
-    jacobian = found.jac.copy()
+    jacobian = result.jac.copy()
     jacobian[:25] /= noise
     sd = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))[:3]
-    assert np.all(np.abs(distribution.mean - found.x[:3]) < 0.1 * sd)  # type: ignore[union-attr]
+    assert np.all(np.abs(distribution.mean - result.x[:3]) < 0.1 * sd)  # type: ignore[union-attr]
     np.testing.assert_allclose(np.sqrt(np.diag(distribution.covariance)), sd, rtol=0.1)  # type: ignore[union-attr,arg-type]
 
 
 def test_units_and_networks_change_nothing() -> None:
     problem = Problem(SDOF(), (record(0.03, known=True),), PRIOR)
     units = Units(3.0, 1e-3, 0.1)
-    one = PINN().identify(problem, np.random.default_rng(0)).parameters
+    first = PINN().identify(problem, np.random.default_rng(0)).parameters
     other = (
         PINN().identify(problem.expressed_in(units), np.random.default_rng(0)).expressed_in(units.inverse).parameters
     )
     redrawn = PINN().identify(problem, np.random.default_rng(1)).parameters
-    sd = np.sqrt(np.diag(one.covariance))  # type: ignore[union-attr,arg-type]
-    assert np.all(np.abs(one.mean - other.mean) < 1e-3 * sd)  # type: ignore[union-attr]
-    assert np.all(np.abs(one.mean - redrawn.mean) < 0.05 * sd)  # type: ignore[union-attr]
+    sd = np.sqrt(np.diag(first.covariance))  # type: ignore[union-attr,arg-type]
+    assert np.all(np.abs(first.mean - other.mean) < 1e-3 * sd)  # type: ignore[union-attr]
+    assert np.all(np.abs(first.mean - redrawn.mean) < 0.05 * sd)  # type: ignore[union-attr]
 
 
 def test_without_prior_or_force_only_groups_are_told() -> None:
@@ -516,8 +518,8 @@ def test_without_prior_or_force_only_groups_are_told() -> None:
 
 
 def test_offset_is_estimated() -> None:
-    own = record(0.005).channels[0]
-    shifted = Record((Channel(own.times, own.values + 0.4, offset=True),))
+    computed = record(0.005).channels[0]
+    shifted = Record((Channel(computed.times, computed.values + 0.4, offset=True),))
     estimate = PINN().identify(Problem(SDOF(), (shifted,)), np.random.default_rng(0))
     assert estimate.offsets is not None
     assert estimate.offsets[0] == pytest.approx(0.4, abs=0.005)
@@ -600,11 +602,11 @@ def test_the_local_functions_of_a_spline_are_those_of_its_full_basis() -> None:
 
 def test_steps_of_a_held_fit_leave_its_parameters() -> None:
     residuals, z, deviations = small(offset=True, n_fits=2)
-    held = residuals.hold()
-    state = held.evaluate(z, deviations)
+    covered = residuals.hold()
+    state = covered.evaluate(z, deviations)
     torch.testing.assert_close(state.rows, residuals.evaluate(z, deviations).rows)
     walk = levenberg.Walk(z)
-    levenberg.minimise(held, walk, deviations, 5, 1e-9)
+    levenberg.minimise(covered, walk, deviations, 5, 1e-9)
     parameters = slice(residuals.n_coefficients, residuals.n_coefficients + len(residuals.free))
     torch.testing.assert_close(walk.z[:, parameters], z[:, parameters], rtol=0.0, atol=0.0)
     assert np.all(residuals.evaluate(walk.z, deviations).loss < 0.5 * state.loss)

@@ -40,13 +40,13 @@ def problem(noise: float = 0.05, known: bool = True, prior: Prior | None = PRIOR
     return Problem(SDOF(), (Record((Channel(times, values),), (), start if known else None),), prior)
 
 
-def trained(own: Problem, **settings: Any) -> tuple[TrainedFit, TrainedPosterior]:
+def trained(computed: Problem, **settings: Any) -> tuple[TrainedFit, TrainedPosterior]:
     """A fit of the problem in natural units, and the posterior at its end."""
     method = PINNFamily(**settings)
-    task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
-    found, _ = train(task.scaled, task.guesses[0], method, task.rng, TrainingPath(0.0), lambda results: None)
-    assert found.attempt is not None
-    return found, TrainedPosterior(found.attempt)
+    task = Task(computed.expressed_in(computed.natural_units()), np.random.default_rng(0))
+    result, _ = train(task.scaled, task.guesses[0], method, task.rng, TrainingPath(0.0), lambda results: None)
+    assert result.attempt is not None
+    return result, TrainedPosterior(result.attempt)
 
 
 def deviation(covariance: np.ndarray, *weights: float) -> float:
@@ -101,15 +101,15 @@ def test_every_way_of_the_setting_is_named_and_made() -> None:
 
 @pytest.mark.parametrize("way", [*QUICK, NUTS, "ensemble", "bootstrap"])
 def test_an_answer_has_intervals_and_a_band_and_hangs_on_the_seed_alone(way: str, brief: None) -> None:
-    method, own = little(way), problem()
-    one, again, other = (method.identify(own, np.random.default_rng(seed)) for seed in (0, 0, 1))
-    checked(one)
+    method, computed = little(way), problem()
+    first, again, other = (method.identify(computed, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    checked(first)
     quantity = SDOF().quantity("k_over_m")
-    low, same, redrawn = (found.marginal(quantity).interval(0.8)[0] for found in (one, again, other))  # type: ignore[union-attr]
+    low, same, redrawn = (result.marginal(quantity).interval(0.8)[0] for result in (first, again, other))  # type: ignore[union-attr]
     assert low == same
     assert low != redrawn
     times = np.linspace(0.0, 8.0, 30)
-    np.testing.assert_array_equal(one.bands[0](times), again.bands[0](times))
+    np.testing.assert_array_equal(first.bands[0](times), again.bands[0](times))
 
 
 @pytest.mark.parametrize("way", [*QUICK, NUTS, "ensemble"])
@@ -127,7 +127,9 @@ def forced_chain() -> Problem:
     force = Force(np.linspace(0.0, 6.0, 200), np.sin(2.5 * np.linspace(0.0, 6.0, 200)))
     start = InitialState(np.zeros(2), np.zeros(2))
     clean = simulate(system, true, start, times, (force,)).displacement
-    channels = tuple(Channel(times, own + 0.005 * rng.standard_normal(40), dof=i) for i, own in enumerate(clean))
+    channels = tuple(
+        Channel(times, computed + 0.005 * rng.standard_normal(40), dof=i) for i, computed in enumerate(clean)
+    )
     return Problem(system, (Record(channels, (force,), start),), Prior(true, dict.fromkeys(true, 0.3)))
 
 
@@ -174,8 +176,8 @@ def test_the_density_is_the_posterior_times_the_volume_of_the_coordinates(settin
         for e in steps(other)[:: max(1, u.size // 12)]:
             value, slope = coordinates.value_and_slope(other)
             rise = coordinates.value_and_slope(other + e)[0] - coordinates.value_and_slope(other - e)[0]
-            own = slope[int(np.argmax(e))]
-            assert rise / (2.0 * STEP) == pytest.approx(own, rel=1e-3, abs=1e-3 * np.abs(slope).max())
+            computed = slope[int(np.argmax(e))]
+            assert rise / (2.0 * STEP) == pytest.approx(computed, rel=1e-3, abs=1e-3 * np.abs(slope).max())
 
 
 STEP = 1e-6
@@ -189,43 +191,43 @@ def with_unit_prior(posterior: TrainedPosterior) -> tuple[np.ndarray, np.ndarray
     """scipy's mode of the log-parameters, and their covariance by its Jacobian, with a unit prior of the weights."""
 
     def rows(z: np.ndarray) -> np.ndarray:
-        own = posterior.residuals.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()
-        return np.concatenate([own, z[: posterior.n_weights]])
+        part = posterior.residuals.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()
+        return np.concatenate([part, z[: posterior.n_weights]])
 
-    found = least_squares(rows, posterior.z[0].numpy(), xtol=1e-12, ftol=1e-12)
-    covariance = np.linalg.inv(found.jac.T @ found.jac)
-    return found.x[posterior.n_weights :], covariance[posterior.n_weights :, posterior.n_weights :]
+    computed = least_squares(rows, posterior.z[0].numpy(), xtol=1e-12, ftol=1e-12)
+    covariance = np.linalg.inv(computed.jac.T @ computed.jac)
+    return computed.x[posterior.n_weights :], covariance[posterior.n_weights :, posterior.n_weights :]
 
 
 @pytest.mark.slow
 def test_nuts_draws_are_those_of_the_nearly_normal_posterior_of_a_spline() -> None:
     pytest.importorskip("blackjax")
     nuts.compiled.cache_clear()
-    found, posterior = trained(problem(0.02), architecture="spline", collocation=60)
+    computed, posterior = trained(problem(0.02), architecture="spline", collocation=60)
     mode, covariance = with_unit_prior(posterior)
     with torch.no_grad():
-        answer = nuts.sample(posterior, found, np.random.default_rng(0))
+        answer = nuts.sample(posterior, computed, np.random.default_rng(0))
     assert "have converged" in answer.reason
     draws = answer.draws
     assert draws is not None
     assert draws.shape == (nuts.CHAINS * nuts.DRAWS, 3)
     for weights in (K_OVER_M, C_OVER_M):
-        expected, own = deviation(covariance, *weights), draws @ np.array(weights)
+        expected, part = deviation(covariance, *weights), draws @ np.array(weights)
         # of 100 effective draws a mean is known to a tenth of the deviation, and that to 7 %; three times that
-        assert abs(own.mean() - mode @ np.array(weights)) < 0.3 * expected
-        assert own.std(ddof=1) == pytest.approx(expected, rel=0.22)
+        assert abs(part.mean() - mode @ np.array(weights)) < 0.3 * expected
+        assert part.std(ddof=1) == pytest.approx(expected, rel=0.22)
 
 
 def test_chains_that_differ_are_said_to() -> None:
     pytest.importorskip("blackjax")
     same = np.random.default_rng(0).standard_normal((2, 150, 3))
-    r_hat, effective = nuts._health(same)
+    r_hat, effective = nuts._diagnostics(same)
     assert r_hat <= nuts.R_HAT
     assert effective >= nuts.EFFECTIVE
     apart = same + np.array([0.0, 2.0])[:, None, None]
-    assert nuts._health(apart)[0] > nuts.R_HAT
+    assert nuts._diagnostics(apart)[0] > nuts.R_HAT
     slow = np.cumsum(same, axis=1)
-    assert nuts._health(slow)[1] < nuts.EFFECTIVE
+    assert nuts._diagnostics(slow)[1] < nuts.EFFECTIVE
 
 
 def test_a_chain_too_short_is_not_passed_over_in_silence(brief: None) -> None:
@@ -239,18 +241,18 @@ def test_a_chain_too_short_is_not_passed_over_in_silence(brief: None) -> None:
 @pytest.mark.parametrize("known", [True, False])
 def test_fixed_hidden_layers_make_no_interval_wider(known: bool) -> None:
     """To condition on some of the unknowns of a normal takes from the variance of the others."""
-    found, posterior = trained(problem(known=known))
+    computed, posterior = trained(problem(known=known))
     with torch.no_grad():
-        own = uncertainty.last_layer(posterior, found, np.random.default_rng(0))
+        part = uncertainty.last_layer(posterior, computed, np.random.default_rng(0))
     for weights in (K_OVER_M, C_OVER_M):
-        assert deviation(own.covariance, *weights) <= 1.001 * deviation(found.covariance, *weights)
+        assert deviation(part.covariance, *weights) <= 1.001 * deviation(computed.covariance, *weights)
 
 
 def test_last_layer_is_the_linear_models_own() -> None:
     """Against the inverse of JᵀJ over output layer and parameters, J by finite differences of the rows."""
-    found, posterior = trained(problem(), architecture="fourier", width=8, collocation=60)
+    computed, posterior = trained(problem(), architecture="fourier", width=8, collocation=60)
     with torch.no_grad():
-        own = uncertainty.last_layer(posterior, found, np.random.default_rng(0))
+        part = uncertainty.last_layer(posterior, computed, np.random.default_rng(0))
         heads, short = posterior.residuals.heads(posterior.z)
 
         def rows(z: np.ndarray) -> np.ndarray:
@@ -259,7 +261,7 @@ def test_last_layer_is_the_linear_models_own() -> None:
         j = slopes(rows, short[0].numpy())
     expected = np.linalg.inv(j.T @ j)[-3:, -3:]
     for weights in (K_OVER_M, C_OVER_M):
-        assert deviation(own.covariance, *weights) == pytest.approx(deviation(expected, *weights), rel=0.01)
+        assert deviation(part.covariance, *weights) == pytest.approx(deviation(expected, *weights), rel=0.01)
 
 
 def slopes(rows: Any, z: np.ndarray) -> np.ndarray:
@@ -272,20 +274,20 @@ def test_mean_field_has_the_deviations_of_each_unknown_alone(monkeypatch: pytest
     C. Bishop, Pattern Recognition and Machine Learning, 2006, section 10.1.2. The rows are linear in all but products.
     """
     monkeypatch.setattr(uncertainty, "VARIATIONAL_STEPS", 1000)
-    found, posterior = trained(problem(0.02), architecture="spline", collocation=60)
+    computed, posterior = trained(problem(0.02), architecture="spline", collocation=60)
     mode, covariance = with_unit_prior(posterior)
     with torch.no_grad():
-        own = uncertainty.variational(posterior, found, np.random.default_rng(0))
+        part = uncertainty.variational(posterior, computed, np.random.default_rng(0))
 
         def rows(z: np.ndarray) -> np.ndarray:
             return posterior.residuals.evaluate(torch.as_tensor(z[None]), posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
 
         j = slopes(rows, posterior.z[0].numpy())[:, posterior.n_weights :]
-    np.testing.assert_allclose(np.sqrt(np.diag(own.covariance)), (j**2).sum(0) ** -0.5, rtol=0.15)
-    np.testing.assert_array_equal(own.covariance, np.diag(np.diag(own.covariance)))
-    assert own.covariance[2, 2] < 0.5 * covariance[2, 2]
+    np.testing.assert_allclose(np.sqrt(np.diag(part.covariance)), (j**2).sum(0) ** -0.5, rtol=0.15)
+    np.testing.assert_array_equal(part.covariance, np.diag(np.diag(part.covariance)))
+    assert part.covariance[2, 2] < 0.5 * covariance[2, 2]
     # the steps of the mean are small beside what is between the trained point and the mode
-    assert np.all(np.abs(own.logs - mode) < 2.0 * np.sqrt(np.diag(covariance)))
+    assert np.all(np.abs(part.logs - mode) < 2.0 * np.sqrt(np.diag(covariance)))
 
 
 def test_masks_silence_units_and_keep_the_mean() -> None:
@@ -309,16 +311,16 @@ def test_a_masked_responses_parameters_are_scipys() -> None:
     _, posterior = trained(problem(), architecture="fourier", collocation=60, width=8)
     with torch.no_grad():
         z = posterior.z * uncertainty.random_mask(posterior, np.random.default_rng(1))
-        own = uncertainty.with_best_parameters(posterior, z)[0, posterior.n_weights :].numpy()
+        computed = uncertainty.with_best_parameters(posterior, z)[0, posterior.n_weights :].numpy()
 
         def rows(free: np.ndarray) -> np.ndarray:
-            at = z.clone()
-            at[0, posterior.n_weights :] = torch.as_tensor(free)
-            return posterior.residuals.evaluate(at, posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
+            point = z.clone()
+            point[0, posterior.n_weights :] = torch.as_tensor(free)
+            return posterior.residuals.evaluate(point, posterior.deviations).rows[0].numpy()  # type: ignore[no-any-return]
 
         expected = least_squares(rows, z[0, posterior.n_weights :].numpy(), xtol=1e-12, ftol=1e-12).x
-    assert np.any(np.abs(own - z[0, posterior.n_weights :].numpy()) > 1e-3)
-    np.testing.assert_allclose(own, expected, atol=2e-3)
+    assert np.any(np.abs(computed - z[0, posterior.n_weights :].numpy()) > 1e-3)
+    np.testing.assert_allclose(computed, expected, atol=2e-3)
 
 
 @pytest.mark.slow
@@ -337,15 +339,15 @@ def test_bootstrap_spreads_as_the_linearisation_and_the_ensemble_hardly_at_all()
 def test_members_are_trained_by_the_familys_own_optimiser() -> None:
     """A member has the path of a training of the family, which the engine's own fits lack."""
     method = PINNFamily(optimizer="adam", budget=60.0, uncertainty="ensemble", members=2, collocation=60, width=8)
-    own = problem()
-    task = Task(own.expressed_in(own.natural_units()), np.random.default_rng(0))
+    computed = problem()
+    task = Task(computed.expressed_in(computed.natural_units()), np.random.default_rng(0))
     method.attempt([task])
     replace(method, budget=20.0)._resample(task)
-    found = task.members
-    assert len(found) == 2
-    assert all(member.evaluations <= 20 for member in found)
-    assert all("path_loss" in member.history for member in found)
-    assert len({float(member.logs[2]) for member in found}) == 2
+    result = task.members
+    assert len(result) == 2
+    assert all(member.evaluations <= 20 for member in result)
+    assert all("path_loss" in member.history for member in result)
+    assert len({float(member.logs[2]) for member in result}) == 2
 
 
 @pytest.mark.slow

@@ -77,8 +77,8 @@ def test_nystrom_newton_cg_needs_few_steps_of_such_a_bowl(monkeypatch: pytest.Mo
     monkeypatch.setattr(second_order, "RANK", 12)
     bowl: Any = Bowl()
     method = second_order.NystromNewtonCG(None, np.random.default_rng(0))
-    found = method.minimise(bowl, torch.zeros(12, dtype=torch.float64))
-    assert float(torch.linalg.norm(found - bowl.centre)) < 1e-3
+    computed = method.minimise(bowl, torch.zeros(12, dtype=torch.float64))
+    assert float(torch.linalg.norm(computed - bowl.centre)) < 1e-3
     assert bowl.work > 1000
 
 
@@ -93,9 +93,9 @@ def log_k_over_m(method: Any, given: Problem) -> tuple[float, float]:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_levenberg_marquardt_of_the_family_ends_where_the_pinn_does(known: bool) -> None:
-    theirs, sd = log_k_over_m(PINN(), problem(known=known))
-    own, own_sd = log_k_over_m(PINNFamily(), problem(known=known))
-    assert own == pytest.approx(theirs, abs=0.03 * sd)
+    reference, sd = log_k_over_m(PINN(), problem(known=known))
+    computed, own_sd = log_k_over_m(PINNFamily(), problem(known=known))
+    assert computed == pytest.approx(reference, abs=0.03 * sd)
     assert own_sd == pytest.approx(sd, rel=0.03)
 
 
@@ -104,16 +104,16 @@ def test_levenberg_marquardt_of_the_family_ends_where_the_pinn_does(known: bool)
 )
 def test_other_ways_end_at_the_same_minimum(optimizer: Any) -> None:
     least, sd = log_k_over_m(PINNFamily(), problem())
-    own, _ = log_k_over_m(PINNFamily(optimizer=optimizer, budget=4000.0), problem())
-    assert own == pytest.approx(least, abs=0.2 * sd)
+    computed, _ = log_k_over_m(PINNFamily(optimizer=optimizer, budget=4000.0), problem())
+    assert computed == pytest.approx(least, abs=0.2 * sd)
 
 
 @pytest.mark.parametrize("architecture", ["kolmogorov_arnold", "pirate", "sine", "spline"])
 def test_other_functions_of_time_end_at_the_same_parameters(architecture: Any) -> None:
     """The equation of motion holds all of them alike: what represents the response must not matter."""
     least, sd = log_k_over_m(PINNFamily(), problem())
-    own, _ = log_k_over_m(PINNFamily(architecture=architecture), problem())
-    assert own == pytest.approx(least, abs=0.2 * sd)
+    computed, _ = log_k_over_m(PINNFamily(architecture=architecture), problem())
+    assert computed == pytest.approx(least, abs=0.2 * sd)
 
 
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
@@ -148,8 +148,8 @@ def test_each_weighting_recovers_a_clean_record(name: Any) -> None:
 @pytest.mark.parametrize("sampling", ["random", "adaptive"])
 def test_moving_points_end_near_the_fixed_ones(sampling: Any) -> None:
     least, sd = log_k_over_m(PINNFamily(), problem())
-    own, _ = log_k_over_m(PINNFamily(sampling=sampling), problem())
-    assert own == pytest.approx(least, abs=0.5 * sd)
+    computed, _ = log_k_over_m(PINNFamily(sampling=sampling), problem())
+    assert computed == pytest.approx(least, abs=0.5 * sd)
 
 
 def test_the_path_ends_at_the_answer_in_the_units_of_the_problem() -> None:

@@ -53,8 +53,8 @@ def biased_by_sampling(p: dict[str, float], h: float) -> tuple[float, float]:
 )
 def test_finite_differences_have_the_bias_of_their_sampling_step(p: dict[str, float], samples: int) -> None:
     times = np.linspace(0.0, 10.0, samples)
-    found = groups(clean(p, times), LS()).mean
-    np.testing.assert_allclose(found, biased_by_sampling(p, times[1]), rtol=1e-8, atol=1e-8)
+    computed = groups(clean(p, times), LS()).mean
+    np.testing.assert_allclose(computed, biased_by_sampling(p, times[1]), rtol=1e-8, atol=1e-8)
 
 
 def test_the_bias_is_about_an_eighth_of_stiffness_at_five_samples_a_cycle() -> None:
@@ -97,8 +97,8 @@ def test_spline_beats_finite_differences_on_few_samples() -> None:
 def test_the_bootstrap_covariance_is_the_spread_over_replicates(derivative: str) -> None:
     fits = [groups(p, LS(derivative)) for p, _ in scenario(20).replicates(21, 60)]  # type: ignore[arg-type]
     spread = np.std([fit.mean for fit in fits], axis=0)
-    told = np.median([np.sqrt(np.diag(fit.covariance)) for fit in fits if fit.covariance is not None], axis=0)
-    np.testing.assert_allclose(told, spread, rtol=0.4)
+    known = np.median([np.sqrt(np.diag(fit.covariance)) for fit in fits if fit.covariance is not None], axis=0)
+    np.testing.assert_allclose(known, spread, rtol=0.4)
 
 
 def test_a_smoothing_spline_goes_from_the_samples_to_a_parabola() -> None:
@@ -170,8 +170,8 @@ def test_two_masses_and_a_hardening_spring() -> None:
     duffing = Scenario("duffing", {"m": 1.2, "c": 0.3, "k": 5.0, "k3": 6.0}, ((1.0,), (0.2,)), 60, samples=150)
     for case in (chain, duffing):
         problem, truth = case.replicates(1, 1)[0]
-        found = groups(problem, LS("spline"))
-        for name, value in found.values().items():
+        computed = groups(problem, LS("spline"))
+        for name, value in computed.values().items():
             assert value == pytest.approx(problem.system.quantity(name).value(truth.parameters), rel=0.02), name
 
 
@@ -195,9 +195,9 @@ def test_records_it_cannot_use_are_refused_in_a_sentence() -> None:
         40,
     )
     problem, _ = chain.replicates(1, 1)[0]
-    one = Problem(problem.system, (Record(problem.records[0].channels[:1]),))
-    assert "every DOF" in (LS().objection(one) or "")
-    refused = LS().identify(one, np.random.default_rng(0))
+    first = Problem(problem.system, (Record(problem.records[0].channels[:1]),))
+    assert "every DOF" in (LS().objection(first) or "")
+    refused = LS().identify(first, np.random.default_rng(0))
     assert refused.status is Status.UNSUPPORTED
     second = problem.records[0].channels[1]
     late = Channel(second.times + 0.01, second.values, dof=1)

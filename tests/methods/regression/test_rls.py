@@ -59,8 +59,8 @@ def test_its_rounding_does_not_grow_with_the_diffuse_start() -> None:
     weights = np.sqrt(0.98 ** np.arange(39, -1, -1))
     rows = np.concatenate([columns[0] * weights[:, None], np.sqrt(0.98**40 / diffuse) * np.eye(3)])
     expected, *_ = np.linalg.lstsq(rows, np.append(target[0] * weights, np.zeros(3)), rcond=None)
-    found = recursive_least_squares(columns, target, 0.98, diffuse)[-1, 0]
-    np.testing.assert_allclose(found, expected, rtol=1e-10)
+    computed = recursive_least_squares(columns, target, 0.98, diffuse)[-1, 0]
+    np.testing.assert_allclose(computed, expected, rtol=1e-10)
 
 
 def test_the_trajectory_is_kept_in_the_units_of_the_problem() -> None:

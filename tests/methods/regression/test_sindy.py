@@ -80,9 +80,11 @@ def test_the_bootstrap_chooses_terms_as_pysindy_does() -> None:
 def test_terms_that_others_give_are_not_taken() -> None:
     """Three different terms, one of them twice and in a sum, and one that is zero: a fourth says nothing new."""
     draw = np.random.default_rng(3)
-    own = draw.standard_normal((4, 20, 3))
-    features = np.concatenate([own, own[..., :1], own.sum(-1, keepdims=True), np.zeros((4, 20, 1))], axis=2)
-    target = own @ np.array([1.0, -2.0, 0.5])
+    computed = draw.standard_normal((4, 20, 3))
+    features = np.concatenate(
+        [computed, computed[..., :1], computed.sum(-1, keepdims=True), np.zeros((4, 20, 1))], axis=2
+    )
+    target = computed @ np.array([1.0, -2.0, 0.5])
     models = greedy(features, target, 5)
     assert np.all(np.count_nonzero(models, axis=2) == [1, 2, 3, 3, 3])
     np.testing.assert_allclose(np.einsum("srk,sk->sr", features, models[:, -1]), target, atol=1e-9)
@@ -93,10 +95,10 @@ def test_few_noisy_samples_give_a_covariance_of_the_right_size() -> None:
     fits = [SINDy().identify(p, rng()).groups for p, _ in scenario.replicates(13, 16)]
     means = np.array([fit.mean for fit in fits if fit is not None])
     covariances = [fit.covariance for fit in fits if fit is not None and fit.covariance is not None]
-    told = np.median([np.sqrt(np.diag(covariance)) for covariance in covariances], axis=0)
+    known = np.median([np.sqrt(np.diag(covariance)) for covariance in covariances], axis=0)
     assert means.shape == (16, 2)
     np.testing.assert_allclose(np.median(means, axis=0), [9.0 / 1.3, 0.6 / 1.3], rtol=0.1)
-    np.testing.assert_allclose(told[0], np.std(means[:, 0]), rtol=0.6)
+    np.testing.assert_allclose(known[0], np.std(means[:, 0]), rtol=0.6)
 
 
 def test_too_few_samples_for_the_library_is_a_sentence() -> None:
@@ -155,8 +157,8 @@ def test_rows_of_the_weak_form_are_integrals_by_parts() -> None:
 def test_a_force_that_acts_between_the_samples_alone_is_no_crash() -> None:
     """Its column of the library is zero, as is what it could tell of the mass."""
     times = np.linspace(0.0, 10.0, 40)
-    at = np.array([0.0, 0.05, 0.1, 0.15, 10.0])
-    push = Force(at, np.array([0.0, 0.0, 5.0, 0.0, 0.0]))
+    point = np.array([0.0, 0.05, 0.1, 0.15, 10.0])
+    push = Force(point, np.array([0.0, 0.0, 5.0, 0.0, 0.0]))
     values = np.exp(-0.2 * times) * np.cos(2.5 * times) + 0.01 * rng().standard_normal(40)
     problem = Problem(SDOF(), (Record((Channel(times, values),), (push,)),))
     for form in ("strong", "weak"):

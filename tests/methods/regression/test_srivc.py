@@ -27,12 +27,12 @@ def force(hold: str = "linear") -> Force:
 
 
 def record(
-    noise: float = 0.0, hold: str = "linear", told: bool = True, offset: float = 0.0, times: np.ndarray = TIMES
+    noise: float = 0.0, hold: str = "linear", known: bool = True, offset: float = 0.0, times: np.ndarray = TIMES
 ) -> Problem:
     clean = matrix_exponential_response(SDOF(), PLANT, START, times, (force(hold),))[0]
     values = clean + offset + noise * np.random.default_rng(4).standard_normal(times.size)
     channel = Channel(times, values, offset=offset != 0.0)
-    return Problem(SDOF(), (Record((channel,), (force(hold),), START if told else None),))
+    return Problem(SDOF(), (Record((channel,), (force(hold),), START if known else None),))
 
 
 def fit(problem: Problem, **settings: int) -> Estimate:
@@ -48,19 +48,19 @@ def values(problem: Problem) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("hold", ["zero_order", "linear", "cubic"])
-@pytest.mark.parametrize("told", [True, False])
-def test_exact_samples_give_the_parameters(hold: str, told: bool) -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_exact_samples_give_the_parameters(hold: str, known: bool) -> None:
     """Whatever the hold: the samples of y are filtered through a spline, and the answer does not depend on it."""
-    found = values(record(hold=hold, told=told))
-    np.testing.assert_allclose([found[name] for name in "mck"], [1.3, 0.6, 9.0], rtol=1e-5)
+    computed = values(record(hold=hold, known=known))
+    np.testing.assert_allclose([computed[name] for name in "mck"], [1.3, 0.6, 9.0], rtol=1e-5)
 
 
 def test_uneven_times_and_an_offset() -> None:
     times = np.sort(np.random.default_rng(3).uniform(0.3, 9.8, 40))
-    estimate = fit(record(offset=0.7, times=times, told=False))
+    estimate = fit(record(offset=0.7, times=times, known=False))
     assert estimate.parameters is not None
-    found = estimate.parameters.values()
-    np.testing.assert_allclose([found[name] for name in "mck"], [1.3, 0.6, 9.0], rtol=1e-5)
+    computed = estimate.parameters.values()
+    np.testing.assert_allclose([computed[name] for name in "mck"], [1.3, 0.6, 9.0], rtol=1e-5)
     assert estimate.offsets == pytest.approx((0.7,), rel=1e-5)
     assert estimate.initial_states is not None
     np.testing.assert_allclose(estimate.initial_states[0].displacement, START.displacement, rtol=1e-4)
@@ -68,27 +68,27 @@ def test_uneven_times_and_an_offset() -> None:
 
 
 @pytest.mark.parametrize("p", [PLANT, {"m": 1.0, "c": 9.0, "k": 9.0}])
-@pytest.mark.parametrize("told", [True, False])
-def test_a_free_decay_gives_the_groups(p: dict[str, float], told: bool) -> None:
-    start = InitialState(np.array([0.8]), np.array([0.5])) if told else None
+@pytest.mark.parametrize("known", [True, False])
+def test_a_free_decay_gives_the_groups(p: dict[str, float], known: bool) -> None:
+    start = InitialState(np.array([0.8]), np.array([0.5])) if known else None
     problem = Problem(SDOF(), (Record((Channel(TIMES, closed_form(p, 0.8, 0.5, TIMES)),), (), start),))
-    found = values(problem)
-    np.testing.assert_allclose(found["k_over_m"], p["k"] / p["m"], rtol=1e-5)
-    np.testing.assert_allclose(found["c_over_m"], p["c"] / p["m"], rtol=1e-5)
+    computed = values(problem)
+    np.testing.assert_allclose(computed["k_over_m"], p["k"] / p["m"], rtol=1e-5)
+    np.testing.assert_allclose(computed["c_over_m"], p["c"] / p["m"], rtol=1e-5)
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_it_ends_at_the_maximum_of_the_likelihood(told: bool) -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_it_ends_at_the_maximum_of_the_likelihood(known: bool) -> None:
     """SciPy's least squares on the matrix exponential's response: the same point and the same standard errors."""
-    problem = record(noise=0.05, told=told)
+    problem = record(noise=0.05, known=known)
     y = problem.records[0].channels[0].values
 
     def misfit(theta: np.ndarray) -> np.ndarray:
         p = dict(zip("mck", map(float, np.exp(theta[:3])), strict=True))
-        start = START if told else InitialState(theta[3:4], theta[4:5])
+        start = START if known else InitialState(theta[3:4], theta[4:5])
         return np.asarray(matrix_exponential_response(SDOF(), p, start, TIMES, (force(),))[0] - y)
 
-    begin = [*np.log([PLANT[name] for name in "mck"]), *([] if told else [0.4, -0.3])]
+    begin = [*np.log([PLANT[name] for name in "mck"]), *([] if known else [0.4, -0.3])]
     best = least_squares(misfit, begin, xtol=1e-10, ftol=1e-12, x_scale="jac")
     variance = 2.0 * best.cost / (y.size - best.x.size)
     errors = np.sqrt(variance * np.diag(np.linalg.inv(best.jac.T @ best.jac)))[:3]
@@ -96,7 +96,7 @@ def test_it_ends_at_the_maximum_of_the_likelihood(told: bool) -> None:
     assert parameters is not None
     assert np.all(np.abs(parameters.mean - best.x[:3]) < 0.02 * errors)
     np.testing.assert_allclose(np.sqrt(np.diag(parameters.covariance)), errors, rtol=0.01)  # type: ignore[arg-type]
-    assert parameters.dof == 40 - (3 if told else 5)
+    assert parameters.dof == 40 - (3 if known else 5)
 
 
 def test_regressors_and_target_agree_at_the_truth() -> None:
@@ -104,28 +104,28 @@ def test_regressors_and_target_agree_at_the_truth() -> None:
     but for the spline through the samples; for a told start and an untold one.
     """
     b, damping, stiffness = 1.0 / 1.3, 0.6 / 1.3, 9.0 / 1.3
-    untold = [0.4, -0.3 + damping * 0.4]
-    for told in (True, False):
-        equations = Model(record(told=told)).equations(np.array([damping, stiffness, b, *([] if told else untold)]))
-        theta = np.array([damping, stiffness, b, *([] if told else untold)])
+    unknown = [0.4, -0.3 + damping * 0.4]
+    for known in (True, False):
+        equations = Model(record(known=known)).equations(np.array([damping, stiffness, b, *([] if known else unknown)]))
+        theta = np.array([damping, stiffness, b, *([] if known else unknown)])
         np.testing.assert_allclose(equations.regressors @ theta, equations.target, atol=1e-9)
         np.testing.assert_allclose(equations.regressors, equations.instruments, atol=2e-3)
 
 
 def test_the_filter_is_the_convolution_with_the_impulse_response() -> None:
     """Of the force at unit mass, by quadrature: the column of 1/m."""
-    damping, stiffness, at = 0.6 / 1.3, 9.0 / 1.3, 25
+    damping, stiffness, point = 0.6 / 1.3, 9.0 / 1.3, 25
     theta = np.array([damping, stiffness, 1.0 / 1.3])
-    column = Model(record(told=True)).equations(theta).instruments[:, 2]
+    column = Model(record(known=True)).equations(theta).instruments[:, 2]
     w = np.sqrt(stiffness - 0.25 * damping**2)
 
     def product(s: float) -> float:
-        past = TIMES[at] - s
+        past = TIMES[point] - s
         return float(np.exp(-0.5 * damping * past) * np.sin(w * past) / w * force()(np.array([s]))[0])
 
-    inside = KNOTS[(KNOTS > 0) & (TIMES[at] > KNOTS)]
-    expected = quad(product, 0.0, TIMES[at], points=inside, limit=400)[0]
-    assert column[at] == pytest.approx(expected, rel=1e-7)
+    inside = KNOTS[(KNOTS > 0) & (TIMES[point] > KNOTS)]
+    expected = quad(product, 0.0, TIMES[point], points=inside, limit=400)[0]
+    assert column[point] == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_it_is_at_the_bound() -> None:
     bound = compute_bound(scenario, 5).relative_sd
     fits = [fit(problem) for problem, _ in scenario.replicates(5, 40)]
     for quantity in (SDOF().quantity(name) for name in "mck"):
-        marginals = [marginal for one in fits if (marginal := one.marginal(quantity)) is not None]
+        marginals = [marginal for first in fits if (marginal := first.marginal(quantity)) is not None]
         assert len(marginals) == 40
         true = PLANT[quantity.name]
         error = np.sqrt(np.mean([(marginal.value / true - 1.0) ** 2 for marginal in marginals]))
@@ -146,7 +146,7 @@ def test_it_is_at_the_bound() -> None:
 
 
 def test_units_change_nothing_but_units() -> None:
-    problem, units = record(noise=0.05, told=False), Units(mass=10.0, length=1e-3, time=0.1)
+    problem, units = record(noise=0.05, known=False), Units(mass=10.0, length=1e-3, time=0.1)
     here = fit(problem).parameters
     there = fit(problem.expressed_in(units)).expressed_in(units.inverse).parameters
     assert here is not None
@@ -163,7 +163,7 @@ def test_noise_alone_is_not_trusted() -> None:
 
 
 def test_what_it_cannot_take_is_said() -> None:
-    short = record(times=TIMES[:4], told=False)
+    short = record(times=TIMES[:4], known=False)
     assert "more than 5 samples" in (SRIVC().objection(short) or "")
     assert fit(record(noise=0.3), rounds=1).status is Status.DIVERGED
     with pytest.raises(InputError, match="rounds"):

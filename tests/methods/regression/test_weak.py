@@ -46,9 +46,9 @@ def test_a_constant_offset_is_no_matter() -> None:
     problem = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 120.0, samples=100).replicates(2, 1)[0][0]
     channel = problem.records[0].channels[0]
     moved = Problem(SDOF(), (Record((Channel(channel.times, channel.values + 0.7, offset=True),)),))
-    found = WEAK.identify(moved, rng()).groups
-    assert found is not None
-    np.testing.assert_allclose(found.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-3)
+    estimate = WEAK.identify(moved, rng()).groups
+    assert estimate is not None
+    np.testing.assert_allclose(estimate.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-3)
 
 
 def test_it_comes_near_the_bound_where_differences_do_not() -> None:
@@ -56,8 +56,8 @@ def test_it_comes_near_the_bound_where_differences_do_not() -> None:
     scenario = Scenario("sdof", PLANT, ((0.8,), (0.5,)), 10.0, initial_state="unknown", samples=100)
     bound = compute_bound(scenario).relative_sd
     problems = [problem for problem, _ in scenario.replicates(5, 40)]
-    found = [e.groups for e in WEAK.identify_many(problems, [rng() for _ in problems])]
-    errors = np.array([g.mean for g in found if g is not None]) / [9.0 / 1.3, 0.6 / 1.3] - 1.0
+    estimate = [e.groups for e in WEAK.identify_many(problems, [rng() for _ in problems])]
+    errors = np.array([g.mean for g in estimate if g is not None]) / [9.0 / 1.3, 0.6 / 1.3] - 1.0
     assert len(errors) == 40
     excess = np.sqrt(np.mean(errors**2, axis=0)) / [bound["k_over_m"], bound["c_over_m"]]
     assert np.all((excess > 0.6) & (excess < 1.6)), excess

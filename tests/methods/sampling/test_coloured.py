@@ -43,9 +43,9 @@ def problem(seed: int) -> Problem:
 
 
 def sample(seed: int, likelihood: str) -> Estimate:
-    found = MCMC(likelihood=likelihood).identify(problem(seed), np.random.default_rng(seed))  # type: ignore[arg-type]
-    assert found.status is Status.OK, found.message
-    return found
+    estimate = MCMC(likelihood=likelihood).identify(problem(seed), np.random.default_rng(seed))  # type: ignore[arg-type]
+    assert estimate.status is Status.OK, estimate.message
+    return estimate
 
 
 def test_value_and_spread_are_those_of_generalised_least_squares() -> None:
@@ -54,9 +54,9 @@ def test_value_and_spread_are_those_of_generalised_least_squares() -> None:
     data = response(TRUTH) + coloured_noise(1)
     fit = least_squares(lambda theta: root @ (data - response(theta)), TRUTH, x_scale=np.abs(TRUTH) + 0.01)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
-    found = sample(1, "autoregressive")
+    computed = sample(1, "autoregressive")
     for i, name in enumerate(TRUE):
-        marginal = found.marginal(SYSTEM.quantity(name))
+        marginal = computed.marginal(SYSTEM.quantity(name))
         assert marginal is not None
         low, high = marginal.interval(0.95)
         deviation = np.sqrt(covariance[i, i])
@@ -67,24 +67,24 @@ def test_value_and_spread_are_those_of_generalised_least_squares() -> None:
 @pytest.mark.slow
 def test_its_intervals_hold_the_truth_and_those_of_white_errors_do_not() -> None:
     """Of 40 records: as often as right intervals do in all but one of a thousand draws, and white ones far less."""
-    held = {"normal": 0, "autoregressive": 0}
+    covered = {"normal": 0, "autoregressive": 0}
     for seed in range(40):
-        for likelihood in held:
+        for likelihood in covered:
             marginal = sample(seed, likelihood).marginal(SYSTEM.quantity("c_over_m"))
             assert marginal is not None
             low, high = marginal.interval(0.95)
-            held[likelihood] += low <= TRUE["c_over_m"] <= high
-    assert held["autoregressive"] >= binom.ppf(0.001, 40, 0.95)
-    assert held["normal"] < binom.ppf(0.001, 40, 0.95)
+            covered[likelihood] += low <= TRUE["c_over_m"] <= high
+    assert covered["autoregressive"] >= binom.ppf(0.001, 40, 0.95)
+    assert covered["normal"] < binom.ppf(0.001, 40, 0.95)
 
 
 def test_each_problem_keeps_its_own_colour_in_company() -> None:
     method, rngs = MCMC(likelihood="autoregressive"), [np.random.default_rng(seed) for seed in (1, 2)]
     together = method.identify_many([problem(1), problem(2)], rngs)
-    for seed, found in zip((1, 2), together, strict=True):
+    for seed, computed in zip((1, 2), together, strict=True):
         alone = sample(seed, "autoregressive")
         quantity = SYSTEM.quantity("k_over_m")
-        both = [one.marginal(quantity) for one in (found, alone)]
+        both = [first.marginal(quantity) for first in (computed, alone)]
         assert both[0] is not None
         assert both[1] is not None
         assert both[0].value == pytest.approx(both[1].value, rel=1e-9)

@@ -21,4 +21,4 @@ def test_many_predictions_of_a_hidden_state_are_those_of_few() -> None:
     problem = Problem(BoucWen(), (record,), prior)
     model, plain = Compiled(problem), OutputError(problem)
     theta = np.log(list(BOUC_WEN.values())) + 0.2 * np.random.default_rng(4).standard_normal((9, 6))
-    np.testing.assert_allclose(model.predict(theta), [plain.predict(own) for own in theta], atol=3e-5)
+    np.testing.assert_allclose(model.predict(theta), [plain.predict(part) for part in theta], atol=3e-5)

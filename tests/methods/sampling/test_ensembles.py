@@ -70,8 +70,8 @@ def test_walkers_have_the_log_densities_of_where_they_are() -> None:
     chains.run(37)
     which, flat = np.repeat([0, 0, 1, 1], 30), chains.coords.reshape(-1, 2)
     np.testing.assert_allclose(chains.log_prob.ravel(), normal(flat, which), rtol=1e-12)
-    for own, x, log_q in zip(chains.ensembles, chains.coords, chains.log_q, strict=True):
-        np.testing.assert_allclose(log_q, own.proposal.log_density(x), rtol=1e-12)
+    for computed, x, log_q in zip(chains.ensembles, chains.coords, chains.log_q, strict=True):
+        np.testing.assert_allclose(log_q, computed.proposal.log_density(x), rtol=1e-12)
 
 
 def test_an_ensemble_goes_on_as_it_would_in_company() -> None:
@@ -90,7 +90,7 @@ def problems(arguments: list[str], n: int) -> list[Problem]:
 @pytest.mark.parametrize("arguments", [["snr=10"], ["snr=20", "initial_state=unknown"], ["system=sdof_forced"]])
 def test_the_posterior_of_several_problems_is_that_of_each(arguments: list[str]) -> None:
     models = [OutputError(problem) for problem in problems(arguments, 3)]
-    modes = [found[0][1] for found in modes_of(models)]
+    modes = [computed[0][1] for computed in modes_of(models)]
     rng, which = np.random.default_rng(0), np.repeat(np.arange(3), 4)
     phi = np.stack([np.concatenate([modes[i], [-2.0]]) for i in which])
     phi += 0.1 * rng.standard_normal(phi.shape)

@@ -109,13 +109,13 @@ def test_an_answer_is_the_same_alone_and_in_company() -> None:
     given = [problem for problem, _ in [*free, *duffing, *unknown]]
     method = MCMC(block=30)
     company = method.identify_many(given, [np.random.default_rng(i) for i in range(len(given))])
-    assert len({found.cost.iterations for found in company}) > 1
-    for i, (problem, found) in enumerate(zip(given, company, strict=True)):
+    assert len({computed.cost.iterations for computed in company}) > 1
+    for i, (problem, computed) in enumerate(zip(given, company, strict=True)):
         alone = method.identify(problem, np.random.default_rng(i))
         assert isinstance(alone.parameters, Draws)
-        assert isinstance(found.parameters, Draws)
-        np.testing.assert_allclose(found.parameters.samples, alone.parameters.samples, rtol=1e-9)
-        assert found.cost == alone.cost
+        assert isinstance(computed.parameters, Draws)
+        np.testing.assert_allclose(computed.parameters.samples, alone.parameters.samples, rtol=1e-9)
+        assert computed.cost == alone.cost
 
 
 def test_full_matrices_are_sampled() -> None:
@@ -145,7 +145,7 @@ def test_the_autocorrelation_time_is_emcee_s() -> None:
     for steps, weight in ((60, 0.5), (97, 0.9), (8, 0.99)):
         noise = rng.standard_normal((2, steps, 12, 3))
         path = np.stack([noise[:, : i + 1].sum(axis=1) * weight + noise[:, i] for i in range(steps)], axis=1)
-        expected = [integrated_time(own, tol=0, quiet=True) for own in path]
+        expected = [integrated_time(part, tol=0, quiet=True) for part in path]
         np.testing.assert_allclose(autocorrelation_times(path), expected, rtol=1e-9)
 
 
@@ -191,9 +191,9 @@ def test_r_hat_tells_ensembles_apart() -> None:
     assert rank_r_hat(stuck) == np.inf
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_the_mode_recovers_clean_data(told: str) -> None:
-    problem, _ = scenario(120.0, initial_state=told).replicates(0, 1)[0]
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_the_mode_recovers_clean_data(initial_state: str) -> None:
+    problem, _ = scenario(120.0, initial_state=initial_state).replicates(0, 1)[0]
     estimate = sample(problem)
     mode = dict(zip(problem.system.names, estimate.traces["posterior_mode"], strict=True))
     assert mode["k"] / mode["m"] == pytest.approx(9.0 / 1.3, rel=1e-5)
@@ -227,12 +227,12 @@ def test_a_force_and_two_records_and_other_sensors() -> None:
     times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
     push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
     start, records = InitialState(np.array([0.5]), np.array([0.0])), []
-    for measures, forces, told in (("displacement", (push,), True), ("acceleration", (), False)):
-        blank = Channel(times, times, measures, offset=not told)  # type: ignore[arg-type]
+    for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
+        blank = Channel(times, times, measures, offset=not known)  # type: ignore[arg-type]
         clean = measurements(system, TRUE, start, Record((blank,), forces))
-        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not told)
-        channel = Channel(times, noisy, measures, offset=not told)  # type: ignore[arg-type]
-        records.append(Record((channel,), forces, start if told else None))
+        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not known)
+        channel = Channel(times, noisy, measures, offset=not known)  # type: ignore[arg-type]
+        records.append(Record((channel,), forces, start if known else None))
     estimate = sample(Problem(system, tuple(records)), effective=200.0)
     for name, true in TRUE.items():
         marginal = estimate.marginal(system.quantity(name))
@@ -270,19 +270,19 @@ def test_the_groups_lie_in_the_intervals(
         assert low < group.value(parameters) < high
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
 @pytest.mark.parametrize("prior", [NOMINAL, None])
-def test_five_samples_give_an_answer_or_a_sentence(told: str, prior: PriorSpec | None) -> None:
-    for problem, _ in scenario(10.0, initial_state=told, samples=5, prior=prior).replicates(0, 2):
+def test_five_samples_give_an_answer_or_a_sentence(initial_state: str, prior: PriorSpec | None) -> None:
+    for problem, _ in scenario(10.0, initial_state=initial_state, samples=5, prior=prior).replicates(0, 2):
         estimate = sample(problem, blocks=4).checked()
         assert estimate.status is Status.OK or (estimate.status is Status.DIVERGED and len(estimate.message) > 20)
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
 @pytest.mark.parametrize("likelihood", ["normal", "student"])
-def test_data_of_twenty_digits_have_an_answer(told: str, likelihood: str) -> None:
+def test_data_of_twenty_digits_have_an_answer(initial_state: str, likelihood: str) -> None:
     """At 200 dB double precision is the limit: k/m to nine digits, in an interval that holds the truth."""
-    problem, _ = scenario(200.0, initial_state=told).replicates(3, 1)[0]
+    problem, _ = scenario(200.0, initial_state=initial_state).replicates(3, 1)[0]
     estimate = sample(problem, likelihood=likelihood)
     assert estimate.status is Status.OK, estimate.message
     marginal = estimate.marginal(problem.system.quantity("k_over_m"))
@@ -313,7 +313,7 @@ def test_student_draws_agree_with_quadrature() -> None:
     p = {"m": np.ones(c.size), "c": np.exp(c), "k": np.exp(k)}
     r = simulate(problem.system, p, record.initial_state, record.channels[0].times).displacement[0] - values
     scales, centre = np.linspace(-4.5, 0.0, 40), np.log(0.1 * np.sqrt(np.mean(values**2)))
-    terms = [stats.t.logpdf(r, 4, scale=np.exp(own)).sum(axis=-1) for own in scales]
+    terms = [stats.t.logpdf(r, 4, scale=np.exp(part)).sum(axis=-1) for part in scales]
     fit = logsumexp(np.array(terms) - 0.5 * ((scales - centre) / NOISE_SD)[:, None] ** 2, axis=0)
     m = np.log(TRUE["m"]) + np.linspace(-0.12, 0.12, 61)[:, None]
     logs = np.stack(np.broadcast_arrays(m, c + m, k + m), axis=-1)
@@ -330,10 +330,10 @@ def test_student_draws_agree_with_quadrature() -> None:
 def test_noise_below_the_rounding_of_a_simulation_is_said_and_its_error_is_that_rounding() -> None:
     times, system = np.linspace(0, 8, 40), SDOF()
     clean = simulate(system, TRUE, (np.array([1.0]), np.array([0.0])), times).displacement[0]
-    for noise, said in ((1e-4, False), (1e-10, True)):
+    for noise, expected_message in ((1e-4, False), (1e-10, True)):
         values = clean + noise * np.random.default_rng(1).standard_normal(40)
         estimate = sample(Problem(system, (Record((Channel(times, values),)),)))
-        assert ("noise is below" in estimate.message) is said
+        assert ("noise is below" in estimate.message) is expected_message
     marginal = estimate.marginal(system.quantity("k_over_m"))
     assert marginal is not None
     assert marginal.value == pytest.approx(TRUE["k"] / TRUE["m"], rel=5e-10)

@@ -37,13 +37,13 @@ def rich(system: System, p: dict[str, float], start: tuple[list[float], list[flo
     knots = np.linspace(0, 8, 33)
     push = Force(knots, 3.0 * np.sin(2.2 * knots) + 2.0 * np.cos(5.0 * knots), "linear" if linear else "zero_order")
     records = []
-    for measures, forces, told in (("displacement", (push,), True), ("acceleration", (), False)):
+    for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
         times = np.sort(rng.uniform(0.0, 8.0, 20))
-        blanks = [Channel(times, times, measures, dof=i) for i in range(system.n_dof if told else 1)]  # type: ignore[arg-type]
+        blanks = [Channel(times, times, measures, dof=i) for i in range(system.n_dof if known else 1)]  # type: ignore[arg-type]
         clean = measurements(system, p, state, Record(tuple(blanks), forces)).reshape(len(blanks), -1)
-        noisy = clean + 0.03 * np.std(clean) * rng.standard_normal(clean.shape) + 0.4 * (not told)
-        channels = [Channel(times, y, measures, dof=i, offset=not told) for i, y in enumerate(noisy)]  # type: ignore[arg-type]
-        records.append(Record(tuple(channels), forces, state if told else None))
+        noisy = clean + 0.03 * np.std(clean) * rng.standard_normal(clean.shape) + 0.4 * (not known)
+        channels = [Channel(times, y, measures, dof=i, offset=not known) for i, y in enumerate(noisy)]  # type: ignore[arg-type]
+        records.append(Record(tuple(channels), forces, state if known else None))
     return Problem(system, tuple(records), Prior(p, dict.fromkeys(p, 0.5)))
 
 
@@ -74,8 +74,8 @@ def test_the_density_is_that_of_mcmc(case: str) -> None:
     centre = np.concatenate([mode, np.log(0.1 * model.rms)])
     points = centre + 0.05 * rng.standard_normal((6, centre.size)) * np.maximum(np.abs(centre), 0.02)
     expected = posterior(points)
-    found = np.array([float(log_density(layout, data, point)) for point in points])
-    np.testing.assert_allclose(found - found[0], expected - expected[0], rtol=2e-4, atol=2e-3)
+    computed = np.array([float(log_density(layout, data, point)) for point in points])
+    np.testing.assert_allclose(computed - computed[0], expected - expected[0], rtol=2e-4, atol=2e-3)
 
 
 @pytest.mark.slow

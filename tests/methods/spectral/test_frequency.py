@@ -74,7 +74,7 @@ def test_a_free_vibration_is_a_transient_of_two_terms(c: float, samples: int) ->
 @pytest.mark.parametrize("hold", HOLDS)
 def test_harmonics_of_the_force_are_those_of_quadrature(hold: Hold) -> None:
     force, period = push(hold), 10.0
-    found = force_harmonics((force,), 0.3, 8.9, period, 40)
+    computed = force_harmonics((force,), 0.3, 8.9, period, 40)
     for k in (0, 1, 7, 39):
         s = 2 * np.pi * k / period
         breaks = [t for t in force.times if 0.3 < t < 8.9]
@@ -82,7 +82,7 @@ def test_harmonics_of_the_force_are_those_of_quadrature(hold: Hold) -> None:
             quad(lambda t: float(force(np.array([t]))[0]) * wave(s * (t - 0.3)), 0.3, 8.9, points=breaks, limit=400)[0]  # noqa: B023
             for wave in (np.cos, np.sin)
         ]
-        np.testing.assert_allclose(found[k], (parts[0] - 1j * parts[1]) / period, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(computed[k], (parts[0] - 1j * parts[1]) / period, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -107,17 +107,17 @@ def test_the_gradient_is_that_of_the_sum_of_squares() -> None:
     harmonics = force_harmonics(problem.records[0].forces, 0.0, 9.0, 28 * TIMES[1], 28 * 40)
     lines = real_lines(np.fft.rfft(problem.records[0].channels[0].values, norm="ortho"), 28)
     objective = Objective(HarmonicLayout(28, TIMES[1], harmonics), lines, True, np.zeros(3), np.array([0.5, 1.0, 2.0]))
-    at = np.log([1.1, 0.9, 7.0])
-    trial = objective.linearise(at[None])
-    expected = approx_fprime(at, lambda u: float(objective.linearise(u[None]).cost[0]), 1e-7)
+    point = np.log([1.1, 0.9, 7.0])
+    trial = objective.linearise(point[None])
+    expected = approx_fprime(point, lambda u: float(objective.linearise(u[None]).cost[0]), 1e-7)
     np.testing.assert_allclose(2 * trial.slopes[0].T @ trial.residuals[0], expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("offset", [0.0, 2.5])
 def test_exact_samples_give_the_groups_exactly(offset: float) -> None:
-    found = groups(fit(free(offset=offset)))
-    np.testing.assert_allclose(found.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-6)
-    assert found.dof == 28 - 4 - bool(offset)
+    estimate = groups(fit(free(offset=offset)))
+    np.testing.assert_allclose(estimate.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-6)
+    assert estimate.dof == 28 - 4 - bool(offset)
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -135,10 +135,10 @@ def test_it_is_the_least_squares_fit_in_time_with_its_covariance() -> None:
 
     other = least_squares(residuals, [7.0, 0.4, 0.8, 0.5], xtol=1e-12, ftol=1e-12, gtol=1e-12)
     covariance = np.linalg.inv(other.jac.T @ other.jac) * 2 * other.cost / (28 - 4)
-    found = groups(fit(problem))
-    assert found.covariance is not None
-    np.testing.assert_allclose(found.mean, other.x[:2], rtol=1e-5)
-    np.testing.assert_allclose(found.covariance, covariance[:2, :2], rtol=1e-3)
+    estimate = groups(fit(problem))
+    assert estimate.covariance is not None
+    np.testing.assert_allclose(estimate.mean, other.x[:2], rtol=1e-5)
+    np.testing.assert_allclose(estimate.covariance, covariance[:2, :2], rtol=1e-3)
 
 
 def test_a_prior_beside_a_force_is_weighed_by_the_noise() -> None:

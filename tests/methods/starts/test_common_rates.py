@@ -14,8 +14,8 @@ TIMES = np.linspace(0.0, 1.0, 80)
 def left(channel: Channel, rates: list[complex]) -> float:
     """The share of a channel's squares that damped sinusoids leave, by numpy's least squares."""
     columns = damped_columns(channel.times, np.array(rates), channel.offset)
-    found = np.linalg.lstsq(columns, channel.values, rcond=None)[0]
-    return float(np.sum((channel.values - columns @ found) ** 2) / np.sum(channel.values**2))
+    computed = np.linalg.lstsq(columns, channel.values, rcond=None)[0]
+    return float(np.sum((channel.values - columns @ computed) ** 2) / np.sum(channel.values**2))
 
 
 @pytest.mark.parametrize("offset", [False, True])
@@ -44,5 +44,5 @@ def test_two_waves_of_two_channels_are_found() -> None:
     """Each channel shows both, in other shares; a grid of a quarter cycle, refined twice, is within a tenth of one."""
     waves = [np.exp(-0.8 * TIMES) * np.cos(30.0 * TIMES), np.exp(-1.5 * TIMES) * np.sin(71.0 * TIMES)]
     channels = [Channel(TIMES, a * waves[0] + b * waves[1]) for a, b in ((1.0, 0.4), (0.7, -0.6))]
-    found = np.sort(common_rates(channels, 2).imag)
-    np.testing.assert_allclose(found, [30.0, 71.0], atol=0.1 * 2 * np.pi)
+    computed = np.sort(common_rates(channels, 2).imag)
+    np.testing.assert_allclose(computed, [30.0, 71.0], atol=0.1 * 2 * np.pi)

@@ -17,7 +17,7 @@ TIMES = np.linspace(0.0, 10.0, 60)
 
 def swing(amplitude: float, noise: float = 0.0) -> Channel:
     """A pendulum of 0.8 m, ``x'' + 0.2 x' + 9.81 sin(x / 0.8) = 0``, by scipy's integrator."""
-    found = solve_ivp(
+    computed = solve_ivp(
         lambda _, s: [s[1], -0.2 * s[1] - 9.81 * np.sin(s[0] / 0.8)],
         (0.0, 10.0),
         [amplitude, 0.0],
@@ -25,15 +25,15 @@ def swing(amplitude: float, noise: float = 0.0) -> Channel:
         rtol=1e-10,
         atol=1e-12,
     ).y[0]
-    return Channel(TIMES, found + noise * np.random.default_rng(0).standard_normal(TIMES.size))
+    return Channel(TIMES, computed + noise * np.random.default_rng(0).standard_normal(TIMES.size))
 
 
 def in_si(problem: Problem) -> list[dict[str, float]]:
     """The starts of a problem, in SI units."""
     units = problem.natural_units()
     scales = units.scales(problem.system)
-    found = regression_starts(problem.expressed_in(units))
-    return [{name: value * scales[name] for name, value in p.items()} for p in found]
+    computed = regression_starts(problem.expressed_in(units))
+    return [{name: value * scales[name] for name, value in p.items()} for p in computed]
 
 
 @pytest.mark.parametrize("wrong", [None, 0.5, 2.0])
@@ -101,8 +101,8 @@ def test_steps_keep_the_error_that_they_are_asked_for() -> None:
     times = np.linspace(0.0, 40.0, 81)
     record = Record((Channel(times, np.zeros(81)),), (), InitialState([1.0], [0.0]))
     for allowed in (1e-3, 1e-5):
-        found = integrated_readings(Duffing(), p, record.initial_state, record, radians_a_step(allowed, 40.0))  # type: ignore[arg-type]
-        assert 0.05 * allowed < float(np.max(np.abs(found - np.cos(times)))) < 1.5 * allowed
+        computed = integrated_readings(Duffing(), p, record.initial_state, record, radians_a_step(allowed, 40.0))  # type: ignore[arg-type]
+        assert 0.05 * allowed < float(np.max(np.abs(computed - np.cos(times)))) < 1.5 * allowed
 
 
 @pytest.mark.parametrize("system", [Coulomb(), VanDerPol(), Duffing()])

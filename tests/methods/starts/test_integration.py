@@ -21,7 +21,7 @@ def test_forced_duffing_at_every_kind_of_sensor():
     force = Force(np.linspace(0, 8, 41), np.sin(np.linspace(0, 8, 41)) * 3, "linear")
     channels = [Channel(times, times * 0, kind) for kind in ("displacement", "velocity", "acceleration")]
     p = {name: np.array([value, 1.1 * value]) for name, value in DUFFING.items()}
-    found = integrated_readings(Duffing(), p, InitialState([0.7], [0.2]), _record(*channels, force=force))
+    computed = integrated_readings(Duffing(), p, InitialState([0.7], [0.2]), _record(*channels, force=force))
     for i in range(2):
         q = {name: value[i] for name, value in p.items()}
 
@@ -30,7 +30,7 @@ def test_forced_duffing_at_every_kind_of_sensor():
 
         exact = solve_ivp(rate, (0, 8), [0.7, 0.2], "DOP853", times, rtol=1e-10, atol=1e-12, max_step=0.05).y
         accelerations = [rate(t, s)[1] for t, s in zip(times, exact.T, strict=True)]
-        np.testing.assert_allclose(found[i], np.concatenate([*exact, accelerations]), atol=2e-3)
+        np.testing.assert_allclose(computed[i], np.concatenate([*exact, accelerations]), atol=2e-3)
 
 
 def test_the_fastest_rate_of_a_pendulum_is_that_of_small_swings():

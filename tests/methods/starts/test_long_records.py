@@ -31,8 +31,8 @@ def test_one_start_is_within_a_quarter_cycle_over_the_whole_record(
     problem = Problem(SDOF(), (Record((decay(20_000, cycles, ratio, 0.3, irregular),)),))
     assert is_long(problem)
     units = problem.natural_units()
-    found = candidates(OutputError(problem.expressed_in(units)), 4)
-    best = min(abs(np.sqrt(p["k"] / p["m"]) / (2 * np.pi) - cycles) for p in found)
+    computed = candidates(OutputError(problem.expressed_in(units)), 4)
+    best = min(abs(np.sqrt(p["k"] / p["m"]) / (2 * np.pi) - cycles) for p in computed)
     assert best < 0.25
 
 
@@ -44,9 +44,9 @@ def test_shooting_takes_a_long_record_and_its_interval_holds_the_truth() -> None
     assert groups is not None
     assert groups.covariance is not None
     for i, truth in enumerate((2 * 0.0002 * w, w**2)):
-        at = groups.names.index(("c_over_m", "k_over_m")[i])
-        assert abs(groups.mean[at] - truth) < 4 * np.sqrt(groups.covariance[at, at])
-        assert np.sqrt(groups.covariance[at, at]) < (0.05, 1e-4)[i] * truth
+        point = groups.names.index(("c_over_m", "k_over_m")[i])
+        assert abs(groups.mean[point] - truth) < 4 * np.sqrt(groups.covariance[point, point])
+        assert np.sqrt(groups.covariance[point, point]) < (0.05, 1e-4)[i] * truth
 
 
 def test_a_force_is_averaged_over_what_is_left_out() -> None:
@@ -60,8 +60,8 @@ def test_a_force_is_averaged_over_what_is_left_out() -> None:
     problem = Problem(SDOF(), (Record((Channel(times, values),), (Force(times, push, "linear"),), start),))
     units = problem.natural_units()
     scales = units.scales(problem.system)
-    found = [p["k"] * scales["k"] for p in candidates(OutputError(problem.expressed_in(units)), 4)]
-    assert min(abs(np.log(k / 400.0)) for k in found) < 0.2
+    computed = [p["k"] * scales["k"] for p in candidates(OutputError(problem.expressed_in(units)), 4)]
+    assert min(abs(np.log(k / 400.0)) for k in computed) < 0.2
 
 
 def test_a_record_that_can_be_scanned_whole_is() -> None:

@@ -41,14 +41,14 @@ def test_an_answer_is_the_same_alone_and_in_company(arguments: Sequence[str]) ->
     mixed = [*given, *problems(["system=duffing"], 1), *problems(["system=sdof", "system.samples=30"], 1)]
     rngs = [np.random.default_rng(0) for _ in mixed]
     company = Shooting().identify_many(mixed, rngs)
-    for problem, found in zip(given[:3], company, strict=False):
+    for problem, computed in zip(given[:3], company, strict=False):
         alone = Shooting().identify(problem, np.random.default_rng(0))
         for quantity in problem.system.quantities:
-            one, two = alone.marginal(quantity), found.marginal(quantity)
-            assert one is not None
+            first, two = alone.marginal(quantity), computed.marginal(quantity)
+            assert first is not None
             assert two is not None
-            assert two.value == pytest.approx(one.value, rel=1e-9)
-            np.testing.assert_allclose(two.interval(0.95), one.interval(0.95), rtol=1e-9)
+            assert two.value == pytest.approx(first.value, rel=1e-9)
+            np.testing.assert_allclose(two.interval(0.95), first.interval(0.95), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -59,14 +59,14 @@ def test_the_maximum_is_at_least_as_high_as_shooting_s(arguments: Sequence[str],
     """Two masses under a force, where searches go astray, and others: the log-posteriors of both, at their ends."""
     given = problems(arguments, n)
     models = [OutputError(problem.expressed_in(problem.natural_units())) for problem in given]
-    found = Shooting().maxima(models)
+    computed = Shooting().maxima(models)
     method = Shooting()
-    for model, solution in zip(models, found, strict=True):
+    for model, solution in zip(models, computed, strict=True):
         other = method.estimate(model.problem, np.random.default_rng(0))
         assert solution is not None
         assert other.parameters is not None
-        theirs = model.profile(model.vector(dict(zip(model.free, np.exp(other.parameters.mean), strict=True))))
-        assert model.profile(solution.theta) < theirs + 0.01
+        reference = model.profile(model.vector(dict(zip(model.free, np.exp(other.parameters.mean), strict=True))))
+        assert model.profile(solution.theta) < reference + 0.01
 
 
 def test_a_search_that_does_not_end_is_left_to_shooting(monkeypatch: pytest.MonkeyPatch) -> None:

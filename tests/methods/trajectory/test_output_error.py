@@ -47,31 +47,31 @@ def exact(system: System, p: dict[str, float], start: InitialState, channel: Cha
     return Channel(channel.times, values + shift, channel.measures, channel.dof, offset=channel.offset)
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_clean_data_give_the_truth(told: str) -> None:
-    problem, _ = scenario(120.0, initial_state=told).replicates(1, 1)[0]
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_clean_data_give_the_truth(initial_state: str) -> None:
+    problem, _ = scenario(120.0, initial_state=initial_state).replicates(1, 1)[0]
     estimate = fit(problem)
     assert value(estimate, problem.system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-5)
     assert value(estimate, problem.system, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-4)
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
 @pytest.mark.parametrize("snr", [30.0, 10.0])
-def test_from_near_it_ends_where_the_oracle_does(told: str, snr: float) -> None:
+def test_from_near_it_ends_where_the_oracle_does(initial_state: str, snr: float) -> None:
     """The oracle, other code, minimises the same objective from the truth. The prior is near and wide, so that the data
     decide as many directions as the oracle counts; a hundredth of a standard error is left to the noise level.
     """
     prior = Prior({"m": 1.31, "c": 0.56, "k": 9.4}, {"m": 0.02, "c": 1.0, "k": 0.5})
-    for data, truth in scenario(snr, initial_state=told).replicates(3, 4):
+    for data, truth in scenario(snr, initial_state=initial_state).replicates(3, 4):
         problem = Problem(data.system, data.records, prior)
         mine, oracle = fit(problem), oracle_estimate(problem, truth)
         for quantity in problem.system.quantities:
-            ours, theirs = mine.marginal(quantity), oracle.marginal(quantity)
-            assert ours is not None
-            assert theirs is not None
-            low, high = theirs.interval(0.6827)
-            assert abs(ours.value - theirs.value) < 0.01 * (high - low) / 2, quantity.name
-            assert np.ptp(ours.interval(0.95)) == pytest.approx(np.ptp(theirs.interval(0.95)), rel=0.02)
+            own_error, reference = mine.marginal(quantity), oracle.marginal(quantity)
+            assert own_error is not None
+            assert reference is not None
+            low, high = reference.interval(0.6827)
+            assert abs(own_error.value - reference.value) < 0.01 * (high - low) / 2, quantity.name
+            assert np.ptp(own_error.interval(0.95)) == pytest.approx(np.ptp(reference.interval(0.95)), rel=0.02)
 
 
 def test_a_cold_start_is_the_prior_or_of_unit_size() -> None:
@@ -89,9 +89,9 @@ def test_without_a_prior_it_falls_into_wrong_minima_and_says_so() -> None:
     for problem, _ in scenario(5.0, prior=None, initial_state="unknown").replicates(77, 12):
         estimate = fit(problem, cold=True)
         assert estimate.status is Status.OK
-        found = value(estimate, problem.system, "k_over_m")
-        assert np.isfinite(found)
-        wrong += abs(np.log(found / (9.0 / 1.3))) > np.log(1.5)
+        computed = value(estimate, problem.system, "k_over_m")
+        assert np.isfinite(computed)
+        wrong += abs(np.log(computed / (9.0 / 1.3))) > np.log(1.5)
         t = problem.records[0].channels[0].times
         y = problem.records[0].channels[0].values
         missed = np.mean((y - estimate.reconstructions[0](t)[0]) ** 2) / np.mean(y**2)
@@ -129,16 +129,16 @@ def test_it_ends_where_multiple_shooting_does(snr: float, changes: dict[str, obj
     rngs = [np.random.default_rng(0) for _ in given]
     both = zip(SingleShooting().identify_many(given, rngs), Shooting().identify_many(given, rngs), strict=True)
     compared = 0
-    for problem, (mine, theirs) in zip(given, both, strict=True):
-        if theirs.alternatives and theirs.weight < 0.5:
+    for problem, (mine, reference) in zip(given, both, strict=True):
+        if reference.alternatives and reference.weight < 0.5:
             continue
         compared += 1
         for name in ("k_over_m", "c_over_m"):
-            one, other = (e.marginal(problem.system.quantity(name)) for e in (mine, theirs))
-            assert one is not None
+            first, other = (e.marginal(problem.system.quantity(name)) for e in (mine, reference))
+            assert first is not None
             assert other is not None
             low, high = other.interval(0.6827)
-            assert abs(one.value - other.value) < 0.02 * (high - low), name
+            assert abs(first.value - other.value) < 0.02 * (high - low), name
     assert compared >= 5
 
 
@@ -214,15 +214,15 @@ def test_an_answer_is_the_same_alone_and_in_company() -> None:
         *many(20.0, 4, prior=None),
     ]
     company = SingleShooting().identify_many(given, [np.random.default_rng(0) for _ in given])
-    for problem, found in zip(given, company, strict=True):
+    for problem, computed in zip(given, company, strict=True):
         alone = fit(problem)
-        assert found.cost == alone.cost
+        assert computed.cost == alone.cost
         for quantity in problem.system.quantities:
-            one, two = alone.marginal(quantity), found.marginal(quantity)
-            assert (one is None) == (two is None)
-            if one is not None and two is not None:
-                assert two.value == pytest.approx(one.value, rel=1e-9)
-                np.testing.assert_allclose(two.interval(0.95), one.interval(0.95), rtol=1e-9)
+            first, two = alone.marginal(quantity), computed.marginal(quantity)
+            assert (first is None) == (two is None)
+            if first is not None and two is not None:
+                assert two.value == pytest.approx(first.value, rel=1e-9)
+                np.testing.assert_allclose(two.interval(0.95), first.interval(0.95), rtol=1e-9)
 
 
 def test_a_problem_without_a_response_spoils_no_other() -> None:

@@ -35,7 +35,7 @@ def shifted(p: np.ndarray, start: np.ndarray, size: float) -> tuple[np.ndarray, 
     """Each parameter and each part of the start moved up, then down: (2, unknowns, ...)."""
     k, moves = p.size, size * np.eye(p.size + start.size)
     both = [(p * np.exp(sign * moves[:, :k]), start + sign * moves[:, k:]) for sign in (1, -1)]
-    return np.stack([own for own, _ in both]), np.stack([own for _, own in both])
+    return np.stack([computed for computed, _ in both]), np.stack([computed for _, computed in both])
 
 
 def numpys(system: System, p: np.ndarray, start: np.ndarray, steps: Steps) -> np.ndarray:
@@ -67,8 +67,8 @@ def test_fine_steps_of_a_linear_system_are_its_exact_motion() -> None:
 
 def test_derivatives_by_a_told_start_are_left_out() -> None:
     p, start = np.array([SYSTEMS[Duffing()]]), np.array([[0.9, 0.4]])
-    whole, told = (stepped_motion(Duffing(), p, start, steps_of(2, []), by_start=own) for own in (True, False))
-    np.testing.assert_array_equal(told, whole[:, :, :5])
+    whole, known = (stepped_motion(Duffing(), p, start, steps_of(2, []), by_start=part) for part in (True, False))
+    np.testing.assert_array_equal(known, whole[:, :, :5])
 
 
 @EACH
@@ -123,6 +123,6 @@ def test_unknown_starts_and_offsets_are_those_that_fit_best() -> None:
     values = stepped_motion(system, p[None], start[None], steps, by_start=False)[0, :, 0, 0] + 0.2
     problem = Problem(system, (Record((Channel(times, values, offset=True),)),))
     model = SteppedOutputError(problem, p[0])
-    theta, one = np.concatenate([np.log(p[1:]), np.zeros(3)])[None], np.zeros(1, int)
-    fine = SteppedOutputError.batch([model]).refined(one, theta, 1e-6 * model.rms[None])
-    np.testing.assert_allclose(fine[one].with_initial_states(theta)[0, 3:], [0.3, 0.4, 0.2], atol=1e-6)
+    theta, first = np.concatenate([np.log(p[1:]), np.zeros(3)])[None], np.zeros(1, int)
+    fine = SteppedOutputError.batch([model]).refined(first, theta, 1e-6 * model.rms[None])
+    np.testing.assert_allclose(fine[first].with_initial_states(theta)[0, 3:], [0.3, 0.4, 0.2], atol=1e-6)

@@ -32,21 +32,21 @@ class Programme(Shooting):
 def fit(problem: Problem, **settings: object) -> Estimate:
     """The answer of the programme; the one of linear systems together must be the same, to a part of its interval."""
     rng = np.random.default_rng(0)
-    found = Programme(**settings).identify(problem, rng)  # type: ignore[arg-type]
+    estimate = Programme(**settings).identify(problem, rng)  # type: ignore[arg-type]
     other = Shooting(**settings).identify(problem, rng)  # type: ignore[arg-type]
-    assert other.status is found.status
-    for quantity in problem.system.quantities if found.message != WIDE_PRIOR else ():
-        one, two = found.marginal(quantity), other.marginal(quantity)
-        assert (one is None) == (two is None)
-        if one is not None and two is not None and one.ppf is not None:
-            low, high = one.interval(0.95)
+    assert other.status is estimate.status
+    for quantity in problem.system.quantities if estimate.message != WIDE_PRIOR else ():
+        first, two = estimate.marginal(quantity), other.marginal(quantity)
+        assert (first is None) == (two is None)
+        if first is not None and two is not None and first.ppf is not None:
+            low, high = first.interval(0.95)
             if not np.isfinite(high):  # without limit, as of a damping that the data do not tell
                 assert not np.isfinite(two.interval(0.95)[1])
                 continue
-            stepped = 1e-8 * abs(one.value)  # what the programme's Runge-Kutta steps may err by
-            assert abs(two.value - one.value) <= 0.02 * (high - low) + stepped
+            stepped = 1e-8 * abs(first.value)  # what the programme's Runge-Kutta steps may err by
+            assert abs(two.value - first.value) <= 0.02 * (high - low) + stepped
             np.testing.assert_allclose(two.interval(0.95), (low, high), atol=0.02 * (high - low) + stepped)
-    return found
+    return estimate
 
 
 def scenario(snr: float, **changes: object) -> Scenario:
@@ -67,7 +67,7 @@ def noisy_record(
     channels: list[Channel],
     sigma: float,
     seed: int,
-    told: bool,
+    known: bool,
 ) -> Record:
     """A record with the channels' values replaced by simulated ones, noise relative to each channel's size."""
     rng, made = np.random.default_rng(seed), []
@@ -75,12 +75,12 @@ def noisy_record(
         clean = measurements(system, p, start, Record((channel,)))
         noise = sigma * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size)
         made.append(Channel(channel.times, clean + noise, channel.measures, channel.dof, offset=channel.offset))
-    return Record(tuple(made), initial_state=start if told else None)
+    return Record(tuple(made), initial_state=start if known else None)
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_data_almost_without_noise_give_the_groups_to_one_part_in_100000(told: str) -> None:
-    problem, _ = scenario(120.0, initial_state=told).replicates(0, 1)[0]
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_data_almost_without_noise_give_the_groups_to_one_part_in_100000(initial_state: str) -> None:
+    problem, _ = scenario(120.0, initial_state=initial_state).replicates(0, 1)[0]
     estimate = fit(problem)
     assert value(estimate, problem.system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-5)
     assert value(estimate, problem.system, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-5)
@@ -109,14 +109,14 @@ def test_it_needs_no_hint_of_the_frequency(parameters: dict[str, float]) -> None
     for problem, _ in scenario(20.0, parameters=parameters, initial_state="unknown").replicates(5, 5):
         estimate = fit(problem)  # at 2.8 samples a cycle an alias that the prior prefers may stand first
         values = [value(part, problem.system, "k_over_m") for part in (estimate, *estimate.alternatives)]
-        assert any(found == pytest.approx(parameters["k"] / parameters["m"], rel=0.2) for found in values)
+        assert any(computed == pytest.approx(parameters["k"] / parameters["m"], rel=0.2) for computed in values)
 
 
 @pytest.mark.parametrize("hold", ["linear", "zero_order"])
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_a_known_force_tells_mass_damping_and_stiffness(hold: str, told: str) -> None:
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_a_known_force_tells_mass_damping_and_stiffness(hold: str, initial_state: str) -> None:
     push = ForceSpec(3.0, 0.1, 1.0, samples=101, hold=hold)  # type: ignore[arg-type]
-    problem, _ = scenario(120.0, prior=None, force=push, initial_state=told, samples=50).replicates(0, 1)[0]
+    problem, _ = scenario(120.0, prior=None, force=push, initial_state=initial_state, samples=50).replicates(0, 1)[0]
     estimate = fit(problem)
     for name, true in TRUE.items():
         assert value(estimate, problem.system, name) == pytest.approx(true, rel=1e-4)
@@ -126,10 +126,10 @@ def test_two_records_share_the_parameters() -> None:
     system, times = SDOF(), np.linspace(0, 8, 20)
     sparse = np.sort(np.random.default_rng(1).uniform(0, 6, 15))
     for sigma, tolerance in ((0.0, 1e-5), (0.1, 0.05)):
-        one = noisy_record(system, TRUE, START, [Channel(times, times)], sigma, 2, told=True)
+        first = noisy_record(system, TRUE, START, [Channel(times, times)], sigma, 2, known=True)
         other = InitialState(np.array([-0.2]), np.array([2.0]))
-        two = noisy_record(system, TRUE, other, [Channel(sparse, sparse)], sigma, 3, told=False)
-        estimate = fit(Problem(system, (one, two)))
+        two = noisy_record(system, TRUE, other, [Channel(sparse, sparse)], sigma, 3, known=False)
+        estimate = fit(Problem(system, (first, two)))
         assert value(estimate, system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=tolerance)
         assert value(estimate, system, "c_over_m") == pytest.approx(0.6 / 1.3, rel=10 * tolerance)
         assert len(estimate.reconstructions) == 2
@@ -143,7 +143,7 @@ def test_other_sensors_and_their_offsets(measures: str) -> None:
     estimates = []
     for sigma, tolerance in ((0.0, 1e-5), (0.05, 0.03)):
         channel = Channel(times, times, measures, offset=True)  # type: ignore[arg-type]
-        record = noisy_record(system, TRUE, START, [channel], sigma, 4, told=False)
+        record = noisy_record(system, TRUE, START, [channel], sigma, 4, known=False)
         shifted = Channel(times, record.channels[0].values + 0.7, measures, offset=True)  # type: ignore[arg-type]
         estimates.append(fit(Problem(system, (Record((shifted,)),))))
         assert value(estimates[-1], system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=tolerance)
@@ -154,7 +154,7 @@ def test_displacement_with_acceleration_beats_either() -> None:
     system, times = SDOF(), np.linspace(0, 10, 25)
     widths = []
     for kinds in (("displacement",), ("acceleration",), ("displacement", "acceleration")):
-        record = noisy_record(system, TRUE, START, [Channel(times, times, k) for k in kinds], 0.1, 6, told=True)  # type: ignore[arg-type]
+        record = noisy_record(system, TRUE, START, [Channel(times, times, k) for k in kinds], 0.1, 6, known=True)  # type: ignore[arg-type]
         marginal = fit(Problem(system, (record,))).marginal(system.quantity("k_over_m"))
         assert marginal is not None
         low, high = marginal.interval(0.99)
@@ -184,10 +184,10 @@ def test_a_duffing_oscillator() -> None:
         assert value(estimate, Duffing(), group.name) == pytest.approx(group.value(parameters), rel=0.08)
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
 @pytest.mark.parametrize("prior", [NOMINAL, None])
-def test_five_samples_give_an_answer_or_a_sentence(told: str, prior: PriorSpec | None) -> None:
-    for problem, _ in scenario(10.0, initial_state=told, samples=5, prior=prior).replicates(0, 4):
+def test_five_samples_give_an_answer_or_a_sentence(initial_state: str, prior: PriorSpec | None) -> None:
+    for problem, _ in scenario(10.0, initial_state=initial_state, samples=5, prior=prior).replicates(0, 4):
         estimate = fit(problem).checked()
         assert estimate.status is Status.OK or (estimate.status is Status.DIVERGED and len(estimate.message) > 20)
 
@@ -251,8 +251,8 @@ def test_a_damping_that_the_noise_hides_is_no_failure() -> None:
     assert WIDE_PRIOR in messages
 
 
-@pytest.mark.parametrize("told", ["known", "unknown"])
-def test_a_free_decay_without_visible_damping_tells_its_frequency(told: str) -> None:
+@pytest.mark.parametrize("initial_state", ["known", "unknown"])
+def test_a_free_decay_without_visible_damping_tells_its_frequency(initial_state: str) -> None:
     """A damping ratio of 1e-5 over three cycles at 5 dB: the likelihood often rises towards no damping at all.
 
     The frequency is told all the same: each squared natural frequency is within four standard deviations, which the
@@ -268,12 +268,12 @@ def test_a_free_decay_without_visible_damping_tells_its_frequency(told: str) -> 
         snr_db=snr,
         duration=float(cycles * 2.0 * np.pi / np.sqrt(9.0 / 1.3)),
         samples=n,
-        initial_state=told,
+        initial_state=initial_state,
         prior=None,
     )
     problems = [problem for problem, _ in hidden.replicates(5, 20)]
-    found = Shooting().identify_many(problems, [np.random.default_rng(0)] * len(problems))
-    assert all(estimate.status is Status.OK for estimate in found), {estimate.message for estimate in found}
+    computed = Shooting().identify_many(problems, [np.random.default_rng(0)] * len(problems))
+    assert all(estimate.status is Status.OK for estimate in computed), {estimate.message for estimate in computed}
     group = SDOF().quantity("k_over_m")
-    errors = [np.log(estimate.marginal(group).value / (9.0 / 1.3)) for estimate in found]  # type: ignore[union-attr]
+    errors = [np.log(estimate.marginal(group).value / (9.0 / 1.3)) for estimate in computed]  # type: ignore[union-attr]
     assert np.max(np.abs(errors)) < 4.0 * bound

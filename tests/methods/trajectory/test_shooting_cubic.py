@@ -21,12 +21,12 @@ KNOTS = np.arange(0.0, 12.01, 0.4)
 PUSH = 3.0 * np.sin(2.2 * KNOTS) + 2.0 * np.cos(4.1 * KNOTS + 1.0)
 
 
-def driven(p: dict[str, float], held: np.ndarray | None = None) -> np.ndarray:
+def driven(p: dict[str, float], covered: np.ndarray | None = None) -> np.ndarray:
     """Displacement at the knots from 0.3 m at rest, by scipy alone; ``held`` is a second force, kept between knots."""
     spline, state = CubicSpline(KNOTS, PUSH), np.array([0.3, 0.0])
     path = [state[0]]
     for i, (a, b) in enumerate(itertools.pairwise(KNOTS)):
-        step = 0.0 if held is None else held[i]
+        step = 0.0 if covered is None else covered[i]
 
         def rate(t: float, s: np.ndarray, step: float = step) -> list[float]:
             x, v = s
@@ -45,8 +45,8 @@ def fit(problem: Problem) -> Estimate:
 def errors(estimate: Estimate, p: dict[str, float]) -> np.ndarray:
     """Relative errors of the parameters."""
     assert estimate.status is Status.OK, estimate.message
-    found = [estimate.marginal(estimate.system.quantity(name)) for name in p]
-    return np.array([f.value / p[name] - 1 for f, name in zip(found, p, strict=True)])  # type: ignore[union-attr]
+    computed = [estimate.marginal(estimate.system.quantity(name)) for name in p]
+    return np.array([f.value / p[name] - 1 for f, name in zip(computed, p, strict=True)])  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(("hold", "least", "most"), [("cubic", 0.0, 1e-5), ("linear", 1e-2, np.inf)])
@@ -60,8 +60,8 @@ def test_a_nonlinear_system_under_a_spline(hold: Hold, least: float, most: float
 def test_a_spline_beside_a_held_force() -> None:
     """Forces of both kinds in one record, on the same knots."""
     p = {"m": 1.3, "c": 0.6, "k": 9.0}
-    held = np.where(np.arange(KNOTS.size) % 5 < 2, 2.0, -1.0)
-    forces = (Force(KNOTS, PUSH, "cubic"), Force(KNOTS, held, "zero_order"))
+    covered = np.where(np.arange(KNOTS.size) % 5 < 2, 2.0, -1.0)
+    forces = (Force(KNOTS, PUSH, "cubic"), Force(KNOTS, covered, "zero_order"))
     start = InitialState(np.array([0.3]), np.array([0.0]))
-    record = Record((Channel(KNOTS[1:], driven(p, held)[1:]),), forces, start)
+    record = Record((Channel(KNOTS[1:], driven(p, covered)[1:]),), forces, start)
     assert np.max(np.abs(errors(fit(Problem(SDOF(), (record,))), p))) < 1e-6

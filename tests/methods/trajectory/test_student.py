@@ -25,11 +25,11 @@ def problems(n: int, **changes: object) -> list[Problem]:
     return [problem for problem, _ in Scenario(snr_db=20.0, **given).replicates(21, n)]  # type: ignore[arg-type]
 
 
-def struck(problem: Problem, at: int, by: float) -> Problem:
+def struck(problem: Problem, place: int, by: float) -> Problem:
     """The problem with one sample off."""
     record = problem.records[0]
     values = record.channels[0].values.copy()
-    values[at] += by
+    values[place] += by
     channel = replace(record.channels[0], values=values)
     return Problem(problem.system, (replace(record, channels=(channel,)),), problem.prior)
 
@@ -81,9 +81,9 @@ def test_the_fit_is_the_maximum_that_scipy_finds() -> None:
         residuals = model.data - model.predict(vector)
         return float(-np.sum(stats.t.logpdf(residuals / scale, STUDENT.dof)) + 0.5 * np.sum(model.penalty(vector) ** 2))
 
-    found = optimize.minimize(minus_log_posterior, theta + 0.01, method="Nelder-Mead",
+    computed = optimize.minimize(minus_log_posterior, theta + 0.01, method="Nelder-Mead",
                               options={"xatol": 1e-8, "fatol": 1e-12, "maxiter": 4000})  # fmt: skip
-    np.testing.assert_allclose(theta, found.x, atol=2e-5)
+    np.testing.assert_allclose(theta, computed.x, atol=2e-5)
     assert fits.settled[0]
 
 
@@ -117,6 +117,6 @@ def test_too_few_samples_are_fitted_with_normal_errors_and_that_is_said() -> Non
 def test_a_nonlinear_system_is_served() -> None:
     duffing = {"system": "duffing", "parameters": {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}, "samples": 40}
     bad = struck(problems(1, **duffing)[0], 9, 4.0)
-    found, sd = value(Shooting(likelihood="student"), bad)
-    assert abs(found - 5.0) < 4 * sd
-    assert abs(found - 5.0) < abs(value(Shooting(), bad)[0] - 5.0)
+    computed, sd = value(Shooting(likelihood="student"), bad)
+    assert abs(computed - 5.0) < 4 * sd
+    assert abs(computed - 5.0) < abs(value(Shooting(), bad)[0] - 5.0)
