@@ -170,7 +170,7 @@ def test_one_cell(folder: Path) -> None:
     """``python -m bench method=pinn snr=10``"""
     text = run(cells("method=pinn", "snr=10", "replicates=1", "workers=1"), folder).stdout
     assert "pinn on sdof, 10 dB" in text
-    assert re.search(r"k/m error %\s+\d", text)
+    assert re.search(r"k/m %\s+\d", text)
     assert "bound" in text
 
 
