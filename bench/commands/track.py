@@ -91,7 +91,8 @@ def track(
     from bench.twin.lines import ENOUGH, FEW, form_of, head_of, lines_of, opened
     from bench.twin.pressure import Intake
     from bench.twin.session import Output, Session, interval_of
-    from bench.twin.state import read, resumed
+    from bench.twin.state import read
+    from bench.twin.state import resume as resume_tracker
 
     compiled_single_threaded()
     name = method or first_online()
@@ -134,7 +135,7 @@ def track(
     interval *= thinned
     tracker = identifier.start(layout(interval))
     if state is not None and kept:
-        tracker = resumed(state, kept, identifier, layout(interval), filtered)
+        tracker = resume_tracker(state, kept, identifier, layout(interval), filtered)
     LOG.info("preparing %s, which may take some seconds", name)
     tracker.prepare()
     displays = _displays(tracker.layout, view, page, port)

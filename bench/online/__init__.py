@@ -1,1 +1,1 @@
-"""The online track: parameters that change, samples one by one, the bound along the path, and how trackers score."""
+"""The online track: scenarios with time-varying parameters, the posterior Cramér-Rao bound, and scores of trackers."""

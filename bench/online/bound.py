@@ -1,16 +1,16 @@
-"""The posterior Cramér-Rao bound along a stream: the least error that a tracker can have of the log-parameters.
+"""The posterior Cramér-Rao bound along a stream: the smallest error of a tracker's estimates of the log-parameters.
 
-Motion, ambient force and log-parameters are one state with a prior and process noise; their bound is the inverse of the
-information matrix that the recursion of P. Tichavský, C. H. Muravchik, A. Nehorai (IEEE Trans. Signal Processing
-46:1386, 1998) carries from sample to sample. Its transition is singular where a force is held (the noise has fewer
-dimensions than the motion), so it is written as the equivalent Riccati recursion, which inverts innovations only: time
-update ``F P F' + Q``, measurement update ``P - P H' (H P H' + R)^-1 H P``, with F and H the derivatives at the truth.
-Their expectation is over the streams: the variances are averaged over replicates.
+Motion, ambient force and log-parameters form one state with a prior and process noise. Their bound is the inverse of
+the information matrix of the recursion by P. Tichavský, C. H. Muravchik, A. Nehorai (IEEE Trans. Signal Processing
+46:1386, 1998). With forces that are constant over an interval its transition is singular, since the noise has fewer
+dimensions than the motion. It is therefore written as the equivalent Riccati recursion, which inverts innovations only:
+time update ``F P F' + Q``, measurement update ``P - P H' (H P H' + R)^-1 H P``, with the derivatives F and H at the
+true values. The expectation over streams is the average of the variances over replicates.
 
-The process noise of the log-parameters is that of a walk whose mean-square increments are those of the true course,
-instant by instant: for a step, nothing but at its instant. So it is the bound of who knows when something may change
-and by how much about, but not by how much: a tracker has to find out both. Levels of noise and of an ambient force, and
-what it keeps of itself, are taken as known. No prior of the parameters, and a motion at first that nobody tells.
+The process noise of the log-parameters is a random walk whose mean-square increments at every instant are those of the
+true course; for a step they are zero except at the step. The bound is thus that of an observer who knows when a change
+may occur and its approximate size; a tracker has to estimate both. The levels of noise and ambient force, and the
+memory of the ambient force, are assumed known. There is no prior of the parameters, and the initial state is unknown.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from bench.dynamics.discrete_model import DiscreteModel
 from bench.online.scenario import OnlineScenario, Stream
 
 OPEN_LOG_SD = 3.0
-"""Standard deviation of a log-parameter at first: a factor of 20."""
+"""Initial standard deviation of a log-parameter (a factor of 20)."""
 OPEN_MOTION = 10.0
-"""Standard deviation of displacement and velocity at first, over their root mean squares."""
+"""Initial standard deviation of displacement and velocity over their root mean squares."""
 
 
 def bound_variances(scenario: OnlineScenario, stream: Stream) -> dict[str, np.ndarray]:
-    """The bound on the variance of the logarithm of each quantity of the layout after each sample, each (n,)."""
+    """Return the bound on the variance of the logarithm of each quantity after each sample, each (n,)."""
     covariances = _covariances(scenario, stream)
     free = stream.layout.free
     weights = {quantity.name: np.array(quantity.vector(free)) for quantity in stream.layout.quantities}
@@ -39,7 +39,7 @@ def bound_variances(scenario: OnlineScenario, stream: Stream) -> dict[str, np.nd
 
 
 def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
-    """Covariances of the log-parameters after each sample, (n, n_free, n_free)."""
+    """Return the covariances of the log-parameters after each sample, (n, n_free, n_free)."""
     layout, truth = stream.layout, stream.truth
     model = DiscreteModel(layout)
     n = len(stream.times)
@@ -56,7 +56,7 @@ def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     walk[:, model.logs] = increments[:, [names.index(name) for name in layout.free]]
     if not layout.scale_known:
         walk[:, model.logs] += increments[:, [names.index(layout.system.gauge)]]
-    kept = np.array([force.kept for force in scenario.forces if not force.told])
+    kept = np.array([force.autocorrelation for force in scenario.forces if not force.told])
     level = np.array([force.amplitude for force in scenario.forces if not force.told]) * np.mean(scale)
     walk[:, model.ambient] = level**2 * (1.0 - kept**2)
     first = np.zeros(model.size)
@@ -65,14 +65,15 @@ def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     first[model.ambient] = level**2
     first[model.logs] = OPEN_LOG_SD**2
     transitions, slopes = (np.asarray(part) for part in _slopes(layout)(joints, truth.told, kept))
-    found = riccati(transitions, slopes, walk, np.diag(first), np.diag(truth.sigma**2))
-    return found[:, model.logs, model.logs]
+    covariances = riccati(transitions, slopes, walk, np.diag(first), np.diag(truth.sigma**2))
+    return covariances[:, model.logs, model.logs]
 
 
 def _exponents(layout: Layout) -> np.ndarray:
-    """Return the power of the gauge that makes each free parameter a ratio; 1 for those that scale with the mass.
+    """Return the exponent of the gauge in each free parameter: 1 for parameters that scale with the mass, otherwise 0.
 
-    Raises ValueError for a system with a parameter that is not proportional to a mass.
+    Raises:
+        ValueError: A parameter belongs to no group.
     """
     groups = {name: group.exponents for group in layout.system.groups for name in group.exponents}
     if any(groups.get(name, {}).get(name) != 1.0 for name in layout.free):
@@ -83,28 +84,28 @@ def _exponents(layout: Layout) -> np.ndarray:
 def riccati(
     transitions: np.ndarray, slopes: np.ndarray, walk: np.ndarray, first: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
-    """Covariances after each sample of a linear model, (n, d, d).
+    """Return the covariances of a linear model after each sample, (n, d, d).
 
     Args:
-        transitions: from each sample to the next, (n, d, d).
-        slopes: of what is measured, (n, c, d).
-        walk: variances of the process noise behind each sample, (n, d).
-        first: covariance before the first sample, (d, d).
-        noise: covariance of the measurements, (c, c).
+        transitions: Transition matrices from each sample to the next, (n, d, d).
+        slopes: Measurement matrices, (n, c, d).
+        walk: Variances of the process noise after each sample, (n, d).
+        first: Covariance before the first sample, (d, d).
+        noise: Covariance of the measurement noise, (c, c).
     """
-    covariance, found = first, np.empty((len(walk), *first.shape))
+    covariance, covariances = first, np.empty((len(walk), *first.shape))
     for k, (f, h) in enumerate(zip(transitions, slopes, strict=True)):
         cross = covariance @ h.T
         gain = np.linalg.solve(h @ cross + noise, cross.T).T
         left = np.eye(len(first)) - gain @ h
-        found[k] = left @ covariance @ left.T + gain @ noise @ gain.T
-        covariance = f @ found[k] @ f.T + np.diag(walk[k])
-    return found
+        covariances[k] = left @ covariance @ left.T + gain @ noise @ gain.T
+        covariance = f @ covariances[k] @ f.T + np.diag(walk[k])
+    return covariances
 
 
 @lru_cache(maxsize=32)
 def _slopes(layout: Layout) -> Any:
-    """(joint states, told forces, memory) -> transitions and slopes of what is measured, at every sample."""
+    """Return a function of states, known forces and memory: transition and measurement matrices at every sample."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -1,4 +1,4 @@
-"""How a parameter runs over a record: a factor on its value at time 0."""
+"""Time-varying parameters: the course of a parameter as a factor on its value at time 0."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Kind = Literal["constant", "step", "ramp", "sinusoid", "random_walk"]
 
 @dataclass(frozen=True)
 class Course:
-    """The factor on a parameter, by ``kind``:
+    """The factor on a parameter as a function of time, by ``kind``:
 
     - ``constant``: 1;
-    - ``step``: ``1 + change`` from ``at`` on;
-    - ``ramp``: from 1 at ``at`` linearly to ``1 + change`` at ``until``;
-    - ``sinusoid``: ``1 + change sin(2π periods t / T)`` over the record's length T;
-    - ``random_walk``: the logarithm walks, with standard deviation ``spread`` over the record.
+    - ``step``: 1 before ``at``, ``1 + change`` after it;
+    - ``ramp``: linear from 1 at ``at`` to ``1 + change`` at ``until``;
+    - ``sinusoid``: ``1 + change sin(2π periods t / T)``, with the duration T of the record;
+    - ``random_walk``: the logarithm is a random walk, with standard deviation ``spread`` over the record.
 
-    ``at`` and ``until`` are parts of the record's length.
+    ``at`` and ``until`` are fractions of the duration.
     """
 
     __pydantic_config__ = STRICT
@@ -36,10 +36,10 @@ class Course:
 
     def __post_init__(self) -> None:
         if self.kind == "ramp" and not self.at < self.until:
-            raise InputError("system.varying.until", self.until, f"after at ({self.at:g})")
+            raise InputError("system.varying.until", self.until, f"must be greater than at ({self.at:g})")
 
     def factors(self, samples: int, rng: np.random.Generator) -> np.ndarray:
-        """The factor over the interval that begins at each sample, shape (samples,)."""
+        """Return the factor over the interval after each sample, (samples,)."""
         part = np.arange(samples) / max(samples - 1, 1)
         if self.kind == "step":
             return np.where(part >= self.at, 1.0 + self.change, 1.0)
@@ -53,27 +53,27 @@ class Course:
         return np.ones(samples)
 
     def increment_variances(self, samples: int) -> np.ndarray:
-        """What the log-factor moves from a sample to the next, mean square, shape (samples,); the last is 0.
+        """Return the mean-square increments of the log-factor from each sample to the next, (samples,); the last is 0.
 
-        A step moves at its instant, by its own size; a ramp moves evenly while it lasts; a sinusoid evenly over the
-        record, with the mean square of its slope. This is the process noise of the walk that the bound is stated for.
+        They are the process noise of the random walk in the bound. That of a step is concentrated at the step; that of
+        a ramp is constant during the ramp; that of a sinusoid is constant, with the mean square of its increments.
         """
-        found = np.zeros(samples)
+        variances = np.zeros(samples)
         if self.kind == "random_walk":
-            found[:-1] = self.spread**2 / max(samples - 1, 1)
+            variances[:-1] = self.spread**2 / max(samples - 1, 1)
         elif self.kind != "constant":
             squares = np.diff(np.log(self.factors(samples, np.random.default_rng(0)))) ** 2
             moving = np.ones(samples - 1, bool) if self.kind == "sinusoid" else squares > 0
-            found[:-1][moving] = np.mean(squares[moving]) if np.any(moving) else 0.0
-        return found
+            variances[:-1][moving] = np.mean(squares[moving]) if np.any(moving) else 0.0
+        return variances
 
     @property
-    def settled(self) -> bool:
-        """Whether it jumps once and stays: a change whose delay can be told."""
+    def is_step(self) -> bool:
+        """True if the factor changes by one step within the record, so that a delay of its detection is defined."""
         return self.kind == "step" and self.change != 0 and 0 < self.at < 1
 
     def describe(self) -> str:
-        """In words."""
+        """Describe the course in words."""
         if self.kind == "step":
             return f"a step of {self.change:+.0%} at {self.at:.0%} of the record"
         if self.kind == "ramp":

@@ -1,4 +1,4 @@
-"""A tracker driven along a stream: what it believed after each sample, and what that took."""
+"""Application of a tracker to a stream: its estimates after each sample, and its time and memory."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from bench.online.scenario import Stream
 class Followed:
     """The path of a tracker over one stream of n samples.
 
-    ``means`` and ``sds`` (n, n_quantities): of the logarithm of each quantity of the layout, NaN where there is no
-    distribution; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time of a sample; ``held_bytes``: what the
-    tracker holds at the end.
+    ``means`` and ``sds`` (n, n_quantities): mean and standard deviation of the logarithm of each quantity, NaN without a
+    distribution; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time per sample (µs); ``held_bytes``: size of
+    the tracker's state at the end.
     """
 
     means: np.ndarray
@@ -28,10 +28,10 @@ class Followed:
     held_bytes: int
 
 
-def moments(standing: TrackerOutput, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of the logarithm of each quantity; NaN where the distribution does not tell it."""
+def moments(output: TrackerOutput, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of the logarithm of each quantity; NaN if the distribution has no value."""
     n = len(layout.quantities)
-    means, sds, distribution = np.full(n, np.nan), np.full(n, np.nan), standing.distribution
+    means, sds, distribution = np.full(n, np.nan), np.full(n, np.nan), output.distribution
     if distribution is None or distribution.covariance is None:
         return means, sds
     for i, quantity in enumerate(layout.quantities):
@@ -46,12 +46,12 @@ def moments(standing: TrackerOutput, layout: Layout) -> tuple[np.ndarray, np.nda
 
 
 def held_bytes(tracker: Tracker) -> int:
-    """Size of all arrays that a tracker holds."""
+    """Return the size of all arrays in a tracker's state (bytes)."""
     return int(sum(np.asarray(value).nbytes for value in tracker.saved().values()))
 
 
 def follow(method: OnlineIdentifier, stream: Stream) -> Followed:
-    """Give a tracker all samples of a stream."""
+    """Apply a tracker to all samples of a stream."""
     layout, samples = stream.layout, stream.samples()
     tracker = method.start(layout)
     n, q = len(samples), len(layout.quantities)
@@ -69,6 +69,6 @@ def follow(method: OnlineIdentifier, stream: Stream) -> Followed:
 
 
 def begun(path: Followed) -> int:
-    """The first sample with a distribution; the number of samples where there is none."""
+    """Return the index of the first sample with a distribution; the number of samples if there is none."""
     there = np.flatnonzero(np.all(np.isfinite(path.means), axis=1) & (path.status != SampleStatus.WARMING_UP.value))
     return int(there[0]) if there.size else len(path.means)

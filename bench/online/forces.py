@@ -1,4 +1,4 @@
-"""Forces of the online track: held from a sample to the next, told to the tracker or not."""
+"""Forces of the online track, constant between samples, either given to the tracker or ambient."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ Kind = Literal["multisine", "white", "coloured", "impulses"]
 
 @dataclass(frozen=True)
 class HeldForce:
-    """A force on one DOF, held over each sampling interval; ``amplitude`` (N) is its root mean square, by ``kind``:
+    """A force on one degree of freedom, constant over each sampling interval, with root mean square ``amplitude`` (N).
 
-    - ``multisine``: ``tones`` sine waves of equal amplitude from ``low_hz`` to ``high_hz``, random phases;
-    - ``white``: independent normal values;
-    - ``coloured``: normal values that keep ``memory`` of the one before (autoregressive of order one);
-    - ``impulses``: one interval of ``amplitude`` (there its size) every ``period`` s from time 0: repeated free decays.
+    - ``multisine``: ``tones`` sine waves of equal amplitude from ``low_hz`` to ``high_hz``, with random phases;
+    - ``white``: white Gaussian noise;
+    - ``coloured``: autoregressive Gaussian noise of order one with coefficient ``memory``;
+    - ``impulses``: a pulse of one interval and height ``amplitude`` every ``period`` s from time 0, which gives
+      repeated free decays.
 
-    ``told``: whether the tracker is given it with each sample; else it is ambient.
+    ``told``: whether the force is given to the tracker; otherwise it is ambient.
     """
 
     __pydantic_config__ = STRICT
@@ -38,35 +39,35 @@ class HeldForce:
 
     def __post_init__(self) -> None:
         if self.kind == "multisine" and not self.low_hz <= self.high_hz:
-            raise InputError("online.force.high_hz", self.high_hz, f"at least low_hz ({self.low_hz:g})")
+            raise InputError("online.force.high_hz", self.high_hz, f"must be at least low_hz ({self.low_hz:g})")
 
     def draw(self, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Values (N) from each time on, shape of ``times``."""
+        """Draw the values (N) over the interval after each time, (n,)."""
         if self.kind == "white":
             return self.amplitude * rng.standard_normal(times.size)
         if self.kind == "coloured":
-            from scipy.signal import lfilter  # slow to import, and few need it
+            from scipy.signal import lfilter  # slow to import
 
-            keep, given = self.memory, rng.standard_normal(times.size)
-            given[1:] *= np.sqrt(1.0 - keep**2)
-            return np.asarray(self.amplitude * lfilter([1.0], [1.0, -keep], given))
+            noise = rng.standard_normal(times.size)
+            noise[1:] *= np.sqrt(1.0 - self.memory**2)
+            return np.asarray(self.amplitude * lfilter([1.0], [1.0, -self.memory], noise))
         if self.kind == "impulses":
-            beats = np.floor(times / self.period + 1e-9)
-            return self.amplitude * (np.diff(beats, prepend=-1.0) > 0)
+            periods = np.floor(times / self.period + 1e-9)
+            return self.amplitude * (np.diff(periods, prepend=-1.0) > 0)
         frequencies = np.linspace(self.low_hz, self.high_hz, self.tones)
         phases = rng.uniform(0.0, 2.0 * np.pi, self.tones)
         waves = np.sin(2.0 * np.pi * frequencies * times[:, None] + phases)
         return np.asarray(self.amplitude * np.sqrt(2.0 / self.tones) * waves.sum(axis=1))
 
     @property
-    def kept(self) -> float:
-        """What an unknown force keeps of itself over an interval."""
+    def autocorrelation(self) -> float:
+        """The autocorrelation of the force at a lag of one interval, as assumed for an ambient force."""
         return self.memory if self.kind == "coloured" else 0.0
 
     def describe(self) -> str:
-        """In words."""
-        told = "known" if self.told else "unknown"
+        """Describe the force in words."""
+        knowledge = "known" if self.told else "unknown"
         if self.kind == "impulses":
-            return f"{told} impulses of {self.amplitude:g} N over one interval, every {self.period:g} s"
+            return f"{knowledge} impulses of {self.amplitude:g} N over one interval, every {self.period:g} s"
         bands = {"multisine": f", {self.low_hz:g} to {self.high_hz:g} Hz", "coloured": f", memory {self.memory:g}"}
-        return f"{told} {self.kind} force of {self.amplitude:g} N{bands.get(self.kind, '')}"
+        return f"{knowledge} {self.kind} force of {self.amplitude:g} N{bands.get(self.kind, '')}"

@@ -1,7 +1,7 @@
-"""The true motion under parameters and forces that are held over each interval.
+"""The true motion for parameters and forces that are constant over each sampling interval.
 
-The truth never comes from an integrator that a tracker uses: matrix exponentials for linear systems (C. F. Van Loan,
-IEEE Trans. Automatic Control 23:395, 1978), an explicit Runge-Kutta method of order eight for the others.
+It is computed independently of the integrators of the trackers: by matrix exponentials for linear systems (C. F. Van
+Loan, IEEE Trans. Automatic Control 23:395, 1978), and by an explicit Runge-Kutta method of order eight for others.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from bench.dynamics.mechanics import state_matrix, state_rate
 from bench.dynamics.ops import numpy_ops
 from bench.systems import System
 
-TOGETHER = 4096
-"""Intervals whose exponentials are computed in one call."""
+BATCH = 4096
+"""Number of matrix exponentials per call."""
 
 
-def held_motion(
+def simulate_motion(
     system: System, parameters: Mapping[str, np.ndarray], start: np.ndarray, forces: np.ndarray, interval: float
 ) -> np.ndarray:
-    """Displacements, velocities and hidden states at the samples, shape (n, n_motion).
+    """Return displacements, velocities and hidden states at the samples, (n, n_motion).
 
     Args:
-        system: any.
-        parameters: by name, each of shape (n,): over the interval that begins at each sample.
-        start: the motion at the first sample, shape (n_motion,).
-        forces: on every DOF (N), over the same intervals, shape (n, n_dof).
-        interval: between samples (s).
+        system: The system.
+        parameters: Parameters over the interval after each sample, by name, each (n,).
+        start: State at the first sample, (n_motion,).
+        forces: Forces on all degrees of freedom over the interval after each sample, N, (n, n_dof).
+        interval: Sampling interval, s.
     """
     path = np.empty((forces.shape[0], start.size))
     path[0] = start
@@ -42,7 +42,7 @@ def held_motion(
 def _linear(
     system: System, parameters: Mapping[str, np.ndarray], path: np.ndarray, forces: np.ndarray, interval: float
 ) -> None:
-    from scipy.linalg import expm  # slow to import, and few need it
+    from scipy.linalg import expm  # slow to import
 
     n, m = path.shape[1], forces.shape[1]
     values = np.stack([parameters[name] for name in system.names], axis=1)[:-1]
@@ -51,7 +51,7 @@ def _linear(
     a, b = state_matrix(system, dict(zip(system.names, distinct.T, strict=True)))
     whole = np.zeros((len(distinct), n + m, n + m))
     whole[:, :n, :n], whole[:, :n, n:] = a * interval, b * interval
-    steps = np.concatenate([expm(whole[i : i + TOGETHER]) for i in range(0, len(whole), TOGETHER)])
+    steps = np.concatenate([expm(whole[i : i + BATCH]) for i in range(0, len(whole), BATCH)])
     for k, i in enumerate(which):
         path[k + 1] = steps[i, :n, :n] @ path[k] + steps[i, :n, n:] @ forces[k]
 
@@ -67,5 +67,5 @@ def _integrated(
         def rate(_: float, state: np.ndarray, p: dict[str, float] = p, f: list[float] = f) -> list[float]:
             return state_rate(system, p, list(state), f, numpy_ops)
 
-        found = solve_ivp(rate, (0.0, interval), path[k], method="DOP853", rtol=1e-9, atol=1e-12)
-        path[k + 1] = found.y[:, -1]
+        solution = solve_ivp(rate, (0.0, interval), path[k], method="DOP853", rtol=1e-9, atol=1e-12)
+        path[k + 1] = solution.y[:, -1]

@@ -1,4 +1,4 @@
-"""The paths of the online track: a tracker over a stream, kept as one file of arrays."""
+"""Tasks of the online track: the path of a tracker over a stream, stored as one file of arrays."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from bench.store.results import read_result, write_result
 from bench.store.version import bound_version
 
 LIMIT_S = 86400.0
-"""Limit of a path (s): a window of a slow batch method takes hours."""
+"""Time limit of a path (s); a slow batch method on moving windows takes hours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """All replicates of a scenario by a method; ``label`` is the method's name in the table, or its variant's."""
+    """All replicates of a scenario for a method; ``label`` names the variant of the method in the table."""
 
     scenario: OnlineScenario
     method: str
@@ -38,7 +38,7 @@ class Tracking:
 
     @cached_property
     def versions(self) -> list[int]:
-        """Return the versions of the method, of a batch method that it repeats, of the system and the scoring."""
+        """The versions of the method, of the batch method that it repeats (if any), of system and scoring."""
         method = make_online(self.method, self.settings)
         batch = getattr(method, "batch", None)
         repeated = [load_method(batch).version] if isinstance(batch, str) else []
@@ -51,58 +51,57 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class OnlinePath:
-    """A task of the engine: a replicate of a tracking."""
+    """A task of the engine: one replicate of a tracking."""
 
-    of: Tracking
+    tracking: Tracking
     replicate: int
     size: int = 1
     limit_s: float = LIMIT_S
 
     @cached_property
     def key(self) -> str:
-        """Return a digest of scenario, method with settings, versions, seed and replicate."""
-        of = self.of
-        parts = [of.versions, of.scenario.identity, of.method, of.settings, of.seed, self.replicate]
+        """Digest of scenario, method with settings, versions, seed and replicate."""
+        t = self.tracking
+        parts = [t.versions, t.scenario.identity, t.method, t.settings, t.seed, self.replicate]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Return the labels of method and scenario."""
-        return self.of.label or self.of.method, self.of.scenario.label
+        """The labels of method and scenario."""
+        return self.tracking.label or self.tracking.method, self.tracking.scenario.label
 
     def stored(self, folder: Path) -> bool:
-        """Return whether the path is stored whole."""
+        """Return whether a complete path is stored."""
         return read_result(folder, self.key) is not None
 
     def compute(self, folder: Path) -> None:
-        """Follow the stream and store the path; raises InputError where the folder cannot be written."""
-        path = follow(
-            make_online(self.of.method, self.of.settings), self.of.scenario.stream(self.of.seed, self.replicate)
-        )
+        """Apply the tracker to the stream and store the path; raises InputError if the folder cannot be written."""
+        t = self.tracking
+        path = follow(make_online(t.method, t.settings), t.scenario.stream(t.seed, self.replicate))
         content = io.BytesIO()
         np.savez_compressed(content, **asdict(path))
         write_result(folder, self.key, content.getvalue())
 
 
-def read_paths(folder: Path, of: Tracking) -> dict[int, Followed]:
-    """Return the stored paths of a tracking, by replicate."""
+def read_paths(folder: Path, tracking: Tracking) -> dict[int, Followed]:
+    """Return the stored paths of a tracking by replicate."""
     stored = {}
-    for path in of.paths():
+    for path in tracking.paths():
         if (content := read_result(folder, path.key)) is not None:
-            with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-                arrays = {name: kept[name] if kept[name].ndim else kept[name].item() for name in kept.files}
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                arrays = {name: file[name] if file[name].ndim else file[name].item() for name in file.files}
             stored[path.replicate] = Followed(**arrays)
     return stored
 
 
 def in_order(trackings: Sequence[Tracking]) -> list[OnlinePath]:
-    """Return the paths of trackings, stream by stream: methods share what they compile for one.
+    """Return the paths of trackings ordered by stream, since methods share compiled code for a stream.
 
-    What is compiled from now on uses one thread, since paths share the cores.
+    Code that is compiled later uses one thread, since parallelism is over paths.
     """
     compiled_single_threaded()
-    places = {scenario: i for i, scenario in enumerate(dict.fromkeys(of.scenario.identity for of in trackings))}
+    order = {identity: i for i, identity in enumerate(dict.fromkeys(t.scenario.identity for t in trackings))}
     return sorted(
-        (path for of in trackings for path in of.paths()),
-        key=lambda path: (places[path.of.scenario.identity], path.replicate),
+        (path for tracking in trackings for path in tracking.paths()),
+        key=lambda path: (order[path.tracking.scenario.identity], path.replicate),
     )

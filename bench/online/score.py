@@ -12,19 +12,20 @@ from bench.online.scenario import OnlineScenario, Stream
 from bench.systems import Quantity
 
 SCORED_FROM = 0.25
-"""Part of a record behind which errors are pooled: before, trackers collect what they need to begin."""
+"""Fraction of a record after which errors are scored; before it, trackers initialise."""
 Z95 = 1.959963984540054
 LEVELS = (1.0, 1.5, 1.96, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
-"""Standard deviations of the curve of delays against false alarms."""
+"""Thresholds, in standard deviations, of the curve of delay against false alarms."""
 AFTER = ((0, 50), (50, 200), (200, 1000))
-"""Samples since a change, by which errors are pooled."""
+"""Ranges of samples since a change, over which errors are pooled."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """One replicate and quantity: squared errors of the logarithm, variances stated and of the bound, each (n,).
+    """Errors of one quantity in one replicate, each (n,).
 
-    ``z_old``: standard deviations between what is believed and the value at time 0, (n,).
+    ``squared``: squared errors of the logarithm; ``stated``: variances stated by the tracker; ``bound``: variances of
+    the bound; ``z_old``: distance of the estimate from the value at time 0, in stated standard deviations.
     """
 
     squared: np.ndarray
@@ -34,10 +35,9 @@ class Scored:
 
 
 def scored(stream: Stream, path: Followed, bound: Mapping[str, np.ndarray], quantity: str) -> Scored:
-    """Compare a path with the truth."""
-    names = [q.name for q in stream.layout.quantities]
-    i, of = names.index(quantity), stream.layout.quantities[names.index(quantity)]
-    true = np.log(of.value(stream.truth.parameters))
+    """Compare the path of a tracker with the true values."""
+    i = [q.name for q in stream.layout.quantities].index(quantity)
+    true = np.log(stream.layout.quantities[i].value(stream.truth.parameters))
     with np.errstate(invalid="ignore", divide="ignore"):
         z_old = np.abs(path.means[:, i] - true[0]) / path.sds[:, i]
     return Scored((path.means[:, i] - true) ** 2, path.sds[:, i] ** 2, bound[quantity], z_old)
@@ -45,13 +45,13 @@ def scored(stream: Stream, path: Followed, bound: Mapping[str, np.ndarray], quan
 
 @dataclass(frozen=True)
 class Score:
-    """Of one quantity over the replicates. NaN where it does not apply.
+    """Scores of one quantity over the replicates; NaN where not applicable.
 
-    ``excess``: root mean square error over the bound, pooled from :data:`SCORED_FROM` on, over samples with a
-    distribution; ``share``: of those samples that have one; ``rms``: that error, in percent; ``after``: excess by
-    samples since the change (:data:`AFTER`); ``coverage``: of the 95 % intervals; ``delay``: median samples from the
-    change until the 95 % interval excludes the old value, infinite where most never do; ``curve``: (false alarms in
-    1,000 samples, median delay) by :data:`LEVELS`, each NaN where the scenario cannot tell it.
+    ``excess``: root mean square error over the bound, after :data:`SCORED_FROM`, over samples with a distribution;
+    ``rms``: this error in percent; ``share``: share of samples with a distribution; ``coverage``: coverage of the 95 %
+    intervals; ``after``: excess in the ranges :data:`AFTER` of samples since the change; ``delay``: median number of
+    samples from the change until the 95 % interval excludes the old value, infinite if most never do; ``curve``: false
+    alarms per 1,000 samples and median delay for each threshold of :data:`LEVELS`; ``n``: number of replicates.
     """
 
     excess: float
@@ -67,7 +67,7 @@ class Score:
 def score_bound(
     scenario: OnlineScenario, streams: Sequence[Stream], bounds: Sequence[np.ndarray], of: Quantity
 ) -> Score:
-    """The bound's own row: its error, and the delay of a tracker whose error has just its variance."""
+    """Return the scores of the bound: its error, and the delay of a tracker whose variance equals the bound."""
     first, at = round(SCORED_FROM * scenario.samples), scenario.change_at
     true = np.log([of.value(stream.truth.parameters) for stream in streams])
     z_old = np.abs(true - true[:, :1]) / np.sqrt(bounds)
@@ -78,25 +78,26 @@ def score_bound(
 
 
 def score(scenario: OnlineScenario, replicates: Sequence[Scored]) -> Score:
-    """Pool replicates of one scenario."""
+    """Score all replicates of a scenario."""
     first = round(SCORED_FROM * scenario.samples)
     squared, stated, bound, z_old = (
-        np.stack([getattr(one, name) for one in replicates]) for name in ("squared", "stated", "bound", "z_old")
+        np.stack([getattr(replicate, name) for replicate in replicates])
+        for name in ("squared", "stated", "bound", "z_old")
     )
-    late = np.arange(scenario.samples) >= first
-    told = np.isfinite(squared) & late
+    in_range = np.arange(scenario.samples) >= first
+    used = np.isfinite(squared) & in_range
     with np.errstate(invalid="ignore"):
-        inside = squared[told] <= Z95**2 * stated[told]
+        inside = squared[used] <= Z95**2 * stated[used]
     at = scenario.change_at
     after = tuple(
-        _excess(squared, bound, told & _between(scenario.samples, at, low, high)) if at is not None else np.nan
+        _excess(squared, bound, used & _between(scenario.samples, at, low, high)) if at is not None else np.nan
         for low, high in AFTER
     )
-    curve = tuple((_false_alarms(z_old, told, scenario, level), _delay(z_old, at, level)) for level in LEVELS)
-    rms = 100.0 * float(np.sqrt(np.mean(squared[told]))) if told.any() else np.nan
+    curve = tuple((_false_alarms(z_old, used, scenario, level), _delay(z_old, at, level)) for level in LEVELS)
+    rms = 100.0 * float(np.sqrt(np.mean(squared[used]))) if used.any() else np.nan
     return Score(
-        _excess(squared, bound, told), rms, float(told.sum() / (late.sum() * len(replicates))),
-        float(np.mean(inside)) if told.any() else np.nan, after, _delay(z_old, at, Z95), curve, len(replicates),
+        _excess(squared, bound, used), rms, float(used.sum() / (in_range.sum() * len(replicates))),
+        float(np.mean(inside)) if used.any() else np.nan, after, _delay(z_old, at, Z95), curve, len(replicates),
     )  # fmt: skip
 
 
@@ -105,12 +106,12 @@ def _between(n: int, at: int, low: int, high: int) -> np.ndarray:
     return np.asarray((place >= low) & (place < high))
 
 
-def _excess(squared: np.ndarray, bound: np.ndarray, told: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(squared[told]) / np.mean(bound[told]))) if told.any() else float("nan")
+def _excess(squared: np.ndarray, bound: np.ndarray, used: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(squared[used]) / np.mean(bound[used]))) if used.any() else float("nan")
 
 
 def _delay(z_old: np.ndarray, at: int | None, level: float) -> float:
-    """Median over replicates of the samples until the old value is excluded."""
+    """Return the median over replicates of the number of samples until the old value is excluded."""
     if at is None:
         return float("nan")
     with np.errstate(invalid="ignore"):
@@ -119,11 +120,11 @@ def _delay(z_old: np.ndarray, at: int | None, level: float) -> float:
     return float(np.sort(delays)[(len(delays) - 1) // 2])
 
 
-def _false_alarms(z_old: np.ndarray, told: np.ndarray, scenario: OnlineScenario, level: float) -> float:
-    """Times in 1,000 samples that the interval begins to exclude the true value of a constant system."""
-    if not scenario.constant or not told.any():
+def _false_alarms(z_old: np.ndarray, used: np.ndarray, scenario: OnlineScenario, level: float) -> float:
+    """Return how often per 1,000 samples the interval starts to exclude the true value of a constant system."""
+    if not scenario.constant or not used.any():
         return float("nan")
     with np.errstate(invalid="ignore"):
-        out = (z_old > level) & told
+        out = (z_old > level) & used
     begins = out & ~np.concatenate([np.zeros((len(out), 1), bool), out[:, :-1]], axis=1)
-    return float(1000.0 * begins.sum() / told.sum())
+    return float(1000.0 * begins.sum() / used.sum())

@@ -1,1 +1,2 @@
-"""The live twin: an online method on a stream of lines, its answers as JSON, in the terminal and on a page."""
+"""Live tracking: an online method applied to a stream of text lines, with output as JSON, in the terminal, on a
+page."""

@@ -1,7 +1,7 @@
-"""A causal filter before the tracker: a band of frequencies, a low-pass with every n-th sample kept, or both.
+"""A causal filter before the tracker: a band-pass, a low-pass with decimation, or both.
 
-A linear filter that motion and force pass alike leaves a linear equation of motion as it is; only its answer comes
-later, by the filter's delay.
+Filtering motion and force with the same linear filter leaves a linear equation of motion unchanged; it only delays the
+estimates.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from bench.contract.online import Sample, Sensor, is_saturated
 from bench.errors import InputError
 
 LOOK_S, LOOK_LEAST, LOOK_MOST = 0.5, 250, 20_000
-"""Length of a stream (s), and number of its samples, in which the frequency of the motion is looked for."""
+"""Duration (s), and smallest and largest number of samples, of the initial part that is analysed for its
+frequencies."""
 FINER, PEAKS, LEAST_PEAK = 8, 3, 1e-3
-"""Frequencies of that spectrum over those that its length resolves; peaks that are named, and their least power over
-the largest's."""
+"""Zero-padding factor of the spectrum; number of peaks to report, and their smallest power relative to the largest."""
 MAINS, NEAR = (50.0, 60.0), 0.5
-"""Frequencies of the mains (Hz), and how near (Hz) to a multiple of one a peak may be its."""
+"""Mains frequencies (Hz), and the distance (Hz) from a harmonic within which a peak is attributed to the mains."""
 PASSED = 0.8
-"""Part of the new Nyquist frequency that the low-pass leaves as it is; of the kind of ``scipy.signal.decimate``, but of
-odd order, so that a constant passes."""
+"""Passband edge of the low-pass over the new Nyquist frequency. The filter is that of ``scipy.signal.decimate`` with an
+odd order, for which the gain at frequency 0 is 1."""
 LONGEST_FILLED = 100
-"""Missing samples that are filled with the one before; behind a longer gap the filter begins anew."""
+"""Longest gap that is filled with the last sample; after a longer gap the filter is reset."""
 
 
 SAVED = ("memory", "block", "last", "held", "before", "repeats", "lowest", "highest")
@@ -34,10 +34,10 @@ SAVED = ("memory", "block", "last", "held", "before", "repeats", "lowest", "high
 
 @dataclass
 class Filter:
-    """Takes each sample of a stream and gives one in ``decimate``; ``band`` in Hz, ``interval`` (s) of the stream.
+    """Filters a stream with sampling ``interval`` (s) to a ``band`` (Hz) and decimates it by ``decimate``.
 
-    What a step changes: the filter's ``memory``, samples of the next output (``block``, NaN where one is missing), the
-    time and values of the sample before, what the filter made of it (``before``), and the extreme values so far.
+    The state consists of the filter's ``memory``, the samples of the next output (``block``, NaN if missing), time and
+    values of the ``last`` sample and its filtered values (``before``), and the extreme values of each sensor.
     """
 
     interval: float
@@ -56,13 +56,13 @@ class Filter:
         self.repeats, self.lowest, self.highest = [0] * n, [float("inf")] * n, [float("-inf")] * n
         if self.band is None and self.decimate == 1:
             return
-        from scipy.signal import butter, cheby1  # slow to import, and few streams need it
+        from scipy.signal import butter, cheby1  # slow to import
 
         rate, sections = 1.0 / self.interval, []
         if self.band is not None:
             if not 0 < self.band[0] < self.band[1] < rate / 2:
                 raise InputError(
-                    "band", "{:g}:{:g}".format(*self.band), f"in Hz, below half the rate, {rate / 2:.4g} Hz"
+                    "band", "{:g}:{:g}".format(*self.band), f"must be below half the sampling rate, {rate / 2:.4g} Hz"
                 )
             sections.append(butter(2, self.band, "bandpass", fs=rate, output="sos"))
         if self.decimate > 1:
@@ -71,18 +71,18 @@ class Filter:
 
     @property
     def delay(self) -> float:
-        """The group delay (s) at the middle of the band, or at low frequency."""
+        """The group delay (s) at the centre of the band, or at low frequency without a band."""
         from scipy.signal import sosfreqz
 
         if self.sections is None:
             return 0.0
         middle = np.sqrt(self.band[0] * self.band[1]) if self.band else 0.1 / self.decimate / self.interval
-        at = 2 * np.pi * middle * self.interval * np.array([0.999, 1.001])
-        phase = np.unwrap(np.angle(sosfreqz(self.sections, at)[1]))
-        return float(-np.diff(phase)[0] / np.diff(at)[0] * self.interval)
+        angles = 2 * np.pi * middle * self.interval * np.array([0.999, 1.001])
+        phase = np.unwrap(np.angle(sosfreqz(self.sections, angles)[1]))
+        return float(-np.diff(phase)[0] / np.diff(angles)[0] * self.interval)
 
     def take(self, sample: Sample) -> Sample | None:
-        """Return the filtered sample that one completes, if any; one not after the sample before is left out."""
+        """Process a sample; returns the filtered sample that it completes, if any. Repeated times are ignored."""
         if self.sections is None:
             return sample
         steps = 1.0 if self.last is None else (sample.time - self.last) / self.interval
@@ -103,10 +103,10 @@ class Filter:
         return self._output(rows, len(sample.values), sample.time - len(self.block) * self.interval)
 
     def _output(self, rows: np.ndarray, n: int, end: float) -> Sample | None:
-        """Return what the filter makes of rows that end at a time: of the motion, and of the force until ``end``.
+        """Return the filtered sample of input rows that end at time ``end``.
 
-        A force is held from a sample to the next. So that this delays it by nothing, it is the mean over that time, and
-        the motion is that of the beginning.
+        A force is constant from one output sample to the next, so it is averaged over this interval, and the motion is
+        that at its beginning; both then have the same delay.
         """
         from scipy.signal import sosfilt, sosfilt_zi
 
@@ -130,12 +130,12 @@ class Filter:
         return Sample(end - self.decimate * self.interval, tuple(values.tolist()), tuple(forces.tolist()))
 
     def saved(self) -> dict[str, Any]:
-        """What :meth:`restored` goes on from."""
+        """Return the state, from which a resumed session continues."""
         return {name: getattr(self, name) for name in SAVED}
 
 
 def look(interval: float) -> int:
-    """Return how many samples are looked at before the first is taken: none of a slow stream, or its answers wait."""
+    """Return the number of initial samples to analyse; 0 for a slow stream, to avoid delaying its estimates."""
     n = round(LOOK_S / interval)
     return min(n, LOOK_MOST) if n >= LOOK_LEAST else 0
 
@@ -143,49 +143,51 @@ def look(interval: float) -> int:
 def survey(
     samples: Sequence[Sample], interval: float, band: tuple[float, float] | None, decimate: int | None
 ) -> tuple[int, str]:
-    """Return the decimation of a stream, the given one or what its first samples can spare, and what they show.
+    """Choose the decimation of a stream from the frequencies in its first samples.
 
     Args:
-        samples: The first samples; fewer than are needed where the stream is slow.
-        interval: Sampling interval (s).
-        band: Frequencies (Hz) that the method will be given, if not all.
-        decimate: The decimation that is asked for, if any.
+        samples: The first samples; there may be too few for a choice.
+        interval: Sampling interval, s.
+        band: Band of the filter, Hz, if any.
+        decimate: Decimation requested by the user, if any.
+
+    Returns:
+        The decimation, and a description of the frequencies for the user.
     """
     rate, within = 1.0 / interval, "" if band is None else " in band={:g}:{:g}".format(*band)
     if len(samples) < LOOK_LEAST:
-        return decimate or 1, _seen(rate, decimate or 1)
+        return decimate or 1, _rates(rate, decimate or 1)
     from bench.records.problem import CYCLE_SAMPLES
 
     peaks, strongest = _peaks(samples, interval, band or (0.0, rate))
     spare = min(rate / strongest / CYCLE_SAMPLES, PASSED * rate / 2.0 / band[1] if band else np.inf)
-    thinned = decimate or max(int(spare), 1)
+    factor = decimate or max(int(spare), 1)
     others = "".join(f", then {f:.4g} Hz ({size:.2g} of it)" for f, size in peaks[1:])
-    text = f"{_seen(rate, thinned)}; strongest{within}: {peaks[0][0]:.4g} Hz{others}"
+    text = f"{_rates(rate, factor)}; strongest{within}: {peaks[0][0]:.4g} Hz{others}"
     mains = any(abs(strongest - base * max(round(strongest / base), 1)) < NEAR for base in MAINS)
     if mains or spare < 1.0:
         reason = "may be the mains" if mains else f"has {rate / strongest:.2g} samples per cycle"
         text += (
             f". {strongest:.4g} Hz {reason}: if it is not the motion, give band=lo:hi (Hz) about the motion's frequency"
         )
-    return thinned, text
+    return factor, text
 
 
-def _seen(rate: float, thinned: int) -> str:
-    return f"sampling rate {rate:,.6g} 1/s, decimate={thinned}" + (
-        f" leaves {rate / thinned:,.4g}" if thinned > 1 else ""
-    )
+def _rates(rate: float, factor: int) -> str:
+    return f"sampling rate {rate:,.6g} 1/s, decimate={factor}" + (f" leaves {rate / factor:,.4g}" if factor > 1 else "")
 
 
 def _peaks(
     samples: Sequence[Sample], interval: float, band: tuple[float, float]
 ) -> tuple[list[tuple[float, float]], float]:
-    """Return frequency (Hz) and relative amplitude of the strongest peaks, and the highest of the sensors' largest."""
-    from scipy.signal import find_peaks, periodogram  # slow to import, and few streams need it
+    """Return frequency (Hz) and relative amplitude of the largest peaks, and the highest dominant frequency of a
+    sensor."""
+    from scipy.signal import find_peaks, periodogram  # slow to import
 
     values = np.array([sample.values for sample in samples])
     values = np.where(np.isfinite(values), values, np.nanmean(values, axis=0))
     frequencies, power = periodogram(values, 1.0 / interval, "hann", FINER * len(values), axis=0)
-    least = 1.0 / interval / len(values)  # one cycle, also of a sensor that does not move yet
+    least = 1.0 / interval / len(values)  # one cycle over the samples
     power[(frequencies < max(band[0], least)) | (frequencies > band[1])] = 0.0
     largest = frequencies[np.argmax(power, axis=0)]
     total = np.append(np.max(power / np.maximum(np.max(power, axis=0), 1e-300), axis=1), 0.0)

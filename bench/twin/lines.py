@@ -1,4 +1,4 @@
-"""Samples from lines of text: time, a value a sensor, a force a forced DOF; from standard input, a file or a pipe."""
+"""Parsing of samples from text lines (time, one value per sensor, one per force) from standard input, file or pipe."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from bench.records.reading.text import FORMATS, Format, format_of, read_text
 from bench.records.reading.units import LETTERS
 
 LOOK_S = 0.02
-"""Time until a file that has not grown is looked at again (s)."""
+"""Interval of checks for new data in a file (s)."""
 LONGEST = 65_536
-"""Characters of a line that can be a sample; of a longer one, not all are kept."""
+"""Longest line (characters); the rest of a longer line is dropped."""
 FEW, ENOUGH = 3, 20
-"""Rows of numbers that show the columns of a stream, and its sampling interval as well."""
+"""Number of rows from which the columns are determined, and from which the sampling interval is estimated as well."""
 MOST_ABOVE = 1000
-"""Lines above the first row of numbers."""
+"""Largest number of lines before the first row of numbers."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """How a line is cut, how many fields it has, and the field and unit (in SI) of each role: time, values, forces."""
+    """Format of a line: separator, number of fields, and field and unit (in SI) of each role (time, values, forces)."""
 
     format: Format
     width: int
@@ -43,7 +43,7 @@ class Form:
         return ", ".join(self.roles)
 
     def sample(self, text: str) -> Sample | None:
-        """Return the sample of a line, NaN for an empty field; None for another line (a header, a comment)."""
+        """Parse a line; an empty field is NaN. Returns None for other lines, such as headers and comments."""
         cells = self.format.row(0, text.strip("\r\n")).cells
         if len(cells) != self.width:
             return None
@@ -55,7 +55,7 @@ class Form:
 
 
 def head_of(source: Iterator[str], n: int) -> tuple[list[str], list[str]]:
-    """Return the lines above the first row of numbers, and lines from it on until ``n`` rows have come."""
+    """Read the lines before the first row of numbers, and further lines up to the n-th row of numbers."""
     above, lines, rows = list[str](), list[str](), 0
     for line in source:
         numbers = line.strip() and any("w" not in form.row(0, line.strip("\r\n")).kinds for form in FORMATS)
@@ -67,10 +67,10 @@ def head_of(source: Iterator[str], n: int) -> tuple[list[str], list[str]]:
 
 
 def form_of(above: Sequence[str], lines: Sequence[str], roles: Sequence[str], options: ReadOptions) -> Form:
-    """Return the form of a stream from its first lines; raises InputError where a column is not certain.
+    """Determine the format of a stream from its first lines; raises InputError if a column is ambiguous.
 
-    A column's role is what ``columns=`` says, else what the header says, else by order. A number without a unit is in
-    SI. Rows unlike most, such as half a line of a serial port, do not count.
+    The role of a column is given by ``columns=``, otherwise by the header, otherwise by the order of columns. Numbers
+    without a unit are in SI units. Rows of another shape, such as an incomplete line of a serial port, are ignored.
     """
     if not lines:
         remedy = f"no line of the form {', '.join(roles)}; name other columns by a header or columns="
@@ -93,11 +93,11 @@ def form_of(above: Sequence[str], lines: Sequence[str], roles: Sequence[str], op
 
 
 def _field(role: str, k: int, columns: Columns, n: int) -> int:
-    """Return the number of the column of a role, the k-th of n; raises InputError."""
+    """Return the column number of a role, the k-th of n roles; raises InputError if it is ambiguous."""
     table, given = columns.table.columns, {slot(name): key for name, key in columns.options.columns.items()}
     if given:
         if slot(role) not in given:
-            raise InputError("columns", role, f"it has no column; name one by {role}:<number>, or leave columns= out")
+            raise InputError("columns", role, f"missing; add {role}:<number>, or leave columns= out")
         return columns.number(role, given[slot(role)])
     letters, dof = LETTERS[role[0]], slot(role)[1]
     alike = [
@@ -108,13 +108,11 @@ def _field(role: str, k: int, columns: Columns, n: int) -> int:
         return alike[0]
     if len(table) == n:
         return k
-    raise InputError(
-        "stream", role, f"no column is certain to be {role}; it has {columns.table.listing()}; say columns="
-    )
+    raise InputError("stream", role, f"its column is ambiguous among {columns.table.listing()}; give columns=")
 
 
 def opened(place: str) -> TextIO:
-    """Return standard input for ``-``, else a file or a named pipe; raises InputError."""
+    """Open standard input (``-``), a file or a named pipe; raises InputError."""
     if place == "-":
         if isinstance(sys.stdin, io.TextIOWrapper):
             sys.stdin.reconfigure(errors="replace")
@@ -122,15 +120,15 @@ def opened(place: str) -> TextIO:
     try:
         return open(os.path.expanduser(place), encoding="utf-8-sig", errors="replace")
     except FileNotFoundError:
-        raise InputError("from", place, "there is no such file or pipe; - is standard input") from None
+        raise InputError("from", place, "file or pipe not found; - is standard input") from None
     except OSError as error:
         raise InputError("from", place, f"cannot be read: {error.strerror}") from None
 
 
 def lines_of(source: TextIO, follow: bool) -> Iterator[str]:
-    """Return the lines as they come; with ``follow`` a file is waited on for more.
+    """Yield the lines as they arrive; with ``follow``, wait for further lines at the end of a file.
 
-    A line without its end is half a line: the rest is waited for, or it is the last of the stream.
+    A line without a line break is incomplete; the rest is waited for, unless it is the last of the stream.
     """
     text = ""
     while True:

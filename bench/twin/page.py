@@ -1,9 +1,8 @@
-"""The page of a twin, served to this machine alone: the motion, each quantity with its band, alarms, as they come.
+"""The live page, served to this machine only: motion, estimates with intervals, and alarms of the last samples.
 
-A server on 127.0.0.1, and nowhere else, has five files and one stream of server-sent events. It shows the last
-:data:`KEPT` samples. It answers to the names of this machine alone, so that a page from elsewhere whose name is bound
-to 127.0.0.1 anew (DNS rebinding) reads nothing. Curves are drawn by uPlot (L. Sun, MIT licence), which travels with the
-package; the page may load nothing from elsewhere.
+The server listens on 127.0.0.1 only and serves five files and one stream of server-sent events with the last
+:data:`KEPT` samples. It answers requests with the names of this machine only, as a protection against DNS rebinding.
+Curves are drawn by uPlot (L. Sun, MIT licence), which is part of the package; the page loads nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ from bench.errors import InputError
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost", "[::1]")
 MOST_THREADS, IDLE_S = 64, 30.0
-"""Of the process, beyond which a connection is closed at once; and time after which one that does nothing is."""
+"""Largest number of threads of the process for accepting a connection, and the timeout of an idle connection (s)."""
 KEPT = 2000
 SEND_S = 0.05
-"""Time between two messages (s): samples that came meanwhile go together."""
+"""Interval between messages (s); samples that arrive within it are sent together."""
 ASSETS = ("page.html", "page.js", "page.css", "uplot.js", "uplot.css")
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src data:"
-"""Nothing from elsewhere; the library of the curves sets styles on its elements."""
+"""Content security policy: nothing from other hosts; inline styles are required by uPlot."""
 
 
 class PageServer:
-    """Serve the page in threads; ``url`` is its address."""
+    """Serves the page in background threads; ``url`` is its address."""
 
     def __init__(self, layout: Layout, port: int) -> None:
         self.head = {
@@ -54,19 +53,19 @@ class PageServer:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def add(self, report: dict[str, Any]) -> None:
-        """Send a report to all who have the page open."""
+        """Send a report to all open pages."""
         with self.lock:
             self.count += 1
             self.kept.append(json.dumps(report, allow_nan=False, separators=(",", ":")))
 
     def after(self, sent: int) -> tuple[int, list[str]]:
-        """Return the number of reports so far, and those behind the first ``sent`` that are kept."""
+        """Return the number of reports so far, and the stored reports after the first ``sent``."""
         with self.lock:
             fresh = min(self.count - sent, len(self.kept))
             return self.count, list(self.kept)[len(self.kept) - fresh :]
 
     def close(self) -> None:
-        """End the server, once the last samples are sent."""
+        """Stop the server after the last samples have been sent."""
         self.ended = True
         time.sleep(4 * SEND_S)
         self._server.shutdown()
@@ -77,11 +76,11 @@ class _Server(ThreadingHTTPServer):
     page: PageServer
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Take no more connections than a few people need."""
+        """Limit the number of connections."""
         return threading.active_count() < MOST_THREADS
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print nothing: what is no request ends its connection."""
+        """Print nothing; an invalid request ends its connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -92,7 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
         known = [f"{name}:{self.server.server_port}" for name in NAMES]
         host, origin = self.headers.get("Host"), self.headers.get("Origin")
         if host not in known or origin not in (None, *(f"http://{name}" for name in known)):
-            return self.send_error(403, "for pages of this machine alone")
+            return self.send_error(403, "only for pages of this machine")
         name = self.path.removeprefix("/") or "page.html"
         if name == "events":
             self._events(self.server.page)
@@ -114,13 +113,13 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _events(self, page: PageServer) -> None:
-        """Send what is kept, then what comes, several samples a message."""
+        """Send the stored reports, then new ones, several per message."""
         self._begin("text/event-stream")
         sent = 0
         try:
             self.wfile.write(f"event: head\ndata: {json.dumps(page.head)}\n\n".encode())
             while True:
-                ended = page.ended  # before the last look
+                ended = page.ended  # read before the last reports are fetched
                 sent, fresh = page.after(sent)
                 if fresh:
                     self.wfile.write(f"data: [{','.join(fresh)}]\n\n".encode())
@@ -128,5 +127,5 @@ class _Handler(BaseHTTPRequestHandler):
                     self.wfile.write(b"event: end\ndata: 0\n\n")
                     return
                 time.sleep(SEND_S)
-        except OSError:  # gone, or nothing is read there
+        except OSError:  # the page was closed, or does not read
             return

@@ -1,7 +1,7 @@
-"""Back-pressure: what becomes of samples that come faster than the method takes them, never silently.
+"""Back-pressure: handling of samples that arrive faster than the method processes them, with a message.
 
-``lag``: every sample is kept, up to a bounded queue; when it is full nothing more is read, so a pipe holds its writer
-back. ``decimate``: while the queue is more than half full, only every second, fourth, ... sample enters it.
+``lag``: all samples are queued; when the queue is full, reading stops, which blocks the writer of a pipe. ``decimate``:
+while the queue is more than half full, only every second, fourth, ... sample is queued.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from bench.twin.lines import Form
 Policy = Literal["lag", "decimate"]
 MOST_THINNED = 64
 FULL, EMPTY = 0.5, 0.1
-"""Parts of the queue from which samples come too fast, and below which the method has caught up."""
+"""Fill levels of the queue above which samples arrive too fast, and below which the method has caught up."""
 
 
 class Intake:
-    """Reads lines in a thread and hands out samples; ``decimated`` and ``unreadable`` count what stayed behind."""
+    """Reads lines in a thread and queues their samples; ``decimated`` and ``unreadable`` count the dropped lines."""
 
     def __init__(self, source: Iterable[str], form: Form, policy: Policy, size: int) -> None:
         self.source, self.form, self.policy = source, form, policy
@@ -34,14 +34,14 @@ class Intake:
 
     @property
     def waiting(self) -> int:
-        """Number of samples in the queue."""
+        """The number of samples in the queue."""
         return max(self.queue.qsize() - self._ended, 0)
 
     def get(self) -> Sample | None:
-        """Return the next sample, waited for; None at the end of the stream. Raises what reading it has raised."""
+        """Wait for the next sample; returns None at the end of the stream. Exceptions of the reader are raised here."""
         while True:
             try:
-                sample = self.queue.get(timeout=0.2)  # so that an interrupt is heard
+                sample = self.queue.get(timeout=0.2)  # a timeout lets Ctrl-C interrupt
             except queue.Empty:
                 continue
             if sample is None and self._error is not None:
@@ -49,27 +49,27 @@ class Intake:
             return sample
 
     def _read(self) -> None:
-        seen = 0
+        count = 0
         try:
             for text in self.source:
                 sample = self.form.sample(text)
                 if sample is None:
                     self._count_unreadable(text)
                     continue
-                seen += 1
+                count += 1
                 self._adapt()
-                if seen % self.thinned:
+                if count % self.thinned:
                     self.decimated += 1
                 else:
                     self.queue.put(sample)
         except Exception as error:
-            self._error = error  # raised where the samples are taken
+            self._error = error  # raised by get()
         finally:
             self._ended = True
             self.queue.put(None)
 
     def _adapt(self) -> None:
-        """Report that samples come too fast, and thin them out where that is the policy."""
+        """Report that samples arrive too fast, and decimate them if that is the policy."""
         part = self.waiting / self.queue.maxsize
         if self.policy == "decimate":
             if part > FULL and self.thinned < MOST_THINNED:

@@ -1,4 +1,4 @@
-"""A stream that is followed to its end: samples in, JSON lines, displays and the tracker's state out."""
+"""A tracking session: samples are read, estimates are written as JSON lines and displayed, the state is saved."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from bench.twin.pressure import Intake, report
 from bench.twin.state import save
 
 WIDEST = 20.0
-"""Standard deviation of a logarithm from which on an estimate is not shown."""
+"""Estimates whose logarithm has at least this standard deviation are not shown."""
 
 
 LINE = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 
 
 class Display(Protocol):
-    """Shows each report of a session, on the terminal or as a page."""
+    """Display of the reports of a session, in the terminal or on a page."""
 
     def add(self, report: dict[str, Any]) -> None: ...
     def close(self) -> None: ...
 
 
 def interval_of(samples: Iterable[Sample | None], columns: str) -> float:
-    """Return the median interval (s) of samples; raises InputError, which names the columns, where there is none."""
+    """Return the median interval (s) of samples; raises InputError, which names the columns, for fewer than two."""
     times = sorted({sample.time for sample in samples if sample is not None})
     steps = sorted(b - a for a, b in itertools.pairwise(times))
     if not steps:
@@ -47,7 +47,8 @@ def interval_of(samples: Iterable[Sample | None], columns: str) -> float:
 
 @dataclass
 class Session:
-    """A tracker on a stream. The state is kept in a file, if any, every ``save_every`` samples and at the end."""
+    """A tracker applied to a stream; the state is saved every ``save_every`` samples and at the end, if it has a
+    file."""
 
     method: OnlineIdentifier
     tracker: Tracker
@@ -59,7 +60,7 @@ class Session:
     displays: Sequence[Display] = ()
 
     def follow(self, output: Output) -> None:
-        """Take samples until the stream ends, or this is interrupted; a sample seen before is counted once."""
+        """Process samples until the stream ends or is interrupted; samples that were processed before are skipped."""
         tracker, last, again = self.tracker, self.filter.last or self.tracker.last, 0
         try:
             while (sample := self.intake.get()) is not None:
@@ -85,7 +86,7 @@ class Session:
                 report(f"{again} sample(s) used before are ignored")
 
     def report(self, sample: Sample, standing: TrackerOutput) -> dict[str, Any]:
-        """Return the answer to a sample as JSON holds it; null stands for what is not known."""
+        """Return the estimates after a sample as plain values for JSON; unknown values are null."""
         layout = self.tracker.layout
         means, sds = moments(standing, layout)
         quantities = {
@@ -148,7 +149,7 @@ class Output:
                 self.file.flush()
 
     def flush(self) -> None:
-        """Have all lines in the file."""
+        """Write all buffered lines to the file."""
         if self.file is not None:
             self.file.flush()
 
@@ -162,10 +163,10 @@ class Output:
 
 
 def _until(place: Path, seen: int) -> list[str]:
-    """Return the lines of an earlier session that the state includes."""
+    """Return the lines of an earlier session up to the sample of its saved state."""
     kept = []
     for text in place.read_text(encoding="utf-8").splitlines(keepends=True) if place.is_file() else []:
-        with suppress(ValueError, KeyError):  # half of a line, where a session was killed
+        with suppress(ValueError, KeyError):  # an incomplete line of a killed session
             if json.loads(text)["sample"] <= seen:
                 kept.append(text)
     return kept

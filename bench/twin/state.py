@@ -1,7 +1,7 @@
-"""The state of a twin in a file: all that its tracker holds, as JSON, so that a killed run continues where it was.
+"""The saved state of a session as a JSON file, from which a killed run continues.
 
-Numbers only, nothing that could be executed. A state belongs to one method with its settings and one layout: it is
-refused by any other.
+The file contains data only, nothing that could be executed. A state is valid only for the same method, settings and
+layout.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from bench.twin.filtering import Filter
 
 
 def digest(method: OnlineIdentifier, layout: Layout, filtered: Filter) -> str:
-    """Return the digest of what a state belongs to."""
+    """Return a digest of the method, layout and filter to which a state belongs."""
     return hashlib.sha256(f"{method!r} {layout!r} {filtered.band}".encode()).hexdigest()[:20]
 
 
 def save(path: Path, method: OnlineIdentifier, tracker: Tracker, filtered: Filter) -> None:
-    """Write the state; the file is there whole or as it was. Raises InputError where it cannot be written."""
+    """Write the state atomically; raises InputError if it cannot be written."""
     content = {
         "of": digest(method, tracker.layout, filtered), "samples": tracker.samples,
         "interval": filtered.interval, "decimate": filtered.decimate,
@@ -40,34 +40,34 @@ def save(path: Path, method: OnlineIdentifier, tracker: Tracker, filtered: Filte
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return the content of a state file; raises InputError."""
+    """Return the content of a state file; raises InputError if it is missing or invalid."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        told = [content["tracker"], content["filter"]]
-        if all(isinstance(part, dict) for part in told) and 0 < content["interval"] < float("inf"):
+        parts = [content["tracker"], content["filter"]]
+        if all(isinstance(part, dict) for part in parts) and 0 < content["interval"] < float("inf"):
             int(content["decimate"])
             return dict(content)
     except FileNotFoundError:
-        raise InputError("state", path, "there is no such file; leave resume out to begin") from None
+        raise InputError("state", path, "file not found; leave resume out to begin a new session") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         pass
-    raise InputError("state", path, "it is not a state file of this command")
+    raise InputError("state", path, "not a state file of this command")
 
 
-def resumed(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout, filtered: Filter) -> Tracker:
-    """Return the tracker of a state and put the filter into it; raises InputError for another method or layout."""
+def resume(path: Path, content: dict[str, Any], method: OnlineIdentifier, layout: Layout, filtered: Filter) -> Tracker:
+    """Return the tracker of a saved state, and restore the filter; raises InputError for another method or layout."""
     if content.get("of") != digest(method, layout, filtered):
-        raise InputError("state", path, "it belongs to another method, setting or layout; give those, or another file")
+        raise InputError("state", path, "was saved with another method, setting or layout; use these, or another file")
     try:
         for name in filtered.saved():
             setattr(filtered, name, restored(content["filter"][name]))
         return method.start(layout).restored({name: restored(value) for name, value in content["tracker"].items()})
     except (KeyError, TypeError, ValueError):
-        raise InputError("state", path, "it is not a state file of this command") from None
+        raise InputError("state", path, "not a state file of this command") from None
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON holds it."""
+    """Convert a value to plain values for JSON."""
     if isinstance(value, np.ndarray):
         return {"array": value.ravel().tolist(), "shape": list(value.shape), "type": value.dtype.str}
     if isinstance(value, list):
@@ -76,7 +76,7 @@ def plain(value: Any) -> Any:
 
 
 def restored(value: Any) -> Any:
-    """Return the value that :func:`plain` was given."""
+    """Convert the result of :func:`plain` back to the value."""
     if isinstance(value, dict):
         return np.array(value["array"], dtype=np.dtype(value["type"])).reshape(value["shape"])
     return [restored(item) for item in value] if isinstance(value, list) else value

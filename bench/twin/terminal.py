@@ -1,4 +1,4 @@
-"""The twin in the terminal: quantities with their intervals, and the course of the last estimates."""
+"""Live display in the terminal: quantities with their intervals, and a small chart of the last estimates."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from bench.reporting.rounding import readable, rounded
 
 BARS = "▁▂▃▄▅▆▇█"
 KEPT, EACH = 40, 10
-"""Number of values in a course, and of samples from one to the next."""
+"""Number of values in a chart, and number of samples between them."""
 LINE_S = 5.0
-"""Time between two lines where there is no terminal (s)."""
+"""Interval between lines if the output is not a terminal (s)."""
 
 
 class View:
-    """Shows the last report in place on a terminal, else a line now and then; on the error stream."""
+    """Displays the last report on the error stream: in place in a terminal, otherwise as a line every few seconds."""
 
     def __init__(self, layout: Layout) -> None:
         self.runs: dict[str, deque[float]] = {q.name: deque(maxlen=KEPT) for q in layout.quantities}
@@ -37,7 +37,7 @@ class View:
             self.live.start()
 
     def add(self, report: dict[str, Any]) -> None:
-        """Take a report in; show it when it is time."""
+        """Add a report, and display it if it is due."""
         if self.count % EACH == 0:
             for name, interval in report["quantities"].items():
                 self.runs[name].append(interval["value"])
@@ -47,7 +47,7 @@ class View:
             self.console.print(self._head())
 
     def close(self) -> None:
-        """Show the last report."""
+        """Display the last report."""
         if self.console.is_terminal:
             self.live.stop()
         elif self.report:
@@ -55,7 +55,7 @@ class View:
 
     def _head(self) -> Text:
         if not self.report:
-            return Text("no sample so far")
+            return Text("no samples yet")
         r = self.report
         bell = "  ALARM" if r["ringing"] else ""
         state = f"{r['status']} {r['message']}{bell}  waiting {r['waiting']}"

@@ -29,7 +29,7 @@ from bench.systems import make_system
 from bench.twin.filtering import Filter, survey
 from bench.twin.lines import Form, form_of, head_of, lines_of
 from bench.twin.pressure import Intake
-from bench.twin.state import plain, read, restored, resumed, save
+from bench.twin.state import plain, read, restored, resume, save
 
 LAYOUT = Layout(make_system("sdof", {}), (Sensor(),), 0.05, forced=(0,))
 RECORD = "\n".join(
@@ -73,9 +73,9 @@ def test_columns_of_a_stream_are_those_of_files() -> None:
     assert (read.fields, read.sizes) == ((3, 0), (1.0, 1.0))
     assert form("0,1,2\n", units={"x": "mm"}).sizes == (1.0, 1e-3, 1.0)
     for head, options, said in (
-        ("t,x,f\n0,1,2\n", {"columns": {"t": 0, "x": 1}}, "columns=f1: it has no column"),
+        ("t,x,f\n0,1,2\n", {"columns": {"t": 0, "x": 1}}, "columns=f1: missing; add f1:<number>"),
         ("t,y (m/s),f\n0,1,2\n", {}, "measures velocity, not displacement"),
-        ("0,1,2,3\n", {}, "no column is certain to be t; it has columns 0 to 3"),
+        ("0,1,2,3\n", {}, "its column is ambiguous among columns 0 to 3"),
         ("0,1,2\n", {"units": {"v": "mm/s"}}, "no column is known to be v"),
         ("one\ntwo\n", {}, "no line of the form t, x1, f1"),
     ):
@@ -206,7 +206,7 @@ def test_a_filter_fills_a_short_gap_and_says_what_is_missing() -> None:
     assert sum(np.isnan(s.values[0]) for s in got) >= 1
     assert all(a.time < b.time for a, b in pairwise(got))
     assert filtered.take(Sample(5.07, (0.5,))) is None  # seen before
-    with pytest.raises(InputError, match="below half the rate"):
+    with pytest.raises(InputError, match="below half the sampling rate"):
         Filter(0.01, band=(10.0, 60.0))
 
 
@@ -263,10 +263,10 @@ def test_the_state_is_numbers_and_comes_back_whole(tmp_path) -> None:
     tracker = method.start(LAYOUT)
     tracker.update(Sample(0.0, (1.0,), (0.5,)))
     save(place, method, tracker, Filter(0.05))
-    assert resumed(place, read(place), method, LAYOUT, Filter(0.05)).samples == 1
+    assert resume(place, read(place), method, LAYOUT, Filter(0.05)).samples == 1
     for other, filtered in (({"factor": 0.9}, Filter(0.05)), ({}, Filter(0.05, band=(1.0, 2.0)))):
         with pytest.raises(InputError, match="another method"):
-            resumed(place, read(place), make_online("rls", other), LAYOUT, filtered)
+            resume(place, read(place), make_online("rls", other), LAYOUT, filtered)
     place.write_text("{}")
     with pytest.raises(InputError, match="not a state file"):
         read(place)
