@@ -205,8 +205,8 @@ def _scored(scenario: OnlineScenario, tasks: Sequence[Tracking], store: Path) ->
 
 def _micros(paths: Sequence[Followed]) -> dict[str, float]:
     """Return the median, 99 % quantile and maximum of the time per sample after the first estimate (µs)."""
-    from bench.online.follow import begun
+    from bench.online.follow import first_estimate
 
-    each = np.concatenate([path.micros[min(begun(path) + 1, len(path.micros) - 1) :] for path in paths])
+    each = np.concatenate([path.micros[min(first_estimate(path) + 1, len(path.micros) - 1) :] for path in paths])
     times = np.quantile(each, [0.5, 0.99, 1.0]).tolist()
     return dict(zip(("micros_median", "micros_99", "micros_largest"), times, strict=True))

@@ -64,7 +64,7 @@ def _covariances(scenario: OnlineScenario, stream: Stream) -> np.ndarray:
     first[: model.n_motion] = (OPEN_MOTION * np.maximum(size, 1e-12 * size.max())) ** 2
     first[model.ambient] = level**2
     first[model.logs] = OPEN_LOG_SD**2
-    transitions, slopes = (np.asarray(part) for part in _slopes(layout)(joints, truth.told, kept))
+    transitions, slopes = (np.asarray(part) for part in _slopes(layout)(joints, truth.known, kept))
     covariances = riccati(transitions, slopes, walk, np.diag(first), np.diag(truth.sigma**2))
     return covariances[:, model.logs, model.logs]
 

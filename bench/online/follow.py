@@ -15,9 +15,9 @@ from bench.online.scenario import Stream
 class Followed:
     """The path of a tracker over one stream of n samples.
 
-    ``means`` and ``sds`` (n, n_quantities): mean and standard deviation of the logarithm of each quantity, NaN without a
-    distribution; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time per sample (µs); ``held_bytes``: size of
-    the tracker's state at the end.
+    ``means`` and ``sds`` (n, n_quantities): mean and standard deviation of the logarithm of each quantity, NaN without
+    a distribution; ``alarms`` (n,); ``status`` (n,); ``micros`` (n,): wall time per sample (µs); ``held_bytes``: size
+    of the tracker's state at the end.
     """
 
     means: np.ndarray
@@ -68,7 +68,7 @@ def follow(method: OnlineIdentifier, stream: Stream) -> Followed:
     return Followed(means, sds, alarms, status, micros, held_bytes(tracker))
 
 
-def begun(path: Followed) -> int:
+def first_estimate(path: Followed) -> int:
     """Return the index of the first sample with a distribution; the number of samples if there is none."""
     there = np.flatnonzero(np.all(np.isfinite(path.means), axis=1) & (path.status != SampleStatus.WARMING_UP.value))
     return int(there[0]) if there.size else len(path.means)

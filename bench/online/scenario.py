@@ -29,13 +29,13 @@ class OnlineTruth:
     """True values of a stream, for scoring; not given to any method.
 
     ``parameters``: values over the interval after each sample, by name, each (n,); ``motion``: states (n, n_motion);
-    ``told`` (n, n_forced) and ``ambient`` (n, n_ambient): known and ambient forces, N; ``clean``: noise-free samples
+    ``known`` (n, n_forced) and ``ambient`` (n, n_ambient): known and ambient forces, N; ``clean``: noise-free samples
     (n, n_sensors); ``sigma``: standard deviations of the noise (n_sensors,).
     """
 
     parameters: Mapping[str, np.ndarray]
     motion: np.ndarray
-    told: np.ndarray
+    known: np.ndarray
     ambient: np.ndarray
     clean: np.ndarray
     sigma: np.ndarray
@@ -52,7 +52,7 @@ class Stream:
 
     def samples(self) -> list[Sample]:
         """Return the samples as they are given to a tracker."""
-        rows = zip(self.times.tolist(), self.values.tolist(), self.truth.told.tolist(), strict=True)
+        rows = zip(self.times.tolist(), self.values.tolist(), self.truth.known.tolist(), strict=True)
         return [Sample(t, tuple(y), tuple(f)) for t, y, f in rows]
 
 

@@ -65,16 +65,16 @@ class Score:
 
 
 def score_bound(
-    scenario: OnlineScenario, streams: Sequence[Stream], bounds: Sequence[np.ndarray], of: Quantity
+    scenario: OnlineScenario, streams: Sequence[Stream], bounds: Sequence[np.ndarray], quantity: Quantity
 ) -> Score:
     """Return the scores of the bound: its error, and the delay of a tracker whose variance equals the bound."""
-    first, at = round(SCORED_FROM * scenario.samples), scenario.change_at
-    true = np.log([of.value(stream.truth.parameters) for stream in streams])
+    first, change = round(SCORED_FROM * scenario.samples), scenario.change_at
+    true = np.log([quantity.value(stream.truth.parameters) for stream in streams])
     z_old = np.abs(true - true[:, :1]) / np.sqrt(bounds)
-    curve = tuple((float("nan"), _delay(z_old, at, level)) for level in LEVELS)
-    after = tuple(1.0 if at is not None else float("nan") for _ in AFTER)
+    curve = tuple((float("nan"), _delay(z_old, change, level)) for level in LEVELS)
+    after = tuple(1.0 if change is not None else float("nan") for _ in AFTER)
     rms = 100.0 * float(np.sqrt(np.mean([np.mean(bound[first:]) for bound in bounds])))
-    return Score(1.0, rms, 1.0, float("nan"), after, _delay(z_old, at, Z95), curve, len(bounds))
+    return Score(1.0, rms, 1.0, float("nan"), after, _delay(z_old, change, Z95), curve, len(bounds))
 
 
 def score(scenario: OnlineScenario, replicates: Sequence[Scored]) -> Score:
@@ -88,16 +88,16 @@ def score(scenario: OnlineScenario, replicates: Sequence[Scored]) -> Score:
     used = np.isfinite(squared) & in_range
     with np.errstate(invalid="ignore"):
         inside = squared[used] <= Z95**2 * stated[used]
-    at = scenario.change_at
+    change = scenario.change_at
     after = tuple(
-        _excess(squared, bound, used & _between(scenario.samples, at, low, high)) if at is not None else np.nan
+        _excess(squared, bound, used & _between(scenario.samples, change, low, high)) if change is not None else np.nan
         for low, high in AFTER
     )
-    curve = tuple((_false_alarms(z_old, used, scenario, level), _delay(z_old, at, level)) for level in LEVELS)
+    curve = tuple((_false_alarms(z_old, used, scenario, level), _delay(z_old, change, level)) for level in LEVELS)
     rms = 100.0 * float(np.sqrt(np.mean(squared[used]))) if used.any() else np.nan
     return Score(
         _excess(squared, bound, used), rms, float(used.sum() / (in_range.sum() * len(replicates))),
-        float(np.mean(inside)) if used.any() else np.nan, after, _delay(z_old, at, Z95), curve, len(replicates),
+        float(np.mean(inside)) if used.any() else np.nan, after, _delay(z_old, change, Z95), curve, len(replicates),
     )  # fmt: skip
 
 
@@ -110,12 +110,12 @@ def _excess(squared: np.ndarray, bound: np.ndarray, used: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squared[used]) / np.mean(bound[used]))) if used.any() else float("nan")
 
 
-def _delay(z_old: np.ndarray, at: int | None, level: float) -> float:
+def _delay(z_old: np.ndarray, change: int | None, level: float) -> float:
     """Return the median over replicates of the number of samples until the old value is excluded."""
-    if at is None:
+    if change is None:
         return float("nan")
     with np.errstate(invalid="ignore"):
-        excluded = z_old[:, at:] > level
+        excluded = z_old[:, change:] > level
     delays = np.where(excluded.any(axis=1), np.argmax(excluded, axis=1).astype(float), np.inf)
     return float(np.sort(delays)[(len(delays) - 1) // 2])
 

@@ -29,7 +29,7 @@ LONGEST_FILLED = 100
 """Longest gap that is filled with the last sample; after a longer gap the filter is reset."""
 
 
-SAVED = ("memory", "block", "last", "held", "before", "repeats", "lowest", "highest")
+SAVED = ("memory", "block", "last", "last_values", "before", "repeats", "lowest", "highest")
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Filter:
     memory: np.ndarray | None = None
     block: list[list[float]] = field(default_factory=list)
     last: float | None = None
-    held: list[float] = field(default_factory=list)
+    last_values: list[float] = field(default_factory=list)
     before: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -111,9 +111,9 @@ class Filter:
         from scipy.signal import sosfilt, sosfilt_zi
 
         missing = np.all(np.isnan(rows[-self.decimate :, :n]), axis=0)
-        for row, before in zip(rows, [np.array(self.held or [0.0] * rows.shape[1]), *rows], strict=False):
+        for row, before in zip(rows, [np.array(self.last_values or [0.0] * rows.shape[1]), *rows], strict=False):
             np.copyto(row, before, where=~np.isfinite(row))
-        self.held = rows[-1].tolist()
+        self.last_values = rows[-1].tolist()
         if self.memory is None:
             self.memory = sosfilt_zi(self.sections)[:, :, None] * rows[0]
             self.before = None

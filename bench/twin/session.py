@@ -127,15 +127,15 @@ def _numbers(values: Iterable[float]) -> list[float | None]:
 class Output:
     """Destination of the JSON lines: a file, ``-`` for standard output, or ``none``.
 
-    A resumed session keeps the lines of the ``seen`` samples that its state includes.
+    A resumed session keeps the lines of the ``n_samples`` samples that its state includes.
     """
 
-    def __init__(self, place: str, path: Path, seen: int | None) -> None:
+    def __init__(self, place: str, path: Path, n_samples: int | None) -> None:
         self.file: TextIO | None = sys.stdout if place == "-" else None
         self.closes = place not in ("-", "none")
         if self.closes:
             try:
-                before = [] if seen is None else _until(path, seen)
+                before = [] if n_samples is None else _until(path, n_samples)
                 self.file = path.open("w", encoding="utf-8")
                 self.file.writelines(before)
             except OSError as error:
@@ -162,11 +162,11 @@ class Output:
             self.file.close()
 
 
-def _until(place: Path, seen: int) -> list[str]:
+def _until(place: Path, n_samples: int) -> list[str]:
     """Return the lines of an earlier session up to the sample of its saved state."""
     kept = []
     for text in place.read_text(encoding="utf-8").splitlines(keepends=True) if place.is_file() else []:
         with suppress(ValueError, KeyError):  # an incomplete line of a killed session
-            if json.loads(text)["sample"] <= seen:
+            if json.loads(text)["sample"] <= n_samples:
                 kept.append(text)
     return kept

@@ -51,7 +51,7 @@ def test_the_motion_obeys_the_equation_with_the_parameters_of_each_interval() ->
     stream = made.stream(0, 0)
     p, state = stream.truth.parameters, np.zeros(2)
     for i in range(made.samples - 1):
-        m, c, k, f = p["m"][i], p["c"][i], p["k"][i], stream.truth.told[i, 0]
+        m, c, k, f = p["m"][i], p["c"][i], p["k"][i], stream.truth.known[i, 0]
         found = solve_ivp(lambda _, s: [s[1], (f - c * s[1] - k * s[0]) / m], (0, 0.1), state, rtol=1e-10, atol=1e-13)  # noqa: B023
         state = found.y[:, -1]
         assert stream.truth.motion[i + 1] == pytest.approx(state, abs=1e-7)

@@ -37,7 +37,7 @@ def test_with_constant_parameters_it_is_the_batch_bound_at_the_end() -> None:
         step = (v @ np.diag(np.exp(lam * 0.1)) @ inverse).real
         push = (v @ np.diag((np.exp(lam * 0.1) - 1) / lam) @ inverse).real @ np.array([0.0, 1.0 / p["m"]])
         path = [start]
-        for f in stream.truth.told[:-1, 0]:
+        for f in stream.truth.known[:-1, 0]:
             path.append(step @ path[-1] + push * f)
         return np.array(path)[:, 0]
 

@@ -235,7 +235,7 @@ def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
     ("arguments", "said"),
     [
         (["method=efk"], "did you mean ekf"),
-        (["from=nowhere.csv"], "there is no such file"),
+        (["from=nowhere.csv"], "file or pipe not found"),
         (["method=rls", "rate=0"], "rate=0: input should be greater than or equal to"),
         (["method=rls", "rate=nan"], "rate=nan: input should be a finite number"),
         (["method=rls", "columns=t"], "use role:value"),

@@ -297,7 +297,7 @@ def test_subspace_windows_and_the_recursive_model_find_the_groups_under_an_unkno
 def test_the_recursive_model_has_no_bias_where_plain_autoregression_has_a_large_one(constant) -> None:
     """Against least squares on the same difference equation, solved here: its damping is far off at 20 dB."""
     _, stream, bound = constant
-    y, f = stream.values[:, 0], stream.truth.told[:, 0]
+    y, f = stream.values[:, 0], stream.truth.known[:, 0]
     columns = np.stack([-y[1:-1], -y[:-2], f[1:-1], f[:-2]], axis=1)
     a1, a2 = np.linalg.lstsq(columns, y[2:], rcond=None)[0][:2]
     s = np.log(np.roots([1.0, a1, a2]).astype(complex)) * 12.0

@@ -104,7 +104,7 @@ def _last(scenario: OnlineScenario, stream: Stream, n: int) -> tuple[OnlineScena
     """The same with its last n samples alone."""
     t = stream.truth
     truth = OnlineTruth(
-        {name: value[-n:] for name, value in t.parameters.items()}, t.motion[-n:], t.told[-n:], t.ambient[-n:],
+        {name: value[-n:] for name, value in t.parameters.items()}, t.motion[-n:], t.known[-n:], t.ambient[-n:],
         t.clean[-n:], t.sigma,
     )  # fmt: skip
     return replace(scenario, samples=n), Stream(stream.layout, stream.times[-n:], stream.values[-n:], truth)
