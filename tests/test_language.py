@@ -29,7 +29,6 @@ PENDING = {
     "bench/entrants",
     "bench/exchange",
     "bench/information",
-    "bench/likelihood",
     "bench/online/course.py",  # fields of conf/online: at, told
     "bench/online/forces.py",
     "bench/reporting",

@@ -124,7 +124,7 @@ class _Likelihood:
 
         start = evaluate(np.zeros(1, int), np.zeros((1, directions.shape[1])))
         end = minimise(evaluate, start, ITERATIONS)
-        return base + directions @ polish(evaluate, end.at).unknowns[0]
+        return base + directions @ polish(evaluate, end.point).unknowns[0]
 
     def _too_far(self, phi: np.ndarray) -> bool:
         return bool(np.any(np.abs(phi[: len(self.centre)] - self.centre) > TOO_FAR))

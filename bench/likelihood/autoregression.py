@@ -1,4 +1,4 @@
-"""Coloured noise: an autoregression fitted to residuals at even times, and the likelihood that it whitens.
+"""Coloured noise: autoregression fitted to uniformly sampled residuals, and the whitened likelihood.
 
 G. E. P. Box, G. M. Jenkins, Time Series Analysis, 1970, section 6.3; order by the Bayesian information criterion, G.
 Schwarz, Ann. Stat. 6:461, 1978. With noise of covariance ``S`` minus twice the log-likelihood is ``r' S⁻¹ r``
@@ -16,9 +16,11 @@ import numpy as np
 from bench.likelihood.output_error import OutputError
 
 MOST_ORDER = 30
+"""Largest order of an autoregression."""
 SAMPLES_PER_ORDER = 10
+"""Smallest number of samples per order."""
 EVEN = 0.25
-"""Largest departure of a sampling interval from their median, over that median, of times that pass for even here."""
+"""Largest relative deviation of a sampling interval from the median for times that count as uniform."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +35,19 @@ class Autoregression:
         return int(self.coefficients.size)
 
     def spectrum(self, n: int) -> np.ndarray:
-        """Variance by frequency, up to a constant, at the n // 2 + 1 frequencies of a transform of length n."""
+        """Return the power spectrum, up to a constant, at the n // 2 + 1 frequencies of a transform of length n."""
         return np.asarray(self.variance / np.abs(np.fft.rfft(np.append(1.0, -self.coefficients), n)) ** 2)
 
     def autocovariance(self, n: int) -> np.ndarray:
-        """At lags 0 to n - 1."""
+        """Return the autocovariance at lags 0 to n - 1."""
         length = 1 << max(13, int(np.ceil(np.log2(4 * n))))
         return np.fft.irfft(self.spectrum(length), length)[:n]
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """Prediction errors of values (..., n) over their standard deviations: white where the values are this noise.
+        """Return standardised prediction errors of values (..., n), which are white for values of this process.
 
-        A value that lacks predecessors is predicted from those there are, so these are the factors of the exact
-        likelihood (Durbin's recursion, run downwards: G. E. P. Box, G. M. Jenkins, 1970, appendix A3.2).
+        The first values are predicted from the available predecessors, so that the errors are the factors of the exact
+        likelihood (Durbin's recursion in reverse: G. E. P. Box, G. M. Jenkins, 1970, appendix A3.2).
         """
         errors = values.copy()
         for lag, coefficient in enumerate(self.coefficients, 1):
@@ -62,23 +64,28 @@ class Autoregression:
         return errors
 
     def drawn(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Noise of this colour, shape (n,), through its spectrum: periodic over eight times the length."""
+        """Draw noise of shape (n,) from the spectrum of the process; it is periodic over eight times the length."""
         length = 1 << int(np.ceil(np.log2(8 * max(n, 64))))
         white = np.fft.rfft(rng.standard_normal(length))
         return np.fft.irfft(white * np.sqrt(self.spectrum(length)), length)[:n]
 
 
 def even_times(times: np.ndarray) -> bool:
-    """Decide whether the samples follow each other at one interval."""
+    """Return True for uniform sampling."""
     steps = np.diff(times)
     middle = float(np.median(steps)) if steps.size else 0.0
     return steps.size > 1 and bool(np.max(np.abs(steps - middle)) <= EVEN * middle)
 
 
 def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
-    """Fit even residuals (n,) by Levinson and Durbin, with the order of the least BIC.
+    """Fit an autoregression by the Levinson-Durbin recursion, with the order of the smallest BIC.
 
-    ``used``: degrees of freedom that the fit has spent, by which the residuals are smaller than the noise.
+    Args:
+        residuals: Uniformly sampled residuals, shape (n,).
+        used: Degrees of freedom of the fit that left the residuals, for which the variance is corrected.
+
+    Returns:
+        The autoregression.
     """
     n = residuals.size
     centred = residuals - np.mean(residuals)
@@ -102,9 +109,9 @@ def autoregression(residuals: np.ndarray, used: float = 0.0) -> Autoregression:
 
 
 def log_likelihoods(noise: Autoregression, residuals: np.ndarray) -> np.ndarray:
-    """Compute those of each of the residuals (n,) but the first, given these, at the best variance of the noise.
+    """Compute the conditional log-likelihood of each residual after the first, at the best variance of the noise.
 
-    The same samples count whatever the order is, so that orders can be compared.
+    The number of skipped residuals does not depend on the order, so that orders can be compared.
     """
     errors = noise.whiten(residuals - np.mean(residuals))[min(MOST_ORDER, residuals.size // SAMPLES_PER_ORDER) :]
     scale = np.mean(errors**2)
@@ -113,9 +120,9 @@ def log_likelihoods(noise: Autoregression, residuals: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Whitened(OutputError):
-    """The output error of a ``model``, whitened by the noise of each channel; None: that channel stays as it is.
+    """Output error of a ``model``, whitened by the noise of each channel (None: not whitened).
 
-    A channel keeps its scale: whitened noise has the standard deviation of the noise itself.
+    Whitened noise has the standard deviation of the noise itself.
     """
 
     model: OutputError = field(kw_only=True)
@@ -144,7 +151,15 @@ class Whitened(OutputError):
 
 
 def whiten_model(model: OutputError, theta: np.ndarray) -> Whitened:
-    """Whiten a model by what its residuals at ``theta`` show; channels at uneven times stay as they are."""
+    """Whiten a model by autoregressions fitted to its residuals; non-uniform channels are not whitened.
+
+    Args:
+        model: The model.
+        theta: Unknowns at which residuals are computed, shape (size,).
+
+    Returns:
+        The whitened model.
+    """
     residuals, share = model.data - model.predict(theta), min(theta.size / model.data.size, 1.0)
     noises = []
     for i, (_, channel) in enumerate(model.channels):

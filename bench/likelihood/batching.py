@@ -1,8 +1,7 @@
-"""Problems that can be solved together: those of one *layout*, which differ in data, initial states and priors alone.
+"""Batches of problems with one *layout*: they differ only in data, initial states and priors.
 
-Same system, sensors, sample times and forces, so that one call simulates them all. Forces and added masses are compared
-over the largest: where the mass of the prior sets the unit, they are the same but for a factor, which is a unit of mass
-(:attr:`bench.OutputError.mass_unit`).
+System, sensors, sample times and forces are equal, so that one call simulates all of them. Forces and added masses are
+compared after division by the largest, since they may differ by a unit of mass (:attr:`bench.OutputError.mass_unit`).
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ from bench.contract.problem import Problem
 from bench.likelihood.output_error import OutputError, mass_scale
 
 DECIMALS = 12
-"""To which times, forces and masses of one layout agree, in natural units."""
+"""Number of decimals to which times, forces and masses of one layout agree, in natural units."""
 MOST_AT_ONCE = 1_000_000
-"""Derivatives of predictions that are held together, with one initial guess a problem."""
+"""Largest number of derivatives of predictions in a batch, with one initial guess per problem."""
 
 
 def layout(problem: Problem) -> Hashable:
-    """Return what problems in natural units must have in common to be solved together."""
+    """Return a key that is equal for problems in natural units that can be solved in one batch."""
     mass = mass_scale(problem)
 
     def rounded(values: np.ndarray | None) -> bytes:
@@ -40,9 +39,14 @@ def layout(problem: Problem) -> Hashable:
 
 
 def batches(models: Sequence[OutputError], alone: Sequence[bool]) -> Iterator[list[int]]:
-    """Sort likelihoods of problems in natural units by layout; yield the places of those to be solved together.
+    """Group likelihoods of problems in natural units by layout.
 
-    Those that ``alone`` says are a batch of one.
+    Args:
+        models: Likelihoods.
+        alone: True for likelihoods that form a batch of their own.
+
+    Yields:
+        Indices of the likelihoods of a batch.
     """
     groups: dict[Hashable, list[int]] = {}
     for i, model in enumerate(models):

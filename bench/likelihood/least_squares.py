@@ -1,8 +1,8 @@
-"""Nonlinear least squares for many problems at once: the search of everything that has residuals and derivatives.
+"""Nonlinear least squares for a batch of problems.
 
 Levenberg-Marquardt (K. Levenberg, Q. Appl. Math. 2:164, 1944; D. W. Marquardt, J. SIAM 11:431, 1963): a step solves
 ``(JᵀJ + d diag JᵀJ) step = -Jᵀr``; the damping d falls where the step lowers the cost and rises where it does not. A
-*case* is one problem with one initial guess; a case is searched alike alone and in a batch.
+*case* is one problem with one initial guess; its result does not depend on the other cases of the batch.
 """
 
 from __future__ import annotations
@@ -13,25 +13,30 @@ from dataclasses import dataclass
 import numpy as np
 
 SETTLED = 1e-8
-"""A search has converged where a Gauss-Newton step would lower the sum of squares by less: residuals are in standard
-deviations, so that is next to nothing."""
+"""A search has converged when a Gauss-Newton step would lower the sum of squares by less. Residuals are in standard
+deviations, so this is far below the statistical uncertainty."""
 FIRST_DAMPING = 1e-3
+"""Initial damping of a search."""
 MOST_DAMPING = 1e12
-"""Damping of a search at first, and beyond which it ends."""
+"""Damping above which a search stops."""
 EASED, STIFFENED = 0.3, 8.0
-"""Factors of the damping after a step that lowers the cost, and after one that does not."""
+"""Factors of the damping after a step that lowers the cost, and after a step that does not."""
 LEAST_CONDITION = 1e-9
-"""Smallest over largest singular value of scaled derivatives below which a direction counts as open."""
+"""Smallest ratio of singular values of scaled derivatives; below it, a direction counts as not identifiable."""
 ROUNDING = 1e-9
-"""Part of a cost that rounding may add."""
+"""Relative increase of a cost that rounding may cause."""
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Unknowns (cases, size), residuals (cases, N) there and their derivatives (cases, N, size).
+    """Residuals of a batch and their derivatives.
 
-    ``cost`` (cases,) is what a search lowers: the sum of squares, unless a likelihood has another one; infinite where a
-    number is not finite.
+    Attributes:
+        unknowns: Unknowns, shape (cases, size).
+        residuals: Standardised residuals, shape (cases, N).
+        slopes: Derivatives of the residuals by the unknowns, shape (cases, N, size).
+        cost: Minimised function, shape (cases,): the sum of squares, unless a likelihood defines another; infinite if
+            a number is not finite.
     """
 
     unknowns: np.ndarray
@@ -41,8 +46,17 @@ class Linearisation:
 
     @staticmethod
     def of(unknowns: np.ndarray, residuals: np.ndarray, slopes: np.ndarray) -> Linearisation:
-        """Collect residuals and derivatives whose cost is the sum of squares."""
-        # a sum is finite where all of its terms are; where terms overflow, they are of no use either
+        """Create a linearisation whose cost is the sum of squares.
+
+        Args:
+            unknowns: Unknowns, shape (cases, size).
+            residuals: Standardised residuals, shape (cases, N).
+            slopes: Derivatives of the residuals, shape (cases, N, size).
+
+        Returns:
+            The linearisation.
+        """
+        # a finite sum implies finite terms; an overflowing sum is treated as not finite
         with np.errstate(all="ignore"):
             cost = np.sum(residuals**2, axis=1)
             finite = np.isfinite(cost) & np.isfinite(np.sum(slopes, axis=(1, 2)))
@@ -52,26 +66,35 @@ class Linearisation:
         return Linearisation(self.unknowns[cases], self.residuals[cases], self.slopes[cases], self.cost[cases])
 
     def put(self, cases: np.ndarray, new: Linearisation) -> None:
-        """Replace some cases."""
+        """Replace some cases in place.
+
+        Args:
+            cases: Indices of the cases.
+            new: Their new linearisation.
+        """
         self.unknowns[cases], self.residuals[cases] = new.unknowns, new.residuals
         self.slopes[cases], self.cost[cases] = new.slopes, new.cost
 
 
 Evaluate = Callable[[np.ndarray, np.ndarray], Linearisation]
-"""Numbers of cases (n,) and their unknowns (n, size) -> residuals and derivatives there."""
+"""Function of indices of cases (n,) and their unknowns (n, size) that returns the linearisation."""
 Steps = Callable[[Linearisation, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""A linearisation and the damping of each case -> its step, and by how much an undamped one would lower the cost."""
+"""Function of a linearisation and the damping of each case that returns the step, and the decrease of the cost that a
+Gauss-Newton step would achieve."""
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a search ended.
+    """Result of a search.
 
-    ``left`` (cases,): by how much a Gauss-Newton step would still lower the cost. ``done`` (cases,): no more steps are
-    worth taking. ``iterations`` (cases,).
+    Attributes:
+        point: Linearisation at the best unknowns.
+        left: Decrease of the cost that a Gauss-Newton step would achieve, shape (cases,).
+        done: True if the search has converged or cannot improve, shape (cases,).
+        iterations: Number of trial steps, shape (cases,).
     """
 
-    at: Linearisation
+    point: Linearisation
     left: np.ndarray
     done: np.ndarray
     iterations: np.ndarray
@@ -79,20 +102,33 @@ class Minimum:
 
 @dataclass(frozen=True, eq=False)
 class StepLimits:
-    """Largest change of each unknown in one step, and largest size of each unknown, both (size,)."""
+    """Limits of a search.
+
+    Attributes:
+        step: Largest change of each unknown in one step, shape (size,).
+        size: Largest magnitude of each unknown, shape (size,).
+    """
 
     step: np.ndarray
     size: np.ndarray
 
     def trial(self, unknowns: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return the unknowns after a step, within the limits."""
+        """Apply a step within the limits.
+
+        Args:
+            unknowns: Unknowns, shape (cases, size).
+            step: Proposed step, shape (cases, size).
+
+        Returns:
+            Unknowns after the step.
+        """
         return np.clip(unknowns + np.clip(step, -self.step, self.step), -self.size, self.size)
 
 
-def dense_steps(at: Linearisation, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the damped normal equations, with unknowns scaled to derivatives of equal size."""
-    transposed = np.swapaxes(at.slopes, 1, 2)
-    hessian, gradient = transposed @ at.slopes, -(transposed @ at.residuals[..., None])[..., 0]
+def dense_steps(point: Linearisation, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the damped normal equations with scaled unknowns; the function has the signature of :data:`Steps`."""
+    transposed = np.swapaxes(point.slopes, 1, 2)
+    hessian, gradient = transposed @ point.slopes, -(transposed @ point.residuals[..., None])[..., 0]
     sizes = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2)) + 1e-150
     scaled = hessian / (sizes[:, :, None] * sizes[:, None, :])
     ridge = np.stack([np.zeros_like(damping), damping], axis=1)[..., None, None] + 1e-14
@@ -109,16 +145,19 @@ def minimise(
     damping: float = FIRST_DAMPING,
     steps: Steps = dense_steps,
 ) -> Minimum:
-    """Lower the cost of every case from where it starts.
+    """Minimise the cost of every case from its initial guess.
 
     Args:
-        evaluate: gives residuals and derivatives of cases by their numbers.
-        start: of all cases, in order.
-        iterations: trial steps, at most.
-        limits: of steps and unknowns.
-        damping: at first; around 1 where nothing says that the start is near.
-        steps: solves the damped linear problem; another one where derivatives are banded, or unknowns outnumber
+        evaluate: Function that returns the linearisation of cases given by index.
+        start: Linearisation of all cases at the initial guesses.
+        iterations: Largest number of trial steps.
+        limits: Limits of steps and unknowns; None for no limits.
+        damping: Initial damping; about 1 for a poor initial guess.
+        steps: Solver of the damped linear problem, to be replaced for banded derivatives or more unknowns than
             residuals.
+
+    Returns:
+        The minimum of every case.
     """
     n = len(start.cost)
     best = start[np.arange(n)]
@@ -140,32 +179,36 @@ def minimise(
         best.put(going[lower], trial[lower])
         taken[going] += 1
         dampings[going] *= np.where(lower, EASED, STIFFENED)
-        # a step that rounding undoes, or one that has become next to nothing without a gain
+        # the step is below rounding, or the damping has grown without a decrease of the cost
         small = np.max(np.abs(step) / np.maximum(1.0, np.abs(best.unknowns[going])), axis=1) < 1e-12
         done[going] |= small | (dampings[going] > MOST_DAMPING)
     return Minimum(best, left, done, taken)
 
 
-def polish(evaluate: Evaluate, at: Linearisation) -> Linearisation:
-    """Take one more Gauss-Newton step in every case, kept where it does not lose more than rounding.
+def polish(evaluate: Evaluate, point: Linearisation) -> Linearisation:
+    """Take one more Gauss-Newton step in every case, unless it increases the cost by more than rounding.
 
-    A search ends where little is left to gain; the square of what is left in the unknowns is that little.
+    The error of the unknowns at convergence is of the order of the square root of the remaining decrease of the cost.
     """
-    every = np.arange(len(at.cost))
-    step, _ = dense_steps(at, np.zeros(every.size))
-    trial = evaluate(every, at.unknowns + step)
-    # rounding must not decide, or an answer would depend on its batch
-    kept = trial.cost <= at.cost * (1.0 + ROUNDING) + ROUNDING
-    polished = at[every]
+    every = np.arange(len(point.cost))
+    step, _ = dense_steps(point, np.zeros(every.size))
+    trial = evaluate(every, point.unknowns + step)
+    # with a tolerance for rounding, so that results do not depend on the batch
+    kept = trial.cost <= point.cost * (1.0 + ROUNDING) + ROUNDING
+    polished = point[every]
     polished.put(every[kept], trial[kept])
     return polished
 
 
 def degrees_used(slopes: np.ndarray, samples: int) -> np.ndarray:
-    """Compute ``trace(H_data H^-1)``, the degrees of freedom that the data spent, (cases,).
+    """Compute ``trace(H_data H^-1)``, the effective number of parameters estimated from the data.
 
-    ``slopes`` (cases, N, size) are derivatives of standardised residuals, of the data in the first ``samples`` rows and
-    of a prior in the others.
+    Args:
+        slopes: Derivatives of standardised residuals, shape (cases, N, size): first of the data, then of a prior.
+        samples: Number of rows that belong to the data.
+
+    Returns:
+        Degrees of freedom used, shape (cases,).
     """
     basis, values, _ = np.linalg.svd(slopes, full_matrices=False)
     determined = values > 1e-12 * values[:, :1]
@@ -173,7 +216,7 @@ def degrees_used(slopes: np.ndarray, samples: int) -> np.ndarray:
 
 
 def covariances(slopes: np.ndarray) -> list[np.ndarray | None]:
-    """Invert ``JᵀJ`` of every case, of derivatives (cases, N, size); None where they leave a direction open."""
+    """Invert ``JᵀJ`` for derivatives (cases, N, size); None for a case with a direction that is not identifiable."""
     sizes = np.sqrt(np.sum(slopes**2, axis=1))
     usable = np.all(np.isfinite(sizes) & (sizes > 0), axis=1) & (slopes.shape[1] >= slopes.shape[2])
     inverses: list[np.ndarray | None] = [None] * len(slopes)

@@ -1,8 +1,8 @@
-"""The likelihood of output error: simulated minus measured, as a function of one vector of unknowns, and its maximum.
+"""Output-error likelihood as a function of one vector of unknowns, and its maximisation.
 
-With Gaussian noise minus twice the log-posterior is ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²`` up
-to the noise level's own term (L. Ljung, System Identification, 2nd ed. 1999, chapters 7 and 10). A problem is in its
-natural units (:meth:`bench.Problem.natural_units`).
+With Gaussian noise minus twice the log-posterior is ``sum ((y - h) / sigma)² + sum ((log p - log nominal) / sd)²`` plus
+a term of the noise level (L. Ljung, System Identification, 2nd ed. 1999, chapters 7 and 10). Problems are in natural
+units (:meth:`bench.Problem.natural_units`).
 """
 
 from __future__ import annotations
@@ -33,23 +33,29 @@ from bench.likelihood.least_squares import (
 from bench.systems import System
 
 SIGMA_FLOOR = 1e-4
-"""The noise assumed while fitting is at least this part of a channel's root mean square; see ``noise``."""
+"""Smallest noise level during a fit, relative to the root mean square of a channel; see ``OutputError.noise``."""
 LEAST_NOISE = 1e-8
-"""The noise of which a covariance is taken is at least this part of a channel's root mean square."""
+"""Smallest noise level for a covariance, relative to the root mean square of a channel."""
 LOG_LIMIT = 40.0
-"""Largest size of a log-parameter in a search."""
+"""Largest magnitude of a log-parameter in a search."""
 LONGEST_STEP = 1.5
 """Largest change of a log-parameter in one iteration; larger steps leave the region where the linearisation holds."""
 START_STEPS = 5
-"""Gauss-Newton steps of the initial states and offsets that fit the data of a nonlinear system best."""
+"""Number of Gauss-Newton steps for initial states and offsets of a nonlinear system."""
 
 InitialValues = InitialState | tuple[np.ndarray, np.ndarray]
-"""A known initial state, or displacement and velocity of shape (n_dof, ...) of many sets at once."""
+"""Known initial state, or displacement and velocity of several sets, each of shape (n_dof, ...)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedData:
-    """Vectors of unknowns (cases, size), with their predictions (cases, N) and derivatives (cases, N, size)."""
+    """Predictions of a batch.
+
+    Attributes:
+        theta: Unknowns, shape (cases, size).
+        predicted: Predictions, shape (cases, N).
+        slopes: Derivatives of the predictions by the unknowns, shape (cases, N, size).
+    """
 
     theta: np.ndarray
     predicted: np.ndarray
@@ -59,19 +65,28 @@ class SimulatedData:
         return SimulatedData(self.theta[cases], self.predicted[cases], self.slopes[cases])
 
     def put(self, cases: np.ndarray, new: SimulatedData) -> None:
-        """Replace some cases."""
+        """Replace some cases in place.
+
+        Args:
+            cases: Indices of the cases.
+            new: Their new predictions.
+        """
         self.theta[cases], self.predicted[cases], self.slopes[cases] = new.theta, new.predicted, new.slopes
 
 
 @dataclass(frozen=True, eq=False)
 class OutputError:
-    """Measurements and simulation of a problem, as functions of one vector ``theta``, vectorised over many of them.
+    """Predictions and likelihood of a problem as functions of a vector of unknowns ``theta``, vectorised over vectors.
 
-    ``theta`` holds the log-parameters (without the gauge mass, held at ``gauge``, where nothing determines the scale),
-    then displacement and velocity at time 0 of each record whose initial state is unknown, then the unknown offsets.
+    ``theta`` consists of the log-parameters (without the gauge mass if the scale is not identifiable), displacement and
+    velocity at time 0 of each record with unknown initial state, and the unknown offsets.
 
-    :meth:`batch` joins problems of one layout. The arrays named in ``per_problem`` then have a leading axis; with
-    ``model[cases]`` that axis is over *cases*, the number of the problem of each, and so is the leading axis of theta.
+    :meth:`batch` combines problems of one layout: the arrays named in ``per_problem`` then have a leading axis over
+    problems, and after indexing by ``model[cases]`` over cases, like ``theta``.
+
+    Attributes:
+        problem: Problem in natural units.
+        gauge: Value of the gauge mass if it is not estimated.
     """
 
     problem: Problem
@@ -81,7 +96,7 @@ class OutputError:
 
     @classmethod
     def batch(cls, models: Sequence[OutputError]) -> Self:
-        """Join the likelihoods of problems of one layout; ``problem`` is that of the first."""
+        """Combine the likelihoods of problems of one layout; ``problem`` is that of the first."""
         joined: Any = copy(models[0])
         for name in joined.per_problem:
             joined.__dict__[name] = np.stack([getattr(model, name) for model in models])
@@ -170,20 +185,20 @@ class OutputError:
         return np.array(mass_scale(self.problem))
 
     def parameters(self, theta: np.ndarray) -> dict[str, np.ndarray]:
-        """The parameters, each of the leading shape of ``theta``."""
+        """Return the parameters by name, each of the leading shape of ``theta``."""
         values = np.exp(theta[..., : len(self.free)])
         p = {name: values[..., i] for i, name in enumerate(self.free)}
         return {name: p[name] if name in p else np.full(theta.shape[:-1], self.gauge) for name in self.system.names}
 
     def _parameters_of_batch(self, theta: np.ndarray) -> dict[str, np.ndarray]:
-        """Those in the unit of mass in which the forces of all cases are those of ``problem``."""
+        """Return parameters in the unit of mass in which the forces of all cases equal those of ``problem``."""
         p = self.parameters(theta)
         if not self.mass_unit.ndim:
             return p
         return {q.name: p[q.name] / self.mass_unit**q.dimension.mass for q in self.system.parameters}
 
     def starts(self, theta: np.ndarray) -> list[InitialValues]:
-        """Initial state by record: the known one, or displacement and velocity of shape (n_dof, ...)."""
+        """Return the initial state of each record: the known one, or displacement and velocity (n_dof, ...)."""
         n = self.system.n_dof
         states: list[InitialValues] = []
         for record, state in zip(self.problem.records, self.states(theta), strict=True):
@@ -193,7 +208,7 @@ class OutputError:
         return states
 
     def states(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Displacements and velocities at time 0 by record, known or of ``theta``, each of shape (..., 2 n_dof)."""
+        """Return displacements and velocities at time 0 of each record, shape (..., 2 n_dof)."""
         place, n2, states = len(self.free), 2 * self.system.n_dof, list[np.ndarray]()
         for number, record in enumerate(self.problem.records):
             if record.initial_state is None:
@@ -204,14 +219,14 @@ class OutputError:
         return states
 
     def offsets(self, theta: np.ndarray) -> np.ndarray:
-        """One offset a channel (zero where there is none), shape (..., n_channels)."""
+        """Return the offset of each channel (zero if it has none), shape (..., n_channels)."""
         all_offsets = np.zeros((*theta.shape[:-1], len(self.channels)))
         if self.offset_channels:
             all_offsets[..., list(self.offset_channels)] = theta[..., -len(self.offset_channels) :]
         return all_offsets
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
-        """Simulated measurements, shape (..., N); not finite where the response diverges."""
+        """Simulate measurements, shape (..., N); not finite where the response diverges."""
         p = self._parameters_of_batch(theta)
         parts = [
             self.readings(p, start, record)
@@ -220,16 +235,25 @@ class OutputError:
         return np.concatenate(parts, -1) + self.offsets(theta)[..., self.channel_of]
 
     def readings(self, p: dict[str, np.ndarray], start: InitialValues, record: Record) -> np.ndarray:
-        """What the sensors of a record would show, channel after channel, shape (..., n), without offsets."""
+        """Simulate noise-free measurements of a record without offsets.
+
+        Args:
+            p: Parameters by name, arrays of one shape.
+            start: Initial state.
+            record: The record.
+
+        Returns:
+            Values, channel after channel, shape (..., n).
+        """
         return measurements(self.system, p, start, record)
 
     @property
     def exact_slopes(self) -> bool:
-        """Return True if :meth:`readings_and_slopes` is available; derivatives are central differences otherwise."""
+        """True if :meth:`readings_and_slopes` is available; otherwise derivatives are central differences."""
         return self.system.linear
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions (..., N) and their derivatives (..., N, size) at ``theta`` (..., size)."""
+        """Compute predictions (..., N) and their derivatives (..., N, size) at ``theta`` (..., size)."""
         if not self.exact_slopes:
             return self._differences(theta)
         predicted, slopes = self._assembled(theta.reshape(-1, self.size))
@@ -237,10 +261,10 @@ class OutputError:
         return predicted.reshape(shape), slopes.reshape(*shape, self.size)
 
     def _differences(self, theta: np.ndarray, first: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions, and central differences by the unknowns from number ``first`` on."""
+        """Compute predictions, and central differences by the unknowns from index ``first`` on."""
         d, k = self.size - first, len(self.free)
-        # one step for all log-parameters: raised together they change nothing where no force determines the scale, and
-        # the errors of the differences, which cancel to the same degree then, would otherwise pass for information
+        # One step for all log-parameters: without a force, a common change of all has no effect, and only with equal
+        # steps do the errors of the differences cancel as well; otherwise they would appear as information.
         step = 1e-5 * np.where(np.arange(self.size) < k, 1.0, np.maximum(1.0, np.abs(theta)))[..., first:]
         moves = step[..., None] * np.eye(self.size)[first:]
         sets = np.concatenate([theta[..., None, :], theta[..., None, :] + moves, theta[..., None, :] - moves], axis=-2)
@@ -251,7 +275,7 @@ class OutputError:
         return predicted[..., 0, :], np.swapaxes(slopes, -1, -2)
 
     def _assembled(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions and derivatives at ``theta`` (cases, size) from those of the sensors of each record."""
+        """Assemble predictions and derivatives at ``theta`` (cases, size) from those of each record."""
         n2, names, k = 2 * self.system.n_dof, self.system.names, len(self.free)
         logs = [names.index(name) for name in self.free]
         p = self._parameters_of_batch(theta)
@@ -274,34 +298,72 @@ class OutputError:
     def readings_and_slopes(
         self, number: int, p: dict[str, np.ndarray], state: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Predict what the sensors of a record show, with derivatives as those of :func:`linear_readings`.
+        """Predict measurements of a record with derivatives (see :func:`linear_readings`).
 
-        Derivatives by a known initial state need not be there.
+        Args:
+            number: Index of the record.
+            p: Parameters by name, each of shape (cases,).
+            state: Displacements and velocities at time 0, shape (cases, 2 n_dof).
+
+        Returns:
+            Values (cases, n), and derivatives by the log-parameters and, if it is unknown, the initial state.
         """
         return linear_readings(self.system, p, state, self.problem.records[number])
 
     def for_screening(self, cases: np.ndarray, theta: np.ndarray) -> Self:
-        """Return the likelihood that is as exact as comparing guesses ``theta`` (cases, size) needs; maybe itself."""
+        """Return a likelihood accurate enough to compare initial guesses.
+
+        Args:
+            cases: Indices of the problems.
+            theta: Initial guesses, shape (cases, size).
+
+        Returns:
+            The likelihood, by default this one.
+        """
         return self
 
     def refined(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> Self:
-        """Return the one that is as exact as answers near ``theta`` must be at noise ``sigma`` (cases, channels)."""
+        """Return a likelihood accurate enough for estimates.
+
+        Args:
+            cases: Indices of the problems.
+            theta: Unknowns near the estimates, shape (cases, size).
+            sigma: Noise levels, shape (cases, channels).
+
+        Returns:
+            The likelihood, by default this one.
+        """
         return self
 
     def coarse(self, cases: np.ndarray, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Decide which answers at ``theta`` would have to be more exact, shape (cases,)."""
+        """Decide which cases need a more accurate simulation.
+
+        Args:
+            cases: Indices of the problems.
+            theta: Unknowns, shape (cases, size).
+            sigma: Noise levels, shape (cases, channels).
+
+        Returns:
+            Booleans, shape (cases,).
+        """
         return np.zeros(cases.size, bool)
 
     def penalty(self, theta: np.ndarray) -> np.ndarray:
-        """Standardised distances from the prior, shape (..., n_parameters); of no length without a prior."""
+        """Return standardised deviations from the prior, shape (..., n_parameters); empty without a prior."""
         k = self.log_mean.shape[-1]
         return np.asarray((theta[..., :k] - self.log_mean) * self.precision)
 
     def noise(self, residuals: np.ndarray, used: float | np.ndarray, floor: float = SIGMA_FLOOR) -> np.ndarray:
-        """Noise by channel, ``RSS / (N - used)`` with the degrees of freedom shared in proportion to the samples.
+        """Estimate the noise level of each channel, the square root of ``RSS / (N - used)``.
 
-        Bounded below by ``floor`` of the channel's size: data that fit better than that (80 dB) would leave the prior
-        no weight that double precision can resolve. ``residuals`` (..., N), ``used`` (...,).
+        Args:
+            residuals: Residuals, shape (..., N).
+            used: Degrees of freedom used, shape (...,), divided among channels in proportion to their samples.
+            floor: Smallest level relative to the root mean square of a channel; below it (80 dB), the weight of the
+                prior would be lost to rounding.
+
+        Returns:
+            Standard deviations, shape (..., channels).
         """
         n = self.channel_of.size
         share = np.maximum(1.0 - np.asarray(used) / n, 1.0 / n)[..., None]
@@ -313,24 +375,40 @@ class OutputError:
         return np.maximum(np.sqrt(rss / (np.maximum(self.counts, 1) * share)), floor * self.rms)
 
     def profile(self, theta: np.ndarray) -> Any:
-        """Minus twice the log-posterior with the noise of each channel at its best value, up to a constant, (...,)."""
+        """Return minus twice the log-posterior, profiled over the noise levels, up to a constant, shape (...,)."""
         with np.errstate(all="ignore"):
             return self.profile_of(theta, self.data - self.predict(theta))
 
     def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> Any:
-        """The same, of residuals (..., N) that are known already; infinite where they are not finite."""
+        """Compute :meth:`profile` from residuals.
+
+        Args:
+            theta: Unknowns, shape (..., size).
+            residuals: Residuals, shape (..., N).
+
+        Returns:
+            Values, shape (...,); infinite if a residual is not finite.
+        """
         finite = np.all(np.isfinite(residuals), axis=-1)
         sigma = self.noise(np.where(finite[..., None], residuals, 1.0), 0.0)
         value = 2 * np.log(sigma) @ self.counts + np.sum(self.penalty(theta) ** 2, axis=-1)
         return np.where(finite, value, np.inf)[()]
 
     def point(self, theta: np.ndarray) -> SimulatedData:
-        """The predictions at vectors of unknowns (cases, size)."""
+        """Compute predictions and derivatives at unknowns (cases, size)."""
         with np.errstate(all="ignore"):
             return SimulatedData(theta, *self.jacobian(theta))
 
     def standardised(self, point: SimulatedData, sigma: np.ndarray) -> Linearisation:
-        """Residuals over the noise (cases, channels), then distances from the prior, with their derivatives."""
+        """Standardise residuals by the noise, and append standardised deviations from the prior.
+
+        Args:
+            point: Predictions.
+            sigma: Noise levels, shape (cases, channels).
+
+        Returns:
+            Standardised residuals with derivatives.
+        """
         weights = 1.0 / sigma[..., self.channel_of]
         residuals, slopes = weights * (point.predicted - self.data), weights[..., None] * point.slopes
         if k := self.precision.shape[-1]:
@@ -347,10 +425,17 @@ class OutputError:
         damping: float = FIRST_DAMPING,
         polished: bool = False,
     ) -> tuple[SimulatedData, Minimum]:
-        """Search the maximum of the posterior at given noise (cases, channels), from a point of each case.
+        """Maximise the posterior at given noise levels.
 
-        ``damping``: the first one. ``polished``: take one more step at the end. Returns the points reached, and how the
-        searches ended.
+        Args:
+            start: Predictions at the initial guesses.
+            sigma: Noise levels, shape (cases, channels).
+            iterations: Largest number of trial steps.
+            damping: Initial damping.
+            polished: True to take one more Gauss-Newton step at the end.
+
+        Returns:
+            Predictions at the maxima, and the results of the searches.
         """
 
         def evaluate(cases: np.ndarray, theta: np.ndarray) -> Linearisation:
@@ -360,13 +445,22 @@ class OutputError:
         size = np.where(np.arange(self.size) < len(self.free), LOG_LIMIT, np.inf)
         limits = StepLimits(np.where(np.isfinite(size), LONGEST_STEP, np.inf), size)
         end = minimise(evaluate, self.standardised(start, sigma), iterations, limits, damping)
-        reached = polish(evaluate, end.at) if polished else end.at
+        reached = polish(evaluate, end.point) if polished else end.point
         scale, n = sigma[..., self.channel_of], self.channel_of.size
         predicted = self.data + scale * reached.residuals[:, :n]
         return SimulatedData(reached.unknowns, predicted, scale[..., None] * reached.slopes[:, :n]), end
 
     def settle(self, thetas: np.ndarray, rounds: int = 2, iterations: int = 10) -> np.ndarray:
-        """Fit and noise in turn, from each of ``thetas`` (cases, size); those without a finite response stay."""
+        """Alternate between fits and estimates of the noise levels.
+
+        Args:
+            thetas: Initial guesses, shape (cases, size); those with a response that is not finite are kept.
+            rounds: Number of alternations.
+            iterations: Largest number of trial steps per fit.
+
+        Returns:
+            Unknowns, shape (cases, size).
+        """
         point = self.point(thetas)
         for _ in range(rounds):
             residuals = self.data - point.predicted
@@ -376,10 +470,15 @@ class OutputError:
         return point.theta
 
     def covariance(self, slopes: np.ndarray, sigma: np.ndarray, log_sd: float | None = None) -> np.ndarray | None:
-        """Inverse of the Gauss-Newton Hessian over theta; None where the data and the prior leave a direction open.
+        """Invert the Gauss-Newton Hessian.
 
-        ``slopes`` (N, size) are the derivatives of the predictions, ``sigma`` the noise by channel; ``log_sd`` is the
-        width of a prior on the log-parameters where the problem has none.
+        Args:
+            slopes: Derivatives of the predictions, shape (N, size).
+            sigma: Noise levels, shape (channels,).
+            log_sd: Standard deviation of a prior on the log-parameters if the problem has no prior.
+
+        Returns:
+            Covariance of theta, shape (size, size); None if a direction is not identifiable.
         """
         k, sigma = len(self.free), np.maximum(sigma, LEAST_NOISE * self.rms)
         precision = self.precision if self.prior is not None else np.full(k, 1.0 / (log_sd or np.inf))
@@ -387,32 +486,40 @@ class OutputError:
         return covariances(np.concatenate(rows)[None])[0]
 
     def covariances(self, point: SimulatedData, sigma: np.ndarray) -> list[np.ndarray | None]:
-        """The same of every case, at noise (cases, channels)."""
+        """Compute the covariance of theta for every case.
+
+        Args:
+            point: Predictions.
+            sigma: Noise levels, shape (cases, channels).
+
+        Returns:
+            Covariances, shape (size, size); None if a direction is not identifiable.
+        """
         return covariances(self.standardised(point, np.maximum(sigma, LEAST_NOISE * self.rms)).slopes)
 
     def with_initial_states(self, theta: np.ndarray) -> np.ndarray:
-        """Vectors (cases, size) with the initial states and offsets that fit the data best at their parameters.
+        """Fit initial states and offsets at given parameters by Gauss-Newton steps; for a linear system one is exact.
 
-        Gauss-Newton, whose first step is the solution for a linear system; a case that is not finite stays.
+        Cases (cases, size) with values that are not finite are returned unchanged.
         """
         theta, k = theta.copy(), len(self.free)
         for _ in range((1 if self.system.linear else START_STEPS) * (k < self.size)):
             with np.errstate(all="ignore"):
                 predicted, slopes = self.jacobian(theta) if self.exact_slopes else self._differences(theta, k)
-            left, slopes = self.data - predicted, slopes[..., k - self.size :]
-            good = np.all(np.isfinite(left), axis=1) & np.all(np.isfinite(slopes), axis=(1, 2))
-            theta[good, k:] += (np.linalg.pinv(slopes[good], rcond=1e-12) @ left[good, :, None])[..., 0]
+            residuals, slopes = self.data - predicted, slopes[..., k - self.size :]
+            good = np.all(np.isfinite(residuals), axis=1) & np.all(np.isfinite(slopes), axis=(1, 2))
+            theta[good, k:] += (np.linalg.pinv(slopes[good], rcond=1e-12) @ residuals[good, :, None])[..., 0]
         return theta
 
     def vector(self, p: dict[str, float]) -> np.ndarray:
-        """``theta`` at parameters, with the initial states and offsets that fit the data best there."""
+        """Return ``theta`` for parameters given by name, with fitted initial states and offsets."""
         theta = np.zeros((1, self.size))
         theta[0, : len(self.free)] = np.log([p[name] for name in self.free])
         return self.with_initial_states(theta)[0]
 
 
 def mass_scale(problem: Problem) -> float:
-    """Return the size of the forces of a problem, else of its added masses, else 1: all scale with the unit of mass."""
+    """Return the largest force of a problem, or the largest added mass, or 1; all scale with the unit of mass."""
     forces = [float(np.max(np.abs(force.values))) for record in problem.records for force in record.forces]
     added = [float(np.max(r.added_mass)) for r in problem.records if r.added_mass is not None]
     return max(forces, default=0.0) or max(added, default=0.0) or 1.0
@@ -421,9 +528,18 @@ def mass_scale(problem: Problem) -> float:
 def estimate_at(
     model: OutputError, theta: np.ndarray, covariance: np.ndarray | None, used: float, cost: Cost, message: str = ""
 ) -> Estimate:
-    """The answer that ``theta`` is, in the model's units: all parameters, or the groups where the gauge mass is fixed.
+    """Return the estimate for a vector of unknowns: of all parameters, or of the groups if the gauge mass is fixed.
 
-    ``covariance`` (size, size) is that of theta, Student's t with ``N - used`` degrees of freedom, or None.
+    Args:
+        model: The likelihood.
+        theta: Unknowns, shape (size,).
+        covariance: Covariance of theta, shape (size, size); None without uncertainty.
+        used: Degrees of freedom used; intervals are those of Student's t with ``N - used`` degrees of freedom.
+        cost: Effort of the fit.
+        message: Message for the user.
+
+    Returns:
+        The estimate in the units of the model.
     """
     system, k, dof = model.system, len(model.free), max(model.data.size - used, 1.0)
     p = {name: float(value) for name, value in model.parameters(theta).items()}
@@ -433,7 +549,7 @@ def estimate_at(
     if k == len(system.names):
         parameters = Normal(system.names, theta[:k], spread, log=True, dof=dof)
     else:
-        # the gauge is 1 here, so a group is exp(weights . logs): first order (delta method) for its covariance
+        # with a gauge of 1 a group is exp(weights . logs); its covariance follows by the delta method
         powers = np.array([group.vector(model.free) for group in system.groups])
         values = np.array([group.value(p) for group in system.groups])
         spread = None if spread is None else values[:, None] * (powers @ spread @ powers.T) * values

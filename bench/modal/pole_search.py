@@ -158,7 +158,7 @@ class PoleFit(ABC):
         if not size:
             return self
         start = evaluate(np.zeros(1), np.concatenate([self.nonlinear.real, self.nonlinear.imag])[None])
-        x = minimise(evaluate, start, iterations).at.unknowns[0]
+        x = minimise(evaluate, start, iterations).point.unknowns[0]
         return self.moved(x[:size] + 1j * x[size:])
 
     def settled(self) -> Self:

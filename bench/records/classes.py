@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.contract.estimate import Cost, Estimate
 from bench.contract.problem import Problem
-from bench.likelihood.compiled import compiled_output_error
+from bench.likelihood.compiled_model import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.colour import criterion_error
 from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerpt

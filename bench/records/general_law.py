@@ -280,7 +280,7 @@ class LawFitter:
         cost = np.where(np.isfinite(start.cost) & (start.cost > 0), start.cost, 1.0)
         scale = np.sqrt(SETTLED / TOLERANCE * np.sum(weight > 0) / cost)
         start = Linearisation.of(theta, start.residuals * scale[:, None], start.slopes * scale[:, None, None])
-        reached = minimise(evaluate, start, iterations).at
+        reached = minimise(evaluate, start, iterations).point
         return reached.unknowns, reached.cost / scale**2
 
     def whitened(self, noises: Noises, left: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

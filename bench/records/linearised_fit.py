@@ -18,7 +18,7 @@ import numpy as np
 from bench.contract.estimate import Estimate
 from bench.contract.problem import InitialState, Problem
 from bench.likelihood.autoregression import Autoregression, autoregression, even_times
-from bench.likelihood.compiled import compiled_output_error
+from bench.likelihood.compiled_model import compiled_output_error
 from bench.likelihood.least_squares import degrees_used
 from bench.likelihood.output_error import OutputError
 from bench.records.colour import local_spectrum

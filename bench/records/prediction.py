@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.likelihood.compiled import compiled_output_error
+from bench.likelihood.compiled_model import compiled_output_error
 from bench.records.linearised_fit import LinearisedFit
 
 HELD_OUT = 0.4

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.likelihood.compiled import compiled_output_error
+from bench.likelihood.compiled_model import compiled_output_error
 from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
 from bench.records.dominant_frequency import dominant_frequency
 from bench.records.finding import Finding

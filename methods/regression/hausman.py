@@ -54,7 +54,7 @@ def most_likely(regression: Regression, fits: SplineFits) -> np.ndarray:
     start = evaluate(np.arange(len(first)), np.ones_like(first))
     limits = StepLimits(np.full(d, LARGEST_STEP), np.full(d, LARGEST))
     end = minimise(evaluate, start, ROUNDS if regression.system.linear else NONLINEAR_ROUNDS, limits)
-    return first * end.at.unknowns
+    return first * end.point.unknowns
 
 
 def bias_warnings(

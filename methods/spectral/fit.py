@@ -87,7 +87,7 @@ def search(objective: Objective, starts: np.ndarray, iterations: int) -> tuple[L
             return _scaled(objective.linearise(unknowns), 1.0 / units[cases])
 
         reached = minimise(evaluate, _scaled(ends, 1.0 / units), iterations, limits)
-        ends, spent = _scaled(reached.at, units), spent + int(reached.iterations.sum())
+        ends, spent = _scaled(reached.point, units), spent + int(reached.iterations.sum())
         if np.all(_units(ends) > SMALLER * units):
             break
     return ends, spent

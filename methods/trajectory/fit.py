@@ -149,9 +149,9 @@ def fit(
         reached, end = model.search(point[going], sigma[going], rules.iterations, rules.damping)
         point.put(going, reached)
         iterations[going] += end.iterations
-        finite = np.isfinite(end.at.cost)
+        finite = np.isfinite(end.point.cost)
         converged[going], done[going] = finite & (end.left < most_left), end.done
-        used[going[finite]] = degrees_used(end.at.slopes[finite], samples)
+        used[going[finite]] = degrees_used(end.point.slopes[finite], samples)
         residuals[going] = model.data - reached.predicted
         before = searched_at[going] = sigma[going]
         sigma[going] = model.noise(residuals[going], used[going])

@@ -145,9 +145,9 @@ class StudentOutputError(OutputError):
     ) -> tuple[SimulatedData, Minimum]:
         """Search as with normal errors; linearise the end with the expected information of the errors."""
         _, end = super().search(start, sigma, iterations, damping, polished)
-        point = self.point(end.at.unknowns)
+        point = self.point(end.point.unknowns)
         expected = super().standardised(point, sigma / np.sqrt(STUDENT.location))
-        return point, replace(end, at=replace(expected, cost=end.at.cost))
+        return point, replace(end, point=replace(expected, cost=end.point.cost))
 
     def profile_of(self, theta: np.ndarray, residuals: np.ndarray) -> np.ndarray:
         """Return minus twice the log-posterior at the scales of residuals (cases, N), up to a constant."""

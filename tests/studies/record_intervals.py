@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from bench.commands.declaration import OneOf, Within
 from bench.config.overrides import overrides_of
 from bench.contract.estimate import Cost
-from bench.likelihood.compiled import compiled_output_error
+from bench.likelihood.compiled_model import compiled_output_error
 from bench.likelihood.output_error import estimate_at
 from bench.records.intervals import StatedInterval, stated_intervals
 from bench.records.linearised_fit import at_theta, linearise

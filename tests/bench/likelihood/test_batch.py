@@ -133,7 +133,7 @@ def test_a_case_that_is_not_finite_stops_no_other() -> None:
     chosen, third = batch[cases], batch[cases[2:3]]
     reached, end = chosen.search(chosen.point(starts), sigma, 60)
     alone, _ = third.search(third.point(starts[2:3]), sigma[2:3], 60)
-    assert not np.isfinite(end.at.cost[1])
+    assert not np.isfinite(end.point.cost[1])
     np.testing.assert_allclose(reached.theta[2], alone.theta[0], atol=1e-9)
 
 

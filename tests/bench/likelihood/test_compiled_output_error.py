@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench import Channel, Force, OutputError, Problem, Record
-from bench.likelihood.compiled import CompiledOutputError, compiled_output_error
+from bench.likelihood.compiled_model import CompiledOutputError, compiled_output_error
 from bench.systems import BoucWen, System
 from bench.systems.sums import sum_from
 
