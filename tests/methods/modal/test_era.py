@@ -123,7 +123,7 @@ def test_what_it_cannot_take_is_declined_in_a_sentence() -> None:
         "force": Problem(Chain(2), (Record(channels, (push,)),)),
         "every DOF": Problem(Chain(2), (Record(channels[:1]),)),
         "even": record(SDOF(), ONE, times=np.sort(np.random.default_rng(3).uniform(0.0, 8.0, 25))),
-        "thin": record(SDOF(), ONE, times=np.linspace(0.0, 10.0, 700)),
+        "decimate": record(SDOF(), ONE, times=np.linspace(0.0, 10.0, 700)),
         "linear": Problem(Duffing(), record(SDOF(), ONE).records),
     }
     for word, problem in cases.items():
