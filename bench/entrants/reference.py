@@ -1,4 +1,4 @@
-"""The rows that every table carries beside the methods: ``prior`` and ``oracle``; they may see the truth.
+"""Reference rows of the tables, ``prior`` and ``oracle``, which may use the true values.
 
 ``prior``: the nominal values as the estimate, the naive baseline. ``oracle``: maximum a posteriori started at the
 truth, what a perfect optimiser gets from the same data and the same prior.
@@ -20,7 +20,7 @@ from bench.scenario.truth import Truth
 
 NOISE_ROUNDS = 6
 MOST_ITERATIONS = 100
-"""Trial steps of a search, at most."""
+"""Largest number of trial steps of a search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class _ExactOutputError(OutputError):
 
 
 def prior_estimate(problem: Problem, truth: Truth) -> Estimate:
-    """Return the nominal values and the covariance of the prior: what is known before any measurement."""
+    """Return the nominal values and the covariance of the prior, without using the data."""
     if problem.prior is None:
         return Estimate.failed(problem.system, Status.UNSUPPORTED, "there is no prior in this scenario")
     prior = problem.prior

@@ -1,4 +1,4 @@
-"""The registered methods: entry points of the group ``bench.methods``, ours and anybody's alike."""
+"""Registered methods: entry points of the group ``bench.methods``, of this and other packages."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Made = TypeVar("Made")
 
 
 def registered() -> dict[str, EntryPoint]:
-    """Return the entry points by method name; nothing is imported."""
+    """Return the entry points by method name, without importing anything."""
     return entry_points_of(GROUP)
 
 
 def method_names() -> list[str]:
-    """Return what ``method=`` accepts beside the variants in ``conf/method``: methods and reference rows."""
+    """Return the names of methods and reference rows; ``method=`` also accepts the variants in ``conf/method``."""
     return [*registered(), *REFERENCES]
 
 
 @cache
 def load_method(name: str) -> type[Identifier]:
-    """Return the class of a method; raises InputError for an unknown name or an entry point that does not load."""
+    """Return the class of a method. Raises InputError if the name is unknown or its entry point cannot be imported."""
     cls: type[Identifier] = load_dataclass(registered(), name, Identifier, method_names())
     return cls
 

@@ -1,1 +1,1 @@
-"""What the data can tell: Fisher information and the Cramér-Rao bound, structure, profile likelihoods."""
+"""Information in the data: Fisher information, Cramér-Rao bound, structural identifiability, profile likelihoods."""

@@ -1,8 +1,8 @@
-"""The Cramér-Rao bound of a scenario: the best that data and prior allow, by quantity and for the displacement.
+"""Cramér-Rao bound of a scenario, for quantities and for the displacement.
 
-The bound is the inverse of (Fisher information of the data at the truth + precision of the prior), in the
-log-parameters (and the initial state, where it is unknown). With Gaussian noise of unknown level the cross terms
-between level and parameters vanish (the expectation of the residual is zero), so estimating the level costs nothing.
+The bound is the inverse of the sum of the Fisher information of the data at the true values and the precision of the
+prior, over the log-parameters and, if it is unknown, the initial state. With Gaussian noise of unknown level the cross
+terms between level and parameters vanish, so an unknown level does not change the bound.
 """
 
 from __future__ import annotations
@@ -19,21 +19,24 @@ from bench.scenario.scenario import DISTURBANCE, Scenario
 from bench.systems import Quantity
 
 RANK_TOLERANCE = 1e-9
-"""Eigenvalues of the Fisher information below this part of the largest count as zero."""
+"""Eigenvalues of the Fisher information count as zero below this fraction of the largest."""
 ORTHOGONAL = 1e-5
-"""Largest product of a unit direction and a quantity's exponents that counts as zero."""
+"""Largest product of a unit direction and the exponents of a quantity that counts as zero."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """What no unbiased estimate can beat, as root mean squares.
+    """Smallest root mean square errors of unbiased estimators.
 
-    ``relative_sd`` by quantity: the standard deviation of its logarithm, hence of its relative error to first order
-    (inf where neither data nor prior determine it). ``identifiable`` by quantity: whether the data alone determine it.
-    ``prior_share`` by quantity: the part of its variance that comes from the prior's error rather than the noise's.
-    ``rmse`` and ``rmse_forecast``: root mean square displacement error (m) of the DOFs with a sensor, over the record
-    and over what follows it.
-    ``null_space``: directions of the log-parameters, rows over ``names``, that the data do not determine.
+    Attributes:
+        names: Names of the parameters.
+        relative_sd: Standard deviation of the logarithm of each quantity, which is its relative error to first order;
+            inf if neither data nor prior determine it.
+        identifiable: True for each quantity that the data alone determine.
+        prior_share: Fraction of the variance of each quantity that is due to the prior.
+        rmse: Root mean square displacement error (m) of DOFs with a sensor, over the record.
+        rmse_forecast: The same over the forecast after the record.
+        null_space: Directions of the log-parameters, rows over ``names``, that the data do not determine.
     """
 
     names: tuple[str, ...]
@@ -72,12 +75,12 @@ class Information:
 
     @property
     def factor(self) -> np.ndarray:
-        """A root of the bound on the covariance, which is ``factor @ factor.T``; see ``covariance``."""
+        """Factor of the bound on the covariance, ``covariance = factor @ factor.T``."""
         return self._inverse.factor
 
     @property
     def covariance(self) -> np.ndarray:
-        """The bound on the covariance; on the informed directions only, where some are not."""
+        """Bound on the covariance, restricted to the identifiable directions."""
         return self.factor @ self.factor.T
 
     @cached_property
@@ -96,17 +99,17 @@ class Information:
         return np.pad(quantity.vector(self.names), (0, len(self.precision) - len(self.names)))
 
     def identifiable(self, quantity: Quantity) -> bool:
-        """Return whether the data alone determine a quantity."""
+        """Return True if the data alone determine a quantity."""
         return _orthogonal(self.null_space, quantity.vector(self.names))
 
     def variance(self, quantity: Quantity) -> float:
-        """Return the bound on the variance of a quantity's logarithm; inf where neither data nor prior determine it."""
+        """Return the bound on the variance of the logarithm of a quantity; inf if nothing determines it."""
         if not _orthogonal(_orthonormal(self._inverse.open[:, : len(self.names)]), quantity.vector(self.names)):
             return float("inf")
         return float(np.sum((self._exponents(quantity) @ self.factor) ** 2))
 
     def prior_share(self, quantity: Quantity) -> float:
-        """Return the part of that variance that comes from the prior's error; 0 where it is infinite."""
+        """Return the fraction of the variance of a quantity that is due to the prior; 0 if it is infinite."""
         factor, variance = self.factor, self.variance(quantity)
         from_prior = np.sqrt(self.precision) * (factor @ (self._exponents(quantity) @ factor))
         return float(np.sum(from_prior**2) / variance) if 0 < variance < np.inf else 0.0
@@ -197,7 +200,7 @@ def compute_bound(scenario: Scenario, seed: int = 0, replicates: int = 1) -> Bou
 
 
 def own_times(scenario: Scenario, seed: int) -> bool:
-    """Return whether a disturbance gives every replicate sample times of its own, and states them."""
+    """Return True if every replicate has different, known sample times because of a disturbance."""
     return scenario.disturbance is not None and _stated_times(scenario, seed, 0)[0] is not scenario.times
 
 

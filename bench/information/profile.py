@@ -24,9 +24,9 @@ from bench.scenario.scenario import Scenario
 from bench.systems import Quantity, System
 
 THRESHOLD = float(chi2.ppf(0.95, 1)) / 2
-"""The fall of the log-likelihood at the ends of a 95 % interval (Wilks, Ann. Math. Statistics 9:60, 1938)."""
+"""Drop of the log-likelihood at the ends of a 95 % interval (Wilks, Ann. Math. Statistics 9:60, 1938)."""
 POINTS = 8
-"""Points on each side of the estimate."""
+"""Number of points on each side of the estimate."""
 REACH, FARTHEST = 3.2, math.log(4.0)
 """How far from the estimate: bounds on the standard deviation, but no farther than this in the logarithm."""
 TOO_FAR = FARTHEST + 2.5
@@ -65,7 +65,7 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class _EveryParameter(OutputError):
-    """The model with every parameter free, also where the scale is not determined."""
+    """Likelihood with all parameters free, even if the scale is not identifiable."""
 
     @property
     def free(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -1,4 +1,4 @@
-"""Structural identifiability by an exact rank: what perfect data determine, before anything is fitted.
+"""Structural identifiability from noise-free data, by the exact rank of Taylor coefficients.
 
 The coefficients of the Taylor series of the measured displacements at time 0 are all that perfect data hold. Their
 Jacobian by the log-parameters (and by the initial state, where it is unknown) is computed exactly at random rational
@@ -55,7 +55,7 @@ class Structure:
         return int(np.linalg.matrix_rank(np.vstack([rows, w]))) == len(self.groups)
 
     def sentences(self) -> list[str]:
-        """Put the verdict into plain words."""
+        """Describe the result in words."""
         n, bent = len(self.names), len(self.names) - self.rank - len(self.scalings)
         if self.rank == n:
             return [f"all {n} parameters are identifiable: {', '.join(self.names)}"]
@@ -80,7 +80,7 @@ def _scaling_sentence(names: Sequence[str], direction: Sequence[int]) -> str:
 
 
 def readable(quantity: Quantity) -> str:
-    """Write a product of powers as by hand, e.g. ``k1*k2/(m1*m2)``."""
+    """Format a product of powers, e.g. ``k1*k2/(m1*m2)``."""
 
     def factors(sign: int) -> list[str]:
         powers = [(name, sign * power) for name, power in quantity.exponents.items() if sign * power > 0]
@@ -228,7 +228,7 @@ def _integers(row: Sequence[Any]) -> tuple[int, ...]:
 
 
 def _quantity(system: System, powers: Sequence[int]) -> Quantity:
-    """Return a product of powers, by the system's own name for it where it has one."""
+    """Return a product of powers, named as in the system if the system defines it."""
     exponents = {name: float(power) for name, power in zip(system.names, powers, strict=True) if power}
     for known in system.quantities:
         if known.coefficient == 1.0 and dict(known.exponents) == exponents:
