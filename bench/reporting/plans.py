@@ -142,15 +142,15 @@ def decay_page(request: PlanRequest, tests: Sequence[ProposedTest]) -> str:
                 "initial displacement, mm": f"{1e3 * request.noise * decay.amplitude:.3g}",
                 "samples": f"{decay.samples}", "duration, s": f"{decay.duration:.3g}",
                 "sampling rate, 1/s": f"{(decay.samples - 1) / decay.duration:.3g}",
-                **rest, "frequency error, %": f"{100 * test.wrong_basin:.1g}",
+                **rest, "P(wrong frequency), %": f"{100 * test.wrong_basin:.1g}",
             }
         )  # fmt: skip
     request.simulate_decays(rows, [test.decay for test in tests])
     doubt = f" (median over the likely oscillators; in brackets not exceeded in {100 * SHARE:g} % of them)"
     text = (
         "Each row is the test with the fewest samples for its initial displacement, released from rest. Percentages "
-        f"are standard deviations by the Cramér-Rao bound{doubt if request.likely.uncertain else ''}; frequency error: "
-        f"probability of a wrong frequency. Methods that reach the bound: {', '.join(efficient_methods())}."
+        f"are standard deviations by the Cramér-Rao bound{doubt if request.likely.uncertain else ''}. "
+        f"P: probability. Methods that reach the bound: {', '.join(efficient_methods())}."
     )
     if request.simulations:
         text += (

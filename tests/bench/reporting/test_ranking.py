@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from bench.reporting.page.elsewhere import elsewhere
 from scipy.stats import bootstrap, studentized_range
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Frame, Result
+from bench.reporting.page.tracks import track_rankings
 from bench.reporting.ranking import LOST, ON_BOUND, first_tier, fits_of, ranked, ranking, tied, tiers
 from bench.reporting.tables.leaderboard import leaderboard
 from bench.scenario.force import ForceSpec
@@ -210,7 +210,7 @@ def test_the_measured_and_the_online_track_are_ranked_by_the_same_rule(tmp_path:
     ]  # fmt: skip
     pd.DataFrame([*records, {**records[0], "sibling": "all", "status": None}]).to_csv(tmp_path / "table11.csv")
     pd.DataFrame(path).to_csv(tmp_path / "table10.csv")
-    measured, online = elsewhere(tmp_path)
+    measured, online = track_rankings(tmp_path)
     rows = {row.label: (row.tier, row.lost, row.fits, round(row.typical, 2)) for row in measured.ranking}
     assert rows == {"shooting": (1, 0, 16, 1.0), "ls": (2, 0, 16, 3.0), "ekf": (3, 8, 16, round(math.sqrt(10.0), 2))}
     assert [(row.label, row.tier, row.served, round(row.typical, 2)) for row in online.ranking] == [
@@ -218,4 +218,4 @@ def test_the_measured_and_the_online_track_are_ranked_by_the_same_rule(tmp_path:
     ]  # fmt: skip
     assert (measured.fastest.label, measured.seconds["ls"], online.seconds["UKF"]) == ("shooting", 0.1, 5e-5)
     (tmp_path / "table11.csv").write_text("of,another\n1,2\n")
-    assert [one.words for one in elsewhere(tmp_path)] == [online.words]
+    assert [advice.title for advice in track_rankings(tmp_path)] == [online.title]

@@ -99,14 +99,14 @@ def test_a_kind_without_any_answer_puts_a_method_beside_the_tiers(truth: pd.Data
     report = round_report(
         "part", {"part": score_rows(table, truth), "all": score_rows(predictions(truth, errors), truth)}
     )
-    assert report.answer.endswith("times the Cramér-Rao bound on 30 of 60 problems, beside the tiers")
+    assert report.answer.endswith("times the Cramér-Rao bound on 30 of 60 problems, no tier")
     assert {row[1]: row[2] for row in report.ranking.rows} == {"part": "30 of 60", "all": "60 of 60"}
 
 
 def test_without_intervals_no_coverage_is_stated(truth: pd.DataFrame) -> None:
     table = predictions(truth, np.ones(2 * N)).assign(low=math.nan, high=math.nan, seconds=math.nan)
     report = round_report("bare", {"bare": score_rows(table, truth)})
-    assert [dict(zip(report.kinds.headers, row, strict=True))["95 % cover"] for row in report.kinds.rows] == ["-"] * 3
+    assert [dict(zip(report.kinds.headers, row, strict=True))["coverage %"] for row in report.kinds.rows] == ["-"] * 3
     assert "not stated" in report.sentences[1]
 
 
