@@ -106,7 +106,7 @@ def test_withdrawn_estimates_are_counted_but_not_scored() -> None:
 def test_a_panel_without_estimates_has_its_rows() -> None:
     silent = {"sibling": "1", "method": "ls", "status": "diverged", "trust": "do not trust", "withdrawn": 0}
     files = track_table([TrackPanel.of_rows("s", MeasuredSet(**TINY), "sdof", [silent])], "again")
-    assert "1 fits, 1 of them without an answer" in files["table11.md"]
+    assert "1 fits, 1 of them failed" in files["table11.md"]
     assert [(line["method"], line["status"]) for line in lines(files)] == [("ls", "diverged")]
 
 

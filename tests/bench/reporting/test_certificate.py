@@ -85,7 +85,7 @@ def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(comp
     assert {"k_over_m", "c_over_m"} <= set(chosen.primary.intervals)
     own = chosen.primary.intervals["k_over_m"]
     assert own.low < RATE**2 + DECAY**2 < own.high
-    assert any("era found no answer: it cannot estimate" in reason.text for reason in chosen.primary.reasons)
+    assert any("era gave no estimate: it cannot estimate" in reason.text for reason in chosen.primary.reasons)
     assert NAME in page(contents(chosen, "certify"))
     named = certify(*asked("sdof", failed), 0)
     assert [one.method for one in named.findings] == ["era"]
@@ -195,8 +195,8 @@ def test_replicas_and_better_records_are_shown(made: Certificate) -> None:
     text = page(contents(replace(made, replicas=lines), "again"))
     assert "<td>200</td><td>0.123</td><td>87 (82 to 91)</td><td>1.4</td><td>30.0 to 42.0</td>" in text
     assert "twice the sampling rate" in text
-    without = page(contents(replace(made, missing={"replicas": "none were asked for (twins=0)"}), "again"))
-    assert "Not simulated: none were asked for (twins=0)." in without
+    without = page(contents(replace(made, missing={"replicas": "not requested (twins=0)"}), "again"))
+    assert "Not simulated: not requested (twins=0)." in without
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def test_columns_of_a_stream_are_those_of_files() -> None:
         ("t,x,f\n0,1,2\n", {"columns": {"t": 0, "x": 1}}, "columns=f1: missing; add f1:<number>"),
         ("t,y (m/s),f\n0,1,2\n", {}, "measures velocity, not displacement"),
         ("0,1,2,3\n", {}, "its column is ambiguous among columns 0 to 3"),
-        ("0,1,2\n", {"units": {"v": "mm/s"}}, "no column is known to be v"),
+        ("0,1,2\n", {"units": {"v": "mm/s"}}, "no column has the role v"),
         ("one\ntwo\n", {}, "no line of the form t, x1, f1"),
     ):
         with pytest.raises(InputError, match=re.escape(said)):
