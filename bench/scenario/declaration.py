@@ -60,7 +60,7 @@ def declared_types(cls: type) -> Mapping[str, Any]:
 
 
 def changed(item: Any) -> list[str]:
-    """Return the names of the fields of a dataclass that have no default, or hold another value."""
+    """Return the names of the fields of a dataclass that have no default or a different value."""
     names = []
     for field in fields(item):
         default = field.default if field.default_factory is MISSING else field.default_factory()
@@ -128,7 +128,7 @@ def _bad_input(error: Any, paths: Mapping[str, str], kind: Any) -> InputError:
         return InputError(reason.field or field, reason.value, reason.remedy)
     if error["type"] == "unexpected_keyword_argument":
         known = [f.name for f in fields(kind) if f.name not in ("name", "kind")] if is_dataclass(kind) else []
-        return InputError(field, value, f"no such field; {did_you_mean(where, known)}there are {', '.join(known)}")
+        return InputError(field, value, f"not a field; {did_you_mean(where, known)}fields: {', '.join(known)}")
     if error["type"] == "literal_error":
         known = re.findall("'(.*?)'", error["msg"])
         return InputError(field, value, f"{did_you_mean(value, known)}one of {', '.join(known)}")
@@ -137,7 +137,7 @@ def _bad_input(error: Any, paths: Mapping[str, str], kind: Any) -> InputError:
 
 @cache
 def _adapter(kind: type[Any]) -> Any:
-    """Return pydantic's validation of a class, made once."""
+    """Return the pydantic validator of a class, created once."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)

@@ -1,4 +1,4 @@
-"""A scenario: which system, at which true parameters, sampled how, what is known. It makes the replicates."""
+"""Scenario: system, true parameters, sampling, and what is known to methods; it generates the replicates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.scenario.truth import Truth, reference_response
 from bench.systems import LoadedSystem, System, make_system
 
 NOISE, NOMINAL, FORCE_AXIS, METHOD, DISTURBANCE, FORCE_NOISE = range(6)
-"""Axes of the seed tree: what a random stream is for. Streams of different axes never meet."""
+"""Axes of the seed tree: the purposes of random streams. Streams of different axes are independent."""
 SNR_SPREAD = 10.0
 """Half the range (dB) from which the SNR is drawn where the truth is."""
 
@@ -58,7 +58,7 @@ class PriorSpec:
 
 
 class InitialMotion(NamedTuple):
-    """The true state at time 0 as a configuration writes it: metres and metres a second, one number a DOF."""
+    """True state at time 0 as in a configuration: displacement (m) and velocity (m/s), one number per DOF."""
 
     displacement: tuple[float, ...]
     velocity: tuple[float, ...]
@@ -206,7 +206,7 @@ class Scenario:
 
     @property
     def truth_drawn(self) -> bool:
-        """Return whether each replicate has a truth of its own."""
+        """Return True if the true values differ between replicates."""
         return self.prior is not None and self.prior.draws == "truth"
 
     @cached_property
@@ -231,7 +231,7 @@ class Scenario:
 
     @cached_property
     def start(self) -> InitialState:
-        """The initial state of the motion, which is the one that is known."""
+        """Initial state of the motion, as given to methods if it is known."""
         return InitialState(np.array(self.initial[0]), np.array(self.initial[1]))
 
     def rigs(self) -> tuple[System, ...]:

@@ -1,4 +1,4 @@
-"""The truth of a replicate, and the reference solutions it is made by.
+"""True values of a replicate, and the reference solutions that generate its data.
 
 The truth never comes from an integrator that a method fits with: closed form for the linear SDOF, matrix
 exponential with the exact hold of the force for other linear systems, an explicit Runge-Kutta method of order
@@ -25,7 +25,7 @@ from bench.systems.linear import SDOF
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The truth that scores an estimate. No method ever receives one.
+    """True values by which an estimate is scored; methods never receive them.
 
     ``dense_displacement`` has shape (n_dof, n_dense) on ``dense_times`` (s, over the record), ``forecast_displacement``
     likewise over what follows the record. ``sigma`` is the noise standard deviation of each channel (in its unit),

@@ -70,7 +70,7 @@ def test_its_limits_and_versions_without_it_are_named(monkeypatch: pytest.Monkey
         cell("system.grain=1")
     newer = stored(cell("system.grain=0.2"))
     monkeypatch.setattr(stored_cells, "Scenario", Scenario)
-    with pytest.raises(InputError, match=r"grain=0\.2: no such field"):
+    with pytest.raises(InputError, match=r"grain=0\.2: not a field"):
         stored_cells.stored_as_cell(newer)
 
 
