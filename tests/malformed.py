@@ -115,7 +115,7 @@ $RECORD prior=nominal                             | nominal=                    
 $RECORD system=sdof+beam                          | system=sdof+beam                 |
 $RECORD columns=t                                 | columns=t                        | role:value
 $RECORD force_gain=0                              | force_gain=0                     | no force
-$RECORD from=5 to=1                               | from=5                           | before
+$RECORD from=5 to=1                               | from=5                           | less than
 method=ls data=missing                            | data=missing                     | cannot be read
 method=ls data=folder                             | data=folder                      |
 method=ls data=/dev/zero                          | data=/dev/zero                   |
