@@ -123,7 +123,7 @@ def test_two_masses_are_drawn_with_the_stated_band_and_samples_where_a_sensor_is
     save(store, described("pinn", n=3, initial=[[1.0, 0.0], [0.0, 0.0]], options={"n": 2}), rows, arrays)
     picture = draw_two_masses(Gallery(store))
     shown = drawn(picture, "low").groupby("panel", sort=False)
-    error = shown.get_group("mass 2: estimate − truth (mm)").dropna(subset="low")
+    error = shown.get_group("mass 2: estimate − true (mm)").dropna(subset="low")
     off = 1000.0 * (arrays["displacement"] - arrays["true_displacement"])[1]
     assert np.allclose(error.estimate, off, atol=1e-3)
     assert np.allclose(error.high - error.low, 2000 * stats.norm.ppf(0.975) * 0.01, rtol=1e-4)
@@ -265,7 +265,7 @@ def test_the_coverage_of_uniform_levels_is_the_nominal_one_on_the_seed_with_most
     save(store, described("mcmc", seed=4711, n=n), rows)
     save(store, described("mcmc", n=30), scored("mcmc", 30))
     picture = draw_coverage(Gallery(store))
-    assert "in 1 of 1 methods" in picture.caption
+    assert "for 1 of 1 methods" in picture.caption
     assert "seed 4711" in picture.caption
     shown = drawn(picture, "coverage").set_index(["quantity", "rule"])
     for level in (50, 80, 95):
