@@ -61,7 +61,7 @@ def test_the_command_reads_a_record_and_refuses_what_is_none(tmp_path, capsys) -
     np.savetxt(path, np.c_[TIMES, record(TIMES, 1)], delimiter=",", header="t (s),x (m)", comments="")
     assert main(["design", f"given={path}", "want=damping_ratio:5%"]) == 0
     said = capsys.readouterr().out
-    assert "s more bring damping ratio" in said
+    assert "s more reduce the error of damping ratio" in said
     assert "2 times as long" in said
     rng = np.random.default_rng(0)
     np.savetxt(path, np.c_[TIMES, rng.standard_normal(40)], delimiter=",", header="t (s),x (m)", comments="")

@@ -110,7 +110,7 @@ def test_the_command_proposes_and_simulates(
     assert main(["design", *GIVEN, "amplitude=1cm", "verify=20"]) == 0
     said = capsys.readouterr().out
     assert "      10  " in said
-    assert "simulated: of 20 tests" in said
+    assert "Simulated: share of 20 tests" in " ".join(said.split())
     assert main(["design", *GIVEN, "amplitude=1cm", "samples=100", "duration=5"]) == 0
     assert " 100  " in capsys.readouterr().out
 
