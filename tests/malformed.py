@@ -124,7 +124,7 @@ method=ls data=empty                              | data=empty                  
 method=ls data=random                             | data=random                      | binary
 method=ls data=gigabyte                           | data=gigabyte                    | MiB
 method=ls data=header.csv                         | data=header.csv                  | no rows
-method=ls data=backwards.csv                      | data=backwards.csv               | time goes back
+method=ls data=backwards.csv                      | data=backwards.csv               | time decreases
 method=ls data=hugevalues.csv                     | data=hugevalues.csv              | in SI
 method=ls data=ragged.csv                         | data=ragged.csv                  | numbers are needed
 method=ls data=bomb.gz                            | data=bomb.gz                     | MiB
