@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 
 from bench.errors import InputError, did_you_mean
@@ -56,7 +56,7 @@ def execute(name: str, words: Sequence[str]) -> int:
     functions, command = variants(name), f"{COMMAND} {name}"
     chosen = _selected(functions, words)
     shown = {chosen: functions[chosen]} if chosen else functions
-    pages = {command if key in fields_of(verb) else f"{command} {key}".rstrip(): verb for key, verb in shown.items()}
+    pages = [(command if key in fields_of(verb) else f"{command} {key}".rstrip(), verb) for key, verb in shown.items()]
     return call(functions[chosen], [word for word in words if word not in chosen.split()], pages)
 
 
@@ -65,10 +65,10 @@ def track(name: str, words: Sequence[str]) -> int:
     from bench.config.choices import TRACKS
 
     verb: Callable[..., int] = getattr(import_module(f"bench.commands.{TRACKS[name]}"), name)
-    return call(verb, words, {f"{COMMAND} -m experiment={name}": verb})
+    return call(verb, words, [(f"{COMMAND} -m experiment={name}", verb)])
 
 
-def call(verb: Callable[..., int], words: Sequence[str], pages: Mapping[str, Callable[..., int]]) -> int:
+def call(verb: Callable[..., int], words: Sequence[str], pages: Sequence[tuple[str, Callable[..., int]]]) -> int:
     """Call a verb with the fields of its command line, or print the version, or the pages of help."""
     from bench.commands.declaration import help_page, read_arguments
 
@@ -78,7 +78,7 @@ def call(verb: Callable[..., int], words: Sequence[str], pages: Mapping[str, Cal
         print(__version__)
         return 0
     if {"-h", "--help"} & set(words):
-        print(*dict.fromkeys(help_page(command, shown) for command, shown in pages.items()), sep="\n\n")
+        print(*dict.fromkeys(help_page(command, shown) for command, shown in pages), sep="\n\n")
         return 0
     return verb(**read_arguments(verb, words))
 

@@ -150,4 +150,5 @@ def test_every_verb_and_field_has_a_description(name: str, capsys: pytest.Captur
     assert main([name, "--help"]) == main([name, "--version"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"usage: python -m bench {name}")
+    assert out.count("usage: ") >= len(set(variants(name).values()))
     assert max(map(len, out.splitlines())) <= 80
