@@ -61,7 +61,8 @@ def certify(
     paths = (out / "certificate.html", out / "certificate.json")
     write(paths[0], page(shown), out)
     write(paths[1], json.dumps(nulls(shown), allow_nan=False, ensure_ascii=False, indent=1) + "\n", out)
-    print(wrapped(f"{shown['verdict']}: {shown['answer']}"), *paths, sep="\n")
+    reasons = [wrapped(f"- {reason}", "    ", "  ") for reason in shown["reasons"]]
+    print(wrapped(f"{shown['verdict']}: {shown['answer']}"), *reasons, *paths, sep="\n")
     return int(shown["verdict"] == "do not trust")
 
 

@@ -60,7 +60,7 @@ def test_the_file_holds_the_result_and_its_origin(written: Path, record: Path) -
     assert "twins=0" in content["missing"]["replicas"]
 
 
-def test_pure_noise_is_not_to_be_trusted(tmp_path: Path) -> None:
+def test_pure_noise_is_not_to_be_trusted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     t = np.arange(100) / 20.0
     x = np.random.default_rng(5).standard_normal(t.size)
     path = tmp_path / "noise.csv"
@@ -68,6 +68,9 @@ def test_pure_noise_is_not_to_be_trusted(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["certify", f"data={path}", f"out={out}", "system=sdof", "method=output_error"]) == 1
     content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
+    printed = " ".join(capsys.readouterr().out.split())
+    assert content["reasons"]
+    assert all(f"- {reason}" in printed for reason in content["reasons"])
     assert content["verdict"] == "do not trust"
     assert content["values"] == {}
     assert content["reasons"]
