@@ -41,7 +41,7 @@ def read_options(arguments: Sequence[str]) -> Options:
         name, _, value = word.partition("=") if word.startswith("--") else (word, "", "")
         if not name.startswith("-"):
             if "=" not in name and os.path.isfile(name):
-                remedy = f"write data={name} method=<name>, or python -m bench certify {name}"
+                remedy = f"write data={name}, or python -m bench certify {name}"
                 raise InputError("argument", name, remedy)
             options.words.append(name)
         elif name in FLAGS:

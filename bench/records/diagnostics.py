@@ -209,7 +209,9 @@ def _lines(fit: LinearisedFit, problem: Problem) -> tuple[list[Reason], tuple[Of
             return [Reason(Trust.NO, f"{harmonic}: a clipped sensor or a strongly nonlinear spring")], ()
         if len(modes) < 2:
             return reasons, ()
-        names = " and ".join(f"{mode.frequency:.4g} Hz (damping ratio {mode.damping_ratio:.3g})" for mode in modes)
+        names = " and ".join(
+            f"{mode.frequency:.4g} Hz (damping ratio {100.0 * mode.damping_ratio:.3g} %)" for mode in modes
+        )
         text = f"the record has modes at {names}: add modes={len(modes)}; {reasons[0].text}"
         return [Reason(reasons[0].verdict, text)], modes
     frequency = (natural_frequency(fit) or 0.0) / problem.natural_units().time
