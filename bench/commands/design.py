@@ -49,7 +49,7 @@ def length(text: str) -> float:
     parts = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\d\s].*)", text)
     unit = unit_of(parts[2]) if parts else None
     if parts is None or unit is None or unit.symbol != "m":
-        raise ValueError("a length with its unit, as 0.5mm")
+        raise ValueError("a length with its unit, as 0.5mm; for a sensor of another quantity use given=<record>")
     return float(value_of(Size, parts[1], "")) * unit.size
 
 

@@ -189,8 +189,8 @@ def longer_page(record: MeasuredDecay, quantity: str | None, error: float) -> st
     lines += [(f"{n} repeated records", n * record.duration, record.repeated(n)) for n in REPEATS]
     rows = [{"record": title, "seconds": f"{seconds:.3g}", **_errors(errors)} for title, seconds, errors in lines]
     meaning = (
-        "Percentages are standard errors: those of the record as estimated, the others by ratios of Cramér-Rao bounds. "
-        "A longer record continues at the same sampling rate."
+        "Percentages are standard errors: those of this record from its intervals of a repeat, the others by ratios of "
+        "Cramér-Rao bounds. A longer record continues at the same sampling rate."
     )
     return _page(rows, meaning, *([_until(record, quantity, error)] if quantity else []))
 
