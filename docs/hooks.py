@@ -97,6 +97,12 @@ def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: File
     return markdown
 
 
+def on_post_page(output: str, page: Any, **_: Any) -> str:
+    """Link the footer to the citation."""
+    cite = f'<a href="{"../" * page.url.count("/")}index.html#how-to-cite">how to cite</a>'
+    return output.replace("to cite: CITATION.cff", cite)
+
+
 def linked_to_glossary(markdown: str, glossary: str) -> str:
     """Link the first use of each glossary term in a page, with its meaning as the link's title.
 
@@ -283,6 +289,22 @@ def column_tables() -> str:
     return "\n\n".join(f"### {titles[name]}\n\n{text}" for name, text in tables.items())
 
 
+def verdict_table() -> str:
+    """Return every number of the paper with the number here and its verdict, from the CSV files of Tables 2 to 5."""
+    title = import_module("bench.reporting.labels").title
+    rows = []
+    for number in "2345":
+        with (ROOT / "results" / f"table{number}.csv").open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                if row["paper"] and row["verdict"]:
+                    metric = row["metric"].replace("_error_pct", " error, %").replace("rmse", "RMSE, m")
+                    here = f"{float(row['median']):.3g}" if row["median"] else "–"
+                    case = number + {"4": f", set {row['row']}", "5": f", {row['row']} dB"}.get(number, "")
+                    values = (row["paper"], here, row["verdict"])
+                    rows.append((case, title(row["method"]), metric, row["initial_state"], *values))
+    return table(("table", "method", "quantity", "initial state", "paper", "median here", "verdict"), rows)
+
+
 GENERATED: dict[str, Callable[[], str]] = {
     "<!-- the help of every command, written by docs/hooks.py when the site is built -->": help_pages,
     "<!-- fields of a run -->": run_fields,
@@ -294,6 +316,7 @@ GENERATED: dict[str, Callable[[], str]] = {
     "<!-- methods -->": method_table,
     "<!-- modal methods -->": modal_table,
     "<!-- online methods -->": tracker_table,
+    "<!-- verdicts -->": verdict_table,
 }
 """Comments in pages that the build replaces with text from the code."""
 

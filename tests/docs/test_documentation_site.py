@@ -37,6 +37,7 @@ def test_every_page_is_in_the_site(site: Path) -> None:
         if (REPOSITORY / "docs") in path.parents:
             assert (site / path.relative_to(REPOSITORY / "docs")).with_suffix(".html").is_file(), path
     assert (site / "results" / "index.html").is_file()
+    assert (site / "search" / "search_index.json").is_file()  # the search of a site on a server
 
 
 @pytest.mark.slow

@@ -65,8 +65,8 @@ def hooks() -> ModuleType:
 
 
 def test_every_generated_part_has_its_place(hooks: ModuleType) -> None:
-    """The help of a run and of every verb, the fields with their defaults, the columns of files."""
-    pages = "".join(path.read_text(encoding="utf-8") for path in REFERENCE.glob("*.md"))
+    """The help of a run and of every verb, the fields with their defaults, the columns of files, the verdicts."""
+    pages = "".join(path.read_text(encoding="utf-8") for path in REFERENCE.parent.rglob("*.md"))
     assert [mark for mark in hooks.GENERATED if pages.count(mark) != 1] == []
     assert hooks.helps().keys() == {"", *VERBS}
 

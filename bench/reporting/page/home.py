@@ -64,4 +64,4 @@ def needs(label: str) -> str:
         return ""
     free = method.card.scale == "groups" or method.scope.free_without_prior
     packages = f"; package {', '.join(method.requires)}" if method.requires else ""
-    return ("no prior" if free else "a prior") + packages
+    return ("no prior needed" if free else "a prior") + packages

@@ -1,4 +1,4 @@
-"""Hooks of mkdocs for every site: search without a server, accessible names, smaller pages."""
+"""Hooks of mkdocs for every site: search with and without a server, accessible names, smaller pages."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mkdocs.plugins import event_priority
-
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """Address from which the theme loads the script for a search without a server (iframe-worker, MIT)."""
 DIALOG = 'data-md-component="search" role="dialog"'
@@ -19,8 +17,8 @@ REDUNDANT = re.compile(
     r"|\s+(?=</?(?:div|footer|form|h[1-6]|header|link|main|meta|nav|p|table|ul)\b)"
 )
 """End tags that are optional in HTML (https://html.spec.whatwg.org/#optional-tags), and blanks between blocks."""
-SUPERFLUOUS = ("sitemap.xml*", "search/search_index.json", "assets/**/*.map", "assets/javascripts/lunr/*")
-"""Files that no page uses: they contain a date, or are for debugging, other languages, or a search with a server."""
+SUPERFLUOUS = ("sitemap.xml*", "assets/**/*.map", "assets/javascripts/lunr/*")
+"""Files that no page uses: they contain a date, or are for debugging, other languages."""
 
 
 def on_config(config: Any, **_: Any) -> Any:
@@ -51,7 +49,6 @@ def on_post_template(output_content: str, template_name: str, **_: Any) -> str:
     return _finished(output_content, "")
 
 
-@event_priority(-200)  # after the plugin that converts the index of the search to a script
 def on_post_build(config: Any, **_: Any) -> None:
     """Remove files that no page uses."""
     for path in (path for pattern in SUPERFLUOUS for path in Path(config.site_dir).glob(pattern)):

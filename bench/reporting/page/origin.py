@@ -13,14 +13,14 @@ import pandas as pd
 
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
-from bench.errors import InputError
+from bench.errors import InputError, shortened
 from bench.reporting.frame import Result, table_experiments
 from bench.reporting.page.words import decibels
 from bench.store.stored_cell import StoredCell
 from bench.store.version import settings_version
 
-LONGEST = 200
-"""Largest number of characters of a message that are shown."""
+LONGEST = 300
+"""Largest number of characters of a message that are shown; a longer one is shortened in the middle."""
 Lines = list[dict[str, Any]]
 """Lines of a table: values by heading."""
 
@@ -90,7 +90,12 @@ def commits_here(cells: pd.DataFrame) -> int | None:
 def not_ok(results: Sequence[Result], unsupported: bool) -> Lines:
     """Count failed fits, or unsupported data, by method and message."""
     lines = [
-        {"method": result.title, "status": status.value, "message": message[:LONGEST], "scenario": _where(result)}
+        {
+            "method": result.title,
+            "status": status.value,
+            "message": shortened(message, LONGEST),
+            "scenario": _where(result),
+        }
         for result in results
         for status, message in zip(result.statuses, result.messages, strict=True)
         if status is not Status.OK and (status is Status.UNSUPPORTED) == unsupported

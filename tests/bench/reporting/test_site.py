@@ -165,7 +165,7 @@ def test_what_is_advised_is_a_whole_tier_with_what_it_loses(cells: Cells) -> Non
     wild = found.ranking[-1]
     assert (wild.label, wild.tier, wild.lost, wild.fits) == ("sindy", 2, 10, 40)
     assert binom.cdf(10, 40, at_most(wild)) == pytest.approx(0.05, abs=1e-6)
-    assert home.needs("output_error_cold") == home.needs("output_error") == "no prior"
+    assert home.needs("output_error_cold") == home.needs("output_error") == "no prior needed"
     assert home.bound(found.panels) == "k/m 0.5 %, c/m 3.5 % at 20 dB"
     assert home.lost(found.ranking) == "0\u00a0% to 25\u00a0%"
     labels = ("ls", "mcmc", "sindy", "era", "ekf", "ukf")

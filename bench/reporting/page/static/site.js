@@ -106,10 +106,11 @@ window.bench = {
     const [ink, quiet, grid, series] = [colour(""), colour("--light"), colour("--lightest"), SERIES[scheme()]];
     const letters = { labelColor: ink, titleColor: ink, labelFontSize: 12, titleFontSize: 12, titleFontWeight: 400 };
     const axis = { gridColor: grid, domainColor: quiet, tickColor: quiet, labelLimit: innerWidth < 640 ? 120 : 260 };
+    const narrow = innerWidth < 640 ? { columns: 3 } : {}; // more entries in a row would be cut off
     const config = {
       background: "transparent", font: "system-ui, sans-serif", view: { stroke: null },
       axis: { ...letters, ...axis },
-      legend: { ...letters, orient: "top", title: null, labelLimit: 500, symbolLimit: 8 },
+      legend: { ...letters, orient: "top", title: null, labelLimit: 500, symbolLimit: 8, ...narrow },
       text: { color: ink, fontSize: 11 }, mark: { color: series[0] }, rule: { color: series[0] },
       range: { category: series },
       style: { ink: { color: ink }, quiet: { color: quiet, strokeWidth: 2 }, region: { color: grid } },
@@ -135,5 +136,5 @@ const paint = () => {
 paint();
 new MutationObserver(paint).observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
 for (const table of document.querySelectorAll("article table:not([id], .highlighttable)")) {
-  if (table.tBodies[0]?.rows.length) bench.table(table);
+  if (table.tBodies[0]?.rows.length && table.tHead?.textContent.trim()) bench.table(table); // without headings: a layout
 }
