@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -82,8 +83,14 @@ def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[d
         column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), seconds),
         column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
                lambda place: f"scenarios/{panels[place].slug}.html"),
-        *(column(name, list(map(choices, used)), itemgetter(name), by="Scenario") for name in BY_SCENARIO),
+        *(column(name, list(map(choices, used)), partial(choice_key, name), itemgetter(1), by="Scenario")
+          for name in BY_SCENARIO),
     ]  # fmt: skip
+
+
+def choice_key(name: str, chosen: Mapping[str, str]) -> tuple[float, str]:
+    """Return the sort key of a scenario in a column: signal-to-noise ratios are numbers, the rest are texts."""
+    return float(chosen[name].split()[0]) if name == "SNR" else 0.0, chosen[name]
 
 
 def column(
