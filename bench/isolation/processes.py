@@ -81,7 +81,8 @@ def _context(preload: Sequence[str]) -> Any:
         os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)  # multiprocessing notices the end and starts another
     if server is None or missing:
         Children.preloaded = frozenset(preload)
-        context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.server_setup"])
+        first, last = "bench.isolation.server_start", "bench.isolation.server_setup"
+        context.set_forkserver_preload([first, *NEEDED, *preload, last])
     return context
 
 

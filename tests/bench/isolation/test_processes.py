@@ -72,3 +72,22 @@ def test_an_exit_status_that_a_start_could_read_as_well_is_read_once(tmp_path: P
     path = os.pathsep.join([str(tmp_path), *sys.path])
     done = python("-c", "import slow_status; slow_status.main()", env={"PYTHONPATH": path})
     assert done.stdout.strip() == "the process exited with status 3", done.stderr
+
+
+INTERRUPTED = """
+import os, signal
+os.kill(os.getpid(), signal.SIGINT)
+"""
+INTERRUPTING = """
+import os
+from bench.isolation.processes import _server, start_server
+
+start_server(("interrupted",))
+print(os.waitstatus_to_exitcode(os.waitpid(_server(), 0)[1]))
+"""
+
+
+def test_ctrl_c_while_the_server_imports_gives_no_traceback(tmp_path: Path, python: Python) -> None:
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    done = python("-c", INTERRUPTING, env={"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])})
+    assert (done.stdout.split(), done.stderr) == (["130"], "")
