@@ -101,8 +101,8 @@ class Site:
 
     @cached_property
     def rankings(self) -> list[Advice]:
-        """All rankings: open split, situations, measured and online track."""
-        return [*self.drawn, *self.advice, *track_rankings(self.results)]
+        """All rankings: situations, open split, measured and online track."""
+        return [*self.advice, *self.drawn, *track_rankings(self.results)]
 
     @cached_property
     def alone(self) -> Mapping[str, Advice]:
