@@ -41,6 +41,8 @@ class ClaimPart(BaseModel):
         known = [field.alias or name for name, field in cls.model_fields.items()]
         for name in values if isinstance(values, Mapping) else ():
             if name not in known:
+                if isinstance(name, int):  # YAML reads {value: 3,93} as a value of 3 and a field 93
+                    raise InputError(str(name), "", "not a field; a number has a decimal point, not a comma")
                 near = did_you_mean(name, known)
                 raise InputError(str(name), values[name], f"not a field; {near}fields: {', '.join(known)}")
         return values

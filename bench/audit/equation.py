@@ -102,7 +102,12 @@ class EquationSystem(System):
             if not re.search(rf"\b{acceleration}\b", " ".join(texts)):
                 missing = f"{acceleration.replace('a', 'x')}''"
                 raise InputError("equation", "; ".join(self.equations), f"it must contain {missing}")
-        laws = [expression(text, [*motion, *symbols], "equation", OF_EQUATIONS) for text in texts]
+        try:
+            laws = [expression(text, [*motion, *symbols], "equation", OF_EQUATIONS) for text in texts]
+        except InputError as error:  # in the notation of the claim: x'' instead of a
+            written = [re.sub("^v(.*)", r"x\1'", re.sub("^a(.*)", r"x\1''", name)) for name in motion]
+            remedy = error.remedy.replace(", ".join(motion), ", ".join(written))
+            raise InputError("equation", "; ".join(self.equations), remedy) from None
         object.__setattr__(self, "_laws", (laws, motion))
         rng = np.random.default_rng(0)
         p, (a, b) = {symbol: rng.uniform(0.5, 1.5) for symbol in self.unknown}, rng.standard_normal((2, 4, n))

@@ -47,7 +47,8 @@ def check_choice(group: str, value: Any) -> None:
     if not is_choice(group, str(value)):
         names = [*choices(group), *(TRACKS if group == "experiment" else ())]
         known = ", ".join([f"known: {', '.join(names)}", *(drawn_ranges() if group == "system" else ())])
-        raise InputError(group, value, f"{did_you_mean(value, names)}{known}")
+        own = "; to add your own, install its package: pip install -e <folder>" if group == "method" else ""
+        raise InputError(group, value, f"{did_you_mean(value, names)}{known}{own}")
     if group == "method" and value in registered():
         load_method(value)  # raises InputError for a broken entry point
 

@@ -94,7 +94,12 @@ def _defined(path: Path) -> list[Subject]:
         elif issubclass(item, Identifier):
             subjects.append(Subject("method", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower(), value))
     if not subjects:
-        raise InputError("package", path, "no class in it subclasses bench.Identifier or bench.System")
+        raise InputError(
+            "package",
+            path,
+            "no class in it subclasses bench.Identifier or bench.System; "
+            "a part of a method is checked with it: package=<method> method.<setting>=<part>",
+        )
     return subjects
 
 

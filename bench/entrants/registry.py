@@ -75,7 +75,12 @@ def make(cls: type[Made], name: str, settings: Mapping[str, Any], known: Iterabl
         if key not in known:
             near = did_you_mean(key, list(known))
             raise InputError(f"method.{key}", settings[key], f"{near}settings of {name}: {', '.join(known) or 'none'}")
-    return validated(cls, settings, "method")
+    try:
+        return validated(cls, settings, "method")
+    except InputError as error:
+        if error.field in settings:  # raised by the method, which need not know the prefix
+            raise InputError(f"method.{error.field}", error.value, error.remedy) from None
+        raise
 
 
 def missing_package(name: str) -> str | None:

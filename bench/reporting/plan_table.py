@@ -35,10 +35,10 @@ def listing(planned: Sequence[Planned], store: Store, workers: int, every_cell: 
     cost = {cell.identity: seconds.get(cell.label, math.nan) * cell.replicates for cell in to_run}
     shown = _cells if every_cell or len(planned) <= MOST_ROWS else _methods
     lines = [shown(planned, cost), "", wrapped(f"{counted(planned)}; {len(to_run)} to run")]
-    if to_run:
-        total = duration(float(np.nansum(list(cost.values()))) / workers)
-        lines.append(wrapped(f"about {total} with {workers} worker(s), by the time of stored fits of the same methods"))
     unknown = sorted({cell.label for cell in to_run} - set(seconds))
+    if not np.isnan(list(cost.values())).all():
+        total = f"{'at least' if unknown else 'about'} {duration(float(np.nansum(list(cost.values()))) / workers)}"
+        lines.append(wrapped(f"{total} with {workers} worker(s), by the time of stored fits of the same methods"))
     return "\n".join([*lines, *([wrapped(f"time unknown: {', '.join(unknown)}")] if unknown else [])])
 
 

@@ -238,7 +238,9 @@ def informative_bounds(members: Sequence[Result], metrics: Iterable[str]) -> dic
 
 def log_errors(result: Result, bounds: Mapping[str, float]) -> np.ndarray:
     """Return the log error over bound of each fit (n,), from the bounds by metric."""
-    return log_sizes(np.stack([result.errors(metric) / bound for metric, bound in bounds.items()]))
+    with np.errstate(invalid="ignore"):  # a failed fit has an infinite error, which may meet an infinite bound
+        ratios = np.stack([result.errors(metric) / bound for metric, bound in bounds.items()])
+    return log_sizes(ratios)
 
 
 def log_sizes(errors: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KINDS = (
-    "kind", "answered", "outliers", "error over bound", "tier", "excess", "coverage %", "of", "interval score",
+    "kind", "answered", "outliers", "error over bound", "tier", "excess", "95 % cover", "of", "interval score",
     "time (s)",
 )  # fmt: skip
 RANKING = ("tier", "method", "problems served", "error over bound", "first tier there", "outlier fits")
@@ -38,7 +38,7 @@ LEGEND = {
     "tier": "methods that do not differ significantly on these problems; a method without any answer to the problems "
     "of a kind with the same quantities does not serve these, and has no tier",
     "excess": "root mean square of error over bound, of the values given; a few outliers dominate it",
-    "coverage %": "share of the 95 % intervals that contain the true value; of: number of intervals",
+    "95 % cover": "share of the 95 % intervals that contain the true value; of: number of intervals",
     "interval score": "mean of width and 40 times the miss over that of ideal intervals, each at most "
     f"{MOST_SCORE:g}; 1 is ideal, and too wide or too narrow intervals score more",
     "time": "median of the seconds in the file, as stated by its author",

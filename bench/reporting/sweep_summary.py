@@ -102,7 +102,7 @@ class SweepSummary:
             cells = [*(f"{row[name]}" for name in first), answered(row["n_ok"], row["n"])]
             for summary, tier in zip(row["summaries"], tiers, strict=True):
                 median = rounded(*(summary.get(key, math.nan) for key in ("median", "ci_low", "ci_high")))[0]
-                mark = f"{MARK} " if row["identity"] in tier else ""
+                mark = f"{MARK} " if row["identity"] in tier and row["n_ok"] else ""
                 cells += [mark + median, short_excess(summary.get("excess", math.nan))]
             rows.append(cells)
         error = "error %" if len(quantities) > 1 else f"{''.join(quantities)} %"

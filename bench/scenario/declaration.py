@@ -129,6 +129,8 @@ def _bad_input(error: Any, paths: Mapping[str, str], kind: Any) -> InputError:
     if error["type"] == "unexpected_keyword_argument":
         known = [f.name for f in fields(kind) if f.name not in ("name", "kind")] if is_dataclass(kind) else []
         return InputError(field, value, f"not a field; {did_you_mean(where, known)}fields: {', '.join(known)}")
+    if error["type"] == "missing":
+        return InputError(field, "", "field required")
     if error["type"] == "literal_error":
         known = re.findall("'(.*?)'", error["msg"])
         return InputError(field, value, f"{did_you_mean(value, known)}one of {', '.join(known)}")

@@ -106,7 +106,7 @@ def test_a_kind_without_any_answer_puts_a_method_beside_the_tiers(truth: pd.Data
 def test_without_intervals_no_coverage_is_stated(truth: pd.DataFrame) -> None:
     table = predictions(truth, np.ones(2 * N)).assign(low=math.nan, high=math.nan, seconds=math.nan)
     report = round_report("bare", {"bare": score_rows(table, truth)})
-    assert [dict(zip(report.kinds.headers, row, strict=True))["coverage %"] for row in report.kinds.rows] == ["-"] * 3
+    assert [dict(zip(report.kinds.headers, row, strict=True))["95 % cover"] for row in report.kinds.rows] == ["-"] * 3
     assert "not stated" in report.sentences[1]
 
 
