@@ -134,7 +134,7 @@ def test_a_method_without_an_answer_fails_that_check_and_none_behind_it_is_tried
     status, outcomes = checked(capsys, f"package={FOLDER / 'sloppy.py'}", f"method.fault={fault}", "timeout_s=5")
     assert status == 1
     assert [(one["name"], one["passed"]) for one in outcomes] == [("card", True), ("imports", True), ("answer", False)]
-    assert words in str(outcomes[-1]["found"])
+    assert words in str(outcomes[-1]["message"])
 
 
 def test_a_process_that_dies_later_costs_one_check(capsys: pytest.CaptureFixture[str]) -> None:
