@@ -115,6 +115,6 @@ def test_a_map_has_the_states_of_its_points(monkeypatch: pytest.MonkeyPatch) -> 
     shown = drawn.chart.vconcat[1].data
     assert (shown.state == "above Nyquist").sum() == frame.aliased.sum()
     good = (frame.k_over_m_core <= 1.2) & (frame.k_over_m_gross <= 0.05) & ~frame.aliased
-    assert (shown.state == "within 1.2 times the bound").sum() == good.sum()
+    assert (shown.state == "error ≤ 1.2 × bound").sum() == good.sum()
     assert drawn.caption.startswith("Output error is within 1.2 times the bound on the largest part of this map")
     assert f", {100 * good.sum() / (~frame.aliased).sum():.0f} %." in drawn.caption

@@ -112,13 +112,13 @@ def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd
     [
         ({"data": TIMES}, "displacement=None: give displacements with times"),
         ({"data": "r.csv", "displacement": DECAY}, "displacement=array: give either a file, or times"),
-        ({"data": TIMES, "displacement": DECAY[1:]}, r"displacement=array of shape \(59,\): one-dimensional"),
+        ({"data": TIMES, "displacement": DECAY[1:]}, r"displacement=array of shape \(59,\): use a vector"),
         ({"data": TIMES, "displacement": ["a"] * 60}, "displacement=array: numbers"),
         ({"data": TIMES, "displacement": np.where(TIMES[7] == TIMES, np.nan, DECAY)}, "array: sample 7 is not finite"),
         ({"data": TIMES, "displacement": DECAY, "columns": ["t", "x"]}, "a mapping, such as {'t': 0"),
-        ({"data": TIMES, "displacement": DECAY, "settings": {"force_gain": 0}}, "force_gain=0.0: there is no force"),
-        ({"data": TIMES[::-1], "displacement": DECAY}, "time goes back from"),
-        ({"data": TIMES, "displacement": DECAY, "settings": {"disturbance": "bias"}}, "=bias: .*leave it out"),
+        ({"data": TIMES, "displacement": DECAY, "settings": {"force_gain": 0}}, "force_gain=0.0: the record has no force"),
+        ({"data": TIMES[::-1], "displacement": DECAY}, "time decreases from"),
+        ({"data": TIMES, "displacement": DECAY, "settings": {"disturbance": "bias"}}, "=bias: .*omit it"),
     ],
 )
 def test_a_malformed_record_is_one_line(given: dict[str, Any], sentence: str) -> None:
