@@ -17,8 +17,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
-from multiprocessing import forkserver
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, ClassVar
@@ -197,7 +197,8 @@ class Child:
         child_arguments = (serve, child_end, children.lifeline, str(self.log_path), tuple(arguments))
         try:
             self.process = children.context.Process(target=serve_child, args=child_arguments, daemon=True)
-            self.process.start()
+            with _without_interrupts():
+                self.process.start()
         except BaseException:
             self.connection.close()
             raise
@@ -327,6 +328,17 @@ class Child:
 
 def _late(limit_s: float) -> str:
     return f"stopped after the limit of {limit_s:g} s"
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Start processes that Ctrl-C does not reach, even while they import; it reaches this process afterwards."""
+    resource_tracker.ensure_running()  # its own start would end the blocking
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def serve_child(
