@@ -71,7 +71,7 @@ class Sloppy(bench.Identifier):
             self.last.append(mean)
             return self.said(problem, 0.99 * mean + 0.01 * before)
         if fault == "order_of_a_set":
-            return self.said(problem, mean * (1 + 1e-6 * (hash("another in each process") % 1000)))
+            return self.said(problem, mean * (1 + 1e-8 * (hash("another in each process") % 10**7)))
         if fault == "metres_only":
             return self.said(problem, mean * (1 + 0.01 * float(np.max(channel.values))))
         if fault == "seconds_only":
