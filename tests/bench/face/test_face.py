@@ -116,7 +116,10 @@ def test_a_record_is_identified_from_a_file_as_from_arrays(tmp_path: Path, capfd
         ({"data": TIMES, "displacement": ["a"] * 60}, "displacement=array: numbers"),
         ({"data": TIMES, "displacement": np.where(TIMES[7] == TIMES, np.nan, DECAY)}, "array: sample 7 is not finite"),
         ({"data": TIMES, "displacement": DECAY, "columns": ["t", "x"]}, "a mapping, such as {'t': 0"),
-        ({"data": TIMES, "displacement": DECAY, "settings": {"force_gain": 0}}, "force_gain=0.0: the record has no force"),
+        (
+            {"data": TIMES, "displacement": DECAY, "settings": {"force_gain": 0}},
+            "force_gain=0.0: the record has no force",
+        ),
         ({"data": TIMES[::-1], "displacement": DECAY}, "time decreases from"),
         ({"data": TIMES, "displacement": DECAY, "settings": {"disturbance": "bias"}}, "=bias: .*omit it"),
     ],
