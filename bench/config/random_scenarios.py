@@ -32,6 +32,12 @@ PULSE = 0.3
 FORCE_SAMPLES = 1000
 """Samples of the force: the number of times at which displacement is scored, since the simulation is ten times faster
 on a common grid."""
+MISJUDGED = 0.4
+"""A force is designed for a natural frequency whose logarithm is wrong by at most this, so that its band and length do
+not reveal the true one."""
+SAMPLES_PER_CYCLE = 0.6
+"""Fewest samples per natural cycle. Beyond the Nyquist frequency (2) an alias can fit as well; far beyond it nothing
+would be compared but the prior."""
 RANGES = ("cycles", "damping_ratio", "samples", "snr", "frequency_hz", "mass", "amplitude")
 
 
@@ -68,7 +74,7 @@ def drawn_scenarios(experiment: str) -> tuple[Drawn, ...]:
 
 
 def drawn_ranges() -> list[str]:
-    """Return the ranges of names of drawn scenarios, such as ``open_001 to open_200``, one per experiment."""
+    """Return the ranges of names of drawn scenarios, such as ``open_001 to open_500``, one per experiment."""
     drawn = [drawn_scenarios(experiment) for experiment in file_names("experiment")]
     return [f"{scenarios[0].name} to {scenarios[-1].name}" for scenarios in drawn if scenarios]
 
@@ -78,9 +84,10 @@ def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
 
     Args:
         experiment: Prefix of the names: ``<experiment>_001`` and so on.
-        stated: ``release``, whose name is the seed; ``scenarios``, their number; and the two ends of each of
-            :data:`RANGES`. The SNR (dB) is uniform; cycles in the record, damping ratio, number of samples, natural
-            frequency (Hz), mass (kg) and amplitude (m) are uniform in the logarithm.
+        stated: ``release``, whose name is the seed with that of the experiment; ``scenarios``, their number; and the
+            two ends of each of :data:`RANGES`. The SNR (dB) is uniform; cycles in the record, damping ratio, number of
+            samples, natural frequency (Hz), mass (kg) and amplitude (m) are uniform in the logarithm; the number of
+            samples is at least :data:`SAMPLES_PER_CYCLE` times that of cycles.
 
     Raises:
         InputError: A range is missing, unknown or empty.
@@ -90,16 +97,14 @@ def draw(experiment: str, stated: Mapping[str, Any]) -> tuple[Drawn, ...]:
         ends = ranges.get(name, ())
         if name not in RANGES or len(ends) != 2 or not ends[0] <= ends[1]:
             raise InputError(f"draw.{name}", ends, f"two ends, the lower first, of each of {', '.join(RANGES)}")
-    digest = hashlib.sha256(str(stated["release"]).encode()).digest()
+    digest = hashlib.sha256(f"{experiment} {stated['release']}".encode()).digest()
     seeds = np.random.SeedSequence(int.from_bytes(digest[:16], "big")).spawn(int(stated["scenarios"]))
     return tuple(
         one_mass(f"{experiment}_{i:03d}", ranges, np.random.default_rng(seed)) for i, seed in enumerate(seeds, 1)
     )
 
 
-def one_mass(
-    name: str, ranges: Mapping[str, tuple[float, float]], rng: Any, digits: int = DIGITS, misjudged: float = 0.0
-) -> Drawn:
+def one_mass(name: str, ranges: Mapping[str, tuple[float, float]], rng: Any, digits: int = DIGITS) -> Drawn:
     """Draw a single mass in free or forced vibration.
 
     Args:
@@ -107,8 +112,6 @@ def one_mass(
         ranges: The two ends of each of :data:`RANGES`.
         rng: Random generator with numpy's ``random``, ``uniform`` and ``choice``.
         digits: Significant digits of the drawn numbers.
-        misjudged: The force is designed for a natural frequency that is wrong by a factor between exp(-misjudged) and
-            exp(misjudged), so that its band does not reveal the natural frequency.
     """
 
     def rounded(value: float) -> float:
@@ -116,14 +119,20 @@ def one_mass(
 
     snr = rounded(rng.uniform(*ranges["snr"]))
     known, irregular, forced = (bool(rng.random() < 0.5) for _ in range(3))
-    size = {key: float(np.exp(rng.uniform(*np.log(ranges[key])))) for key in RANGES if key != "snr"}
+    size = dict[str, float]()
+    for key in RANGES:
+        low, high = ranges[key]
+        if key == "samples":
+            low = min(max(low, SAMPLES_PER_CYCLE * size["cycles"]), high)
+        if key != "snr":
+            size[key] = float(np.exp(rng.uniform(*np.log((low, high)))))
     rate, phase = 2 * math.pi * size["frequency_hz"], rng.uniform(0.0, 2 * math.pi)
     mass, duration = size["mass"], rounded(size["cycles"] / size["frequency_hz"])
     initial = (
         (0.0, 0.0) if forced else (size["amplitude"] * math.cos(phase), -size["amplitude"] * rate * math.sin(phase))
     )
     parameters = {"m": mass, "c": 2 * size["damping_ratio"] * mass * rate, "k": mass * rate**2}
-    hertz = size["frequency_hz"] * (math.exp(rng.uniform(-misjudged, misjudged)) if misjudged else 1.0)
+    hertz = size["frequency_hz"] * math.exp(rng.uniform(-MISJUDGED, MISJUDGED))
     push = rounded(parameters["k"] * size["amplitude"])
     system = {
         "label": name,

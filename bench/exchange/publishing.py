@@ -1,7 +1,7 @@
 """Write the published archive from a store and the present archive.
 
 A cell of the store replaces that of the archive, and a cell of an experiment replaces one that differs in the number of
-replicates alone. A file of the archive has the cells of one experiment; a cell of several experiments is in the file of
+replicates alone. A cell of no experiment is published as long as it is current. A file of the archive has the cells of one experiment; a cell of several experiments is in the file of
 the first (tables by number, then the others by name), and a cell of none in ``other``. All files are replaced together
 at the end; if that is interrupted, restore the folder (``git restore results/archive``) and run it again.
 """
@@ -58,9 +58,12 @@ def described() -> Described:
 
 
 def superseded(stored: StoredCell, experiments_described: Described, both: Store) -> bool:
-    """Return whether a cell of no experiment differs from one of an experiment in the number of replicates alone."""
+    """Return whether a cell of no experiment is stale or differs from one of an experiment in the number of replicates
+    alone."""
     try:
         cell = stored_as_cell(stored)
+        if not cell.version.matches(stored.version):
+            return True
     except InputError:
         return False  # its configuration means something else now: nothing that an experiment asks
     identity = experiments_described.questions.get(cell.question, stored.identity)

@@ -24,8 +24,6 @@ DISTURBANCES = {"coloured noise": ("coloured", 0.3, 0.9), "drift": ("drift", 0.0
 """Disturbance of a kind, with the range of its size."""
 DIGITS = 9
 """Significant digits of drawn values; rounding an estimate to fewer digits does not recover the true value."""
-MISJUDGED = 0.4
-"""Largest error of the log frequency for which a force is designed, so that its band does not reveal more."""
 LARGEST_BOUND = 0.3
 """Largest bound on the relative error of an identifiable quantity; problems beyond it are drawn again."""
 PER_CYCLE, PER_CYCLE_FORCED = 4, 10
@@ -75,7 +73,7 @@ def _draw(seed: int, name: str, kind: str, ranges: Ranges) -> DrawnProblem:
 
 def draw_scenario(name: str, kind: str, ranges: Ranges, rng: SecretStream) -> Scenario:
     """Draw a scenario of a kind; raises InputError if the drawn scenario does not suit the kind."""
-    drawn = one_mass(name, ranges, rng, DIGITS, MISJUDGED)
+    drawn = one_mass(name, ranges, rng, DIGITS)
     system, p = dict(drawn.system), drawn.system["parameters"]
     rate, force, start = math.sqrt(p["k"] / p["m"]), system["force"], system["initial"]
     if (kind == "forced" and not force) or (kind == "free decay" and force):

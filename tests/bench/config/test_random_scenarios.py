@@ -17,9 +17,9 @@ from bench.scenario.scenario import Scenario
 STATED: dict[str, Any] = read_yaml("experiment", "open")["draw"]
 
 
-def test_two_hundred_scenarios_lie_in_the_stated_ranges() -> None:
+def test_five_hundred_scenarios_lie_in_the_stated_ranges() -> None:
     found = drawn_scenarios("open")
-    assert len(found) == STATED["scenarios"] == 200
+    assert len(found) == STATED["scenarios"] == 500
     for one in found:
         m, c, k = (one.system["parameters"][name] for name in "mck")
         frequency = math.sqrt(k / m) / (2 * math.pi)
@@ -30,13 +30,36 @@ def test_two_hundred_scenarios_lie_in_the_stated_ranges() -> None:
         for name, value in values.items():
             low, high = STATED[name]
             assert low * (1 - 1e-3) <= value <= high * (1 + 1e-3), (one.name, name)
+        assert one.system["samples"] >= 0.6 * values["cycles"] - 0.5, one.name  # rounded to a whole number
+
+
+def test_some_scenarios_are_beyond_the_nyquist_frequency_and_most_below_it() -> None:
+    found = drawn_scenarios("open")
+    per_cycle = [
+        one.system["samples"] / one.system["duration"] * 2 * math.pi
+        / math.sqrt(one.system["parameters"]["k"] / one.system["parameters"]["m"])
+        for one in found
+    ]  # fmt: skip
+    assert 10 <= sum(value < 2 for value in per_cycle) <= len(found) / 4
+
+
+def test_a_force_does_not_reveal_the_natural_frequency() -> None:
+    """The top of a band is a random multiple of the natural frequency: twice it, by up to a factor of exp(0.4)."""
+    tops = []
+    for one in drawn_scenarios("open"):
+        m, k = (one.system["parameters"][name] for name in "mk")
+        if one.system["force"] and "high_hz" in one.system["force"]:
+            tops.append(math.log(one.system["force"]["high_hz"] / 2 / (math.sqrt(k / m) / (2 * math.pi))))
+    assert len(tops) > 50
+    assert -0.4 <= min(tops) < -0.3
+    assert 0.3 < max(tops) <= 0.4 + 1e-3
 
 
 def test_the_logarithm_of_a_size_is_uniform() -> None:
-    """The mean of 200 uniform draws is within four standard deviations, 4/sqrt(12 200), of the middle."""
+    """The mean of 200 uniform draws is within four standard deviations, 4/sqrt(12 500), of the middle."""
     low, high = (math.log(end) for end in STATED["mass"])
     places = [(math.log(one.system["parameters"]["m"]) - low) / (high - low) for one in drawn_scenarios("open")]
-    assert sum(places) / len(places) == pytest.approx(0.5, abs=4 / math.sqrt(12 * 200))
+    assert sum(places) / len(places) == pytest.approx(0.5, abs=4 / math.sqrt(12 * 500))
 
 
 def test_the_release_is_the_seed_and_more_scenarios_keep_the_first() -> None:
@@ -54,23 +77,23 @@ def test_a_range_that_makes_no_sense_is_refused(ranges: dict[str, Any]) -> None:
 
 
 def test_cells_are_scenarios_times_methods_and_come_back_from_their_description() -> None:
-    named = {"method": ["oracle", "prior"], "system": ["open_001", "open_200"]}
+    named = {"method": ["oracle", "prior"], "system": ["open_001", "open_500"]}
     found = Experiment("open").cells(named)
-    assert [cell.scenario.label for cell in found] == ["open_001", "open_001", "open_200", "open_200"]
+    assert [cell.scenario.label for cell in found] == ["open_001", "open_001", "open_500", "open_500"]
     for cell in found:
         assert cell.replicates == 1
         assert (cell.scenario.prior is None) == (cell.scenario.force is not None)
         stated = json.loads(json.dumps(cell.scenario.to_dict()))
         assert Scenario.from_dict(stated).to_dict() == cell.scenario.to_dict()
-    assert len(Experiment("open").cells({"method": ["oracle"]})) == 200
+    assert len(Experiment("open").cells({"method": ["oracle"]})) == 500
 
 
 def test_a_drawn_scenario_can_be_chosen_and_changed_by_name() -> None:
     (job,) = expand(["method=oracle", "system=open_007", "system.samples=33"], False)
     assert job.scenario.label == "open_007"
     assert job.scenario.samples == 33
-    with pytest.raises(InputError, match=r"system=open_201: .*open_001 to open_200"):
-        expand(["method=oracle", "system=open_201"], False)
+    with pytest.raises(InputError, match=r"system=open_501: .*open_001 to open_500"):
+        expand(["method=oracle", "system=open_501"], False)
 
 
 def test_development_scenarios_stand_in_no_table() -> None:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from bench.config import random_scenarios
 from bench.config.files import read_yaml
 from bench.errors import InputError
-from bench.rounds import draw
 from bench.rounds.draw import draw_round, draw_scenario, with_truth
 from bench.rounds.folder import TRUTH
 from bench.rounds.secret import SecretStream, derived_key
@@ -58,7 +58,7 @@ def test_no_product_of_powers_of_published_numbers_is_the_natural_frequency(kind
 
 
 def test_the_attack_finds_a_frequency_that_the_band_of_the_force_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(draw, "MISJUDGED", 1e-9)
+    monkeypatch.setattr(random_scenarios, "MISJUDGED", 1e-9)
     assert all(s.force for s in scenarios("forced", 5))
     bands = [s for s in scenarios("forced", 60) if s.force and s.force.low_hz]
     stated = [2 * math.pi * s.force.low_hz / 0.2 for s in bands if s.force and s.force.low_hz]
