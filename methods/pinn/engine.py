@@ -197,6 +197,10 @@ class Attempt:
         far, near, close, hard = DAMPING
         converged, smooth = s.convergence(self.resolution), self.residuals.system.smooth
         heads, whole = self._heads()
+
+        def combined() -> Tensor:
+            return self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
+
         free, firm = np.flatnonzero(~self.firm), np.flatnonzero(self.firm)
         if free.size:
             self.run(heads, s.softness, s.output_iterations, far, s.tolerance, free)
@@ -204,8 +208,8 @@ class Attempt:
             self.respond(heads, s.output_iterations, near, firm)
         several_layers = heads.n_z < self.residuals.n_z
         first = s.tolerance if several_layers else max(converged, BEFORE_HARDENING)
-        self.rounds(heads, s.iterations, near, first if smooth else converged)
-        self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
+        self.rounds(heads, s.iterations, near, first if smooth else converged, combined)
+        self.walk.z = combined()
         if several_layers:
             self.rounds(self.residuals, s.iterations, close, s.tolerance)
         if several_layers or smooth:
@@ -213,9 +217,9 @@ class Attempt:
             if smooth:
                 heads.shift = self._multipliers(heads)
             reasons = self.walk.reasons[:]
-            self.rounds(heads, HARDENING if smooth else s.iterations, hard if smooth else near, converged)
+            self.rounds(heads, HARDENING if smooth else s.iterations, hard if smooth else near, converged, combined)
             self.walk.reasons = reasons if smooth else self.walk.reasons
-            self.walk.z = self.residuals.with_heads(whole, heads.unmixed(self.walk.z))
+            self.walk.z = combined()
 
     def _multipliers(self, residuals: Residuals) -> Tensor:
         """Return the violations of physics and initial state, in natural units, (B, n_rows)."""
@@ -230,12 +234,27 @@ class Attempt:
         mixed, self.walk.z = heads.mixed(z, heads.deviations(self.spread()))
         return mixed, whole
 
-    def rounds(self, residuals: Residuals, iterations: int, damping: float, tolerance: float) -> None:
-        """Minimise with hard physics, repeatedly where the estimated noise changes."""
+    def rounds(
+        self,
+        residuals: Residuals,
+        iterations: int,
+        damping: float,
+        tolerance: float,
+        coefficients: Callable[[], Tensor] | None = None,
+    ) -> None:
+        """Minimise with hard physics, repeatedly where the estimated noise changes.
+
+        Args:
+            residuals: Residuals of all coefficients, or of the output layer alone.
+            iterations: Largest number of iterations of a round.
+            damping: First damping.
+            tolerance: Relative decrease at which a round ends.
+            coefficients: Gives all coefficients for a report, where ``walk.z`` holds those of the output layer alone.
+        """
         who = np.arange(len(self.problems))
         for _ in range(ROUNDS):
             change = self.run(residuals, 1.0, iterations, damping, tolerance, who)
-            self.watch(self.results)
+            self.watch(lambda: self.results(coefficients and coefficients()))
             who = who[change >= SETTLED]
             if not who.size:
                 break
@@ -258,16 +277,17 @@ class Attempt:
         state = self.residuals.evaluate(self.walk.z, deviations)
         self.walk.record(np.arange(len(self.problems)), state.rows * deviations)
 
-    def results(self) -> list[Fit]:
-        """Return the current fits."""
+    def results(self, z: Tensor | None = None) -> list[Fit]:
+        """Return the fits at z, by default the current one."""
         residuals, walk = self.residuals, self.walk
+        z = walk.z if z is None else z
         deviations = residuals.deviations(self.spread())
-        state = residuals.evaluate(walk.z, deviations)
+        state = residuals.evaluate(z, deviations)
         posterior = equations(residuals, state, deviations).posterior()
         n = len(residuals.free)
         covariance = np.asarray(posterior.covariance[:, :n, :n].cpu())
         bands = [sd.reshape(len(sd), self.problems[0].system.n_dof, -1) for sd in posterior.deviations]
-        parts, logs, offsets = residuals.split(walk.z)
+        parts, logs, offsets = residuals.split(z)
         coefficients = [np.asarray(part.cpu()) for part in parts]
         n_dof = self.problems[0].system.n_dof
         starts = [np.asarray(out[:, :2, 0, :n_dof].cpu()) for out in state.outputs]

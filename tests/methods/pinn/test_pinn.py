@@ -11,7 +11,8 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.optimize import least_squares, minimize
 
-from bench import Channel, Force, InitialState, InputError, Prior, Problem, Record, Status, System, Units, simulate
+from bench import Channel, Estimate, Force, InitialState, Prior, Problem, Record, Status, System, simulate
+from bench.contract import progress
 from bench.contract.problem import Measures
 from bench.systems import SDOF, BoucWen, Chain, Duffing
 from methods.pinn import PINN
@@ -27,7 +28,6 @@ from methods.network.tanh import Network  # noqa: E402
 from methods.pinn import equations, levenberg  # noqa: E402
 from methods.pinn.block import Block, Spread  # noqa: E402
 from methods.pinn.residuals import Residuals  # noqa: E402
-from methods.starts.waves import scan  # noqa: E402
 
 TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
 PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
@@ -399,19 +399,6 @@ def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
     assert computed.fun < 1e-2 * residuals.evaluate(z, deviations).loss[0]
 
 
-@pytest.mark.parametrize("method", [PINN(batch=3), Collocation(batch=3), PINN(batch=3, start="exact", iterations=15)])
-def test_a_fit_is_the_same_alone_and_in_company(method: PhysicsInformed) -> None:
-    problems = [
-        Problem(SDOF(), (record(noise, known=True, seed=i),), PRIOR) for i, noise in enumerate((0.01, 0.1, 0.4))
-    ]
-    together = method.identify_many(problems, [np.random.default_rng(i) for i in range(3)])
-    for i in (2, 0, 1):
-        alone = method.identify(problems[i], np.random.default_rng(i)).parameters
-        other = together[i].parameters
-        sd = np.sqrt(np.diag(alone.covariance))  # type: ignore[union-attr,arg-type]
-        assert np.all(np.abs(alone.mean - other.mean) < 1e-3 * sd)  # type: ignore[union-attr]
-
-
 @pytest.mark.parametrize("method", [PINN(), Collocation(), PINN(start="exact", iterations=150)])
 def test_band_is_the_delta_methods(method: PhysicsInformed) -> None:
     """Against the sensitivities of the simulated response at scipy's solution, by finite differences."""
@@ -494,29 +481,6 @@ def test_agrees_with_maximum_a_posteriori_by_simulation() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(distribution.covariance)), sd, rtol=0.1)  # type: ignore[union-attr,arg-type]
 
 
-def test_units_and_networks_change_nothing() -> None:
-    problem = Problem(SDOF(), (record(0.03, known=True),), PRIOR)
-    units = Units(3.0, 1e-3, 0.1)
-    first = PINN().identify(problem, np.random.default_rng(0)).parameters
-    other = (
-        PINN().identify(problem.expressed_in(units), np.random.default_rng(0)).expressed_in(units.inverse).parameters
-    )
-    redrawn = PINN().identify(problem, np.random.default_rng(1)).parameters
-    sd = np.sqrt(np.diag(first.covariance))  # type: ignore[union-attr,arg-type]
-    assert np.all(np.abs(first.mean - other.mean) < 1e-3 * sd)  # type: ignore[union-attr]
-    assert np.all(np.abs(first.mean - redrawn.mean) < 0.05 * sd)  # type: ignore[union-attr]
-
-
-def test_without_prior_or_force_only_groups_are_told() -> None:
-    estimate = PINN().identify(Problem(SDOF(), (record(0.01),)), np.random.default_rng(0))
-    assert estimate.parameters is None
-    assert estimate.groups is not None
-    low, high = estimate.marginal(SDOF().quantity("k_over_m")).interval(0.999)  # type: ignore[union-attr]
-    assert low < 14.0 / 1.7 < high
-    assert (high - low) < 0.1 * 14.0 / 1.7
-    pickle.loads(pickle.dumps(estimate))
-
-
 def test_offset_is_estimated() -> None:
     computed = record(0.005).channels[0]
     shifted = Record((Channel(computed.times, computed.values + 0.4, offset=True),))
@@ -525,30 +489,27 @@ def test_offset_is_estimated() -> None:
     assert estimate.offsets[0] == pytest.approx(0.4, abs=0.005)
 
 
+@pytest.mark.parametrize("method", [PINN(), Collocation()])
+def test_reports_of_every_stage_are_estimates(method: PhysicsInformed) -> None:
+    """Of a fit that is stopped the last report counts: here all of them are asked for, and the last is the answer's."""
+    problem, reports = Problem(SDOF(), (record(0.02, known=True),), PRIOR), list[Estimate]()
+    progress.listen(lambda _, estimate: reports.append(estimate()))
+    try:
+        answer = method.identify(problem, np.random.default_rng(0))
+    finally:
+        progress.listen(None)
+    assert len(reports) > 1
+    values = [r.marginal(SDOF().quantity("k_over_m")).value for r in (*reports, answer)]  # type: ignore[union-attr]
+    np.testing.assert_allclose(values, values[-1], rtol=0.1)
+    assert values[-2] == pytest.approx(values[-1], rel=1e-3)
+
+
 def test_papers_training_descends_to_the_same_loss_by_another_road() -> None:
     problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
     estimate = PINN(optimizer="adam_lbfgs", adam_steps=50, lbfgs_steps=90).identify(problem, np.random.default_rng(0))
     assert np.all(np.isfinite(estimate.traces["loss"]))
     assert estimate.traces["loss"][-1] < 1e-2 * estimate.traces["loss"][0]
     assert estimate.traces["evaluations"][-1] <= estimate.cost.evaluations
-
-
-def test_scan_finds_the_wave() -> None:
-    t = np.sort(np.random.default_rng(0).uniform(0, 6, 30))
-    y = np.exp(-0.5 * t) * np.cos(9.0 * t + 1.0)
-    guesses, left = scan(Problem(SDOF(), (Record((Channel(t, y),)),)))
-    assert guesses[0].omega == pytest.approx(9.0, abs=np.pi / t[-1] / 8 + 1e-9)
-    assert left < 0.1
-
-
-@pytest.mark.parametrize("n", [3, 5])
-def test_few_samples_give_a_finite_answer_or_a_sentence(n: int) -> None:
-    t = np.linspace(0, 4, n)
-    estimate = PINN().identify(
-        Problem(SDOF(), (Record((Channel(t, np.cos(2 * t)),)),), PRIOR), np.random.default_rng(0)
-    )
-    assert estimate.message
-    assert estimate.distribution is None or estimate.distribution.finite()
 
 
 def test_dead_channel_and_absent_device_are_statuses() -> None:
@@ -572,22 +533,6 @@ def test_a_batch_on_a_gpu_is_the_fits_on_the_processor(kind: type[PhysicsInforme
         here = kind().identify(problem, np.random.default_rng(i)).parameters
         sd = np.sqrt(np.diag(here.covariance))  # type: ignore[union-attr,arg-type]
         assert np.all(np.abs(here.mean - there[i].parameters.mean) < 1e-2 * sd)  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize(
-    ("kind", "setting", "value"),
-    [
-        (PINN, "batch", 0),
-        (PINN, "slack", -1.0),
-        (PINN, "width", 1),
-        (PINN, "adam_rate", float("nan")),
-        (Collocation, "members", 1),
-        (Collocation, "degree", 2),
-    ],
-)
-def test_a_setting_that_makes_no_sense_is_one_line(kind: type[PhysicsInformed], setting: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"method.{setting}"):
-        kind(**{setting: value})
 
 
 def test_the_local_functions_of_a_spline_are_those_of_its_full_basis() -> None:
