@@ -16,10 +16,6 @@ NAMES = sorted(
 )  # fmt: skip
 
 
-def test_all_studies_are_here() -> None:
-    assert len(NAMES) == 12
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_study_has_a_page_of_help_and_refuses_other_fields(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     main = import_module(f"tests.studies.{name}").main

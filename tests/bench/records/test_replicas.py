@@ -15,7 +15,7 @@ from bench.contract.problem import Channel, Force, Problem, Record
 from bench.entrants.registry import make_method
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.likelihood.autoregression import Autoregression, autoregression
+from bench.likelihood.autoregression import Autoregression
 from bench.records.finding import Finding
 from bench.records.identification import assess
 from bench.records.intervals import StatedInterval
@@ -26,6 +26,7 @@ from bench.records.replicas import (
     coverage_on_replicas,
     determined_quantities,
     draw_replicas,
+    fit_replicas,
     miss,
     rounding_step,
     true_values,
@@ -36,7 +37,6 @@ from bench.records.request import request_of
 from bench.records.workers import Workers
 from bench.scenario.truth import closed_form
 from bench.systems.linear import SDOF
-from tests.studies import replicas as study
 
 P = {"m": 1.0, "c": 0.25, "k": 40.0}
 T = np.arange(80) / 10.0
@@ -247,12 +247,26 @@ def refuse() -> None:
     raise InputError("method", "truth", "choose another")
 
 
-def test_the_study_s_noise_has_the_stated_colour_and_size() -> None:
-    problem = study.CASES["coloured"].problem(np.random.default_rng(0))
-    long = replace(study.CASES["coloured"], cycles=2000.0).problem(np.random.default_rng(0))
-    assert problem.records[0].channels[0].n == 160
-    late = long.records[0].channels[0].values[10_000:]
-    assert autoregression(late).coefficients[0] == pytest.approx(0.8, abs=0.05)
+def corrected_intervals(seed: int) -> dict[str, tuple[bool, bool]]:
+    """Decide whether the white and the corrected intervals of a record with AR(1) noise at 20 dB cover the truth."""
+    times, rate = np.arange(160) / 20.0, 2 * np.pi
+    truth = {"m": 1.0, "c": 0.04 * rate, "k": rate**2}
+    rng = np.random.default_rng([5, seed])
+    motion = closed_form(truth, 1.0, 0.0, times)
+    noise = Autoregression(np.array([0.8]), 0.36 * 0.01 * float(np.mean(motion**2))).drawn(times.size, rng)
+    problem = Problem(SDOF(), (Record((Channel(times, motion + noise, offset=True),)),))
+    finding = replace(finding_of(problem), reasons=())
+    assert finding.fit is not None
+    job = request_of({"data": ["x"], "method": ["output_error"], "seed": [seed]}).job
+    answers = fit_replicas(job, finding.fit, finding.problem, range(40))
+    covers = {}
+    for name in ("natural_frequency", "damping_ratio"):
+        interval, quantity = finding.intervals[name], problem.system.quantity(name)
+        line = coverage_of(quantity, float(quantity.value(true_values(finding.fit, problem))), answers, finding)
+        low, high = (line and line.corrected) or (interval.record_low, interval.record_high)
+        true = float(quantity.value(truth))
+        covers[name] = (interval.white_low <= true <= interval.white_high, low <= true <= high)
+    return covers
 
 
 @pytest.mark.slow
@@ -261,7 +275,8 @@ def test_corrected_intervals_cover_the_true_value_under_coloured_noise() -> None
 
     For a coverage of 95 %, fewer than 24 have a probability of 0.0006.
     """
-    rows = study.coverage("coloured", 30, 40, 5)
-    white, corrected = ([float(row[i].partition(" ")[0]) for row in rows] for i in (3, 5))
-    assert min(corrected) >= 80.0
-    assert min(white) < 90.0
+    records = [corrected_intervals(seed) for seed in range(30)]
+    for name in ("natural_frequency", "damping_ratio"):
+        white, corrected = np.sum([record[name] for record in records], axis=0)
+        assert corrected >= 24
+        assert white < 27
