@@ -10,7 +10,7 @@ import pytest
 
 from bench.records.intervals import StatedInterval
 from tests.studies.cases.__main__ import judged
-from tests.studies.cases.kinds import FOURTEEN, KINDS, Case
+from tests.studies.cases.kinds import KINDS, Case
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -20,10 +20,6 @@ def test_a_kind_is_drawn_by_its_seed_with_a_truth(kind: str, tmp_path: Path) -> 
     assert all(true is None or 0 < true < np.inf for true in case.truth.values())
     for path in [case.data] if isinstance(case.data, Path) else case.data if isinstance(case.data, list) else []:
         assert path.stat().st_size > 500
-
-
-def test_the_fourteen_kinds_are_numbered() -> None:
-    assert [int(name[:2]) for name in FOURTEEN] == list(range(1, 15))
 
 
 def answer(

@@ -9,14 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.contract.estimate import Status
-from bench.reporting.pictures.png import caption_of
-from bench.scoring.row import Row
 from bench.store.store import Store
-from bench.store.stored_cell import StoredCell
-from bench.systems import Chain
 from tests.studies import chains
-from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, page, picture, reach, scenario
+from tests.studies.chains import PER_PERIOD, PERIODS, main, natural_frequencies, reach, scenario
 from tests.studies.chains_picture import caption, reaching
 
 
@@ -72,17 +67,6 @@ def test_where_a_method_gives_up_is_said() -> None:
     assert reach(data[2:]) == "| none | 3: 2 of 5 failed (stopped after the limit); excess 40 |"
 
 
-def test_page_and_picture_of_what_is_there(tmp_path: Path) -> None:
-    data = lines(n=[1, 2], n_ok=[5, 0], rmse_excess=[1.1, math.nan], status=["ok", "unsupported"])
-    data.loc[1, ["method", "message", "cpu_s"]] = ["era", "it cannot", math.nan]
-    text = page(data, 120.0)
-    assert "it cannot (n = 2)" in text
-    assert "3 parameters, 21 samples of each mass over 6 s" in text
-    assert "One mass" not in text
-    assert [path.suffix for path in picture(data, tmp_path)] == [".png"]
-    assert caption_of(tmp_path / "chains.png") == caption(data)
-
-
 def test_methods_are_ordered_by_the_chains_they_solve_and_those_of_the_longest_are_named() -> None:
     """One that answers long chains wrongly is behind one that solves short ones; one failure is no solution."""
     data = lines(
@@ -96,19 +80,6 @@ def test_methods_are_ordered_by_the_chains_they_solve_and_those_of_the_longest_a
     assert caption(data).startswith("Up to 5 masses: Multiple shooting solved it every time.")
     failed = data.assign(n_ok=0)
     assert reaching(failed) == []
-
-
-def test_an_excess_is_a_root_mean_over_quantities() -> None:
-    """Errors of 3 and 4 times the bound: the root of (9 + 16) / 2; none where a quantity is not given."""
-    names = {"parameters": Chain(1).names, "ratios": [group.name for group in Chain(1).groups]}
-    size = dict(zip(names["parameters"], (3.0, 4.0, math.sqrt(12.5)), strict=True))
-    scores = {f"{name}_error_pct": value for name, value in size.items()}
-    bound = {"median": 1.0, "bound": 1.0, "excess": 1.0}
-    summary = {f"{name}_error_pct": bound for own in names.values() for name in own} | {"rmse": bound}
-    stored = StoredCell("", {}, (Row(0, Status.OK, scores=scores),), summary, {}, {}, 0.0)
-    got = chains.line(1, "ls", stored)
-    assert got["parameters_excess"] == pytest.approx(math.sqrt(12.5))
-    assert math.isnan(got["ratios_excess"])
 
 
 def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,19 +100,3 @@ def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     assert main([*arguments[:2], "sizes=1,2", "methods=ls,rls", "fit=false"]) == 0  # of what is stored alone
     assert set(pd.read_csv(tmp_path / "chains.csv").method) == {"ls"}
     assert main([*arguments[:2], "methods=rls", "fit=false"]) == 2
-
-
-@pytest.mark.parametrize(
-    ("argument", "words"),
-    [
-        ("sizes=0", "sizes"),
-        ("methods=pin", "did you mean pinn?"),
-        ("timeout_s=nan", "finite"),
-        ("snr=20", "fields: sizes"),
-    ],
-)
-def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([argument]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1

@@ -1,22 +1,11 @@
 """The study of the moving support: on a made record with known frequencies, and on the real one where it is."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
 
 from bench.reporting.pictures.png import KEYWORD
-from tests.studies.dropbear import REFERENCE, caption, draw, followed, main, read, stays
-
-PLACES = [os.environ.get("BENCH_SHARED_DATA"), Path(__file__).parents[2].parent / "shared" / "data"]
-FOLDERS = [Path(place) / "dropbear_slow" for place in PLACES if place]
-
-
-def test_a_folder_without_the_record_is_said(tmp_path, capsys) -> None:
-    assert main([f"data={tmp_path}"]) == 2
-    assert "ten_steps.txt" in capsys.readouterr().err
+from tests.studies.dropbear import REFERENCE, caption, draw, followed, read, stays
 
 
 @pytest.mark.slow
@@ -44,15 +33,3 @@ def test_stays_and_frequencies_of_a_made_record(tmp_path) -> None:
     assert caption(record, np.full(found.shape, 1.5) * found).startswith(
         "The tracker follows the moving support to within 5"
     )
-
-
-@pytest.mark.skipif(not any((f / "ten_steps.txt").is_file() for f in FOLDERS), reason="the record is not there")
-@pytest.mark.slow
-def test_on_the_record_the_tracker_is_near_each_stays_own_spectrum() -> None:
-    record = read(next(f for f in FOLDERS if (f / "ten_steps.txt").is_file()))
-    found, _ = followed(record)
-    off = []
-    for stay in stays(record)[1:]:
-        late = stay.samples[stay.samples.size // 2 :]
-        off.append(abs(np.nanmedian(found[late]) / stay.reference - 1))
-    assert sorted(off)[len(off) // 2] < 0.012

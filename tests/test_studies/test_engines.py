@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,17 +13,15 @@ import pytest
 
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
-from bench.information.fisher import compute_bound
 from bench.scenario.truth import closed_form
-from tests.studies import chains
 from tests.studies.engines import children, floors, page, peers, results, rivals
 from tests.studies.engines.__main__ import main
 from tests.studies.engines.children import ROOT, Outcome, answered
 from tests.studies.engines.floors import Rates
-from tests.studies.engines.picture import caption, picture, stored_growths
+from tests.studies.engines.picture import picture, stored_growths
 from tests.studies.engines.results import Growth, Result
 from tests.studies.engines.row import METHOD_STREAM
-from tests.studies.engines.rows import CURVES, SEED, Row, chain_fields, rows
+from tests.studies.engines.rows import CURVES, SEED, Row, rows
 
 SDOF = Row("ls", "least squares", ("system=sdof",), "ls", {}, 2, goal_s=60.0, rounds=1, repeats=2)
 LIMIT = "from tests.studies.engines.row import limit_memory"
@@ -61,14 +58,6 @@ def test_a_child_fits_as_this_process_does() -> None:
             assert own["errors"][name] == pytest.approx(relative, rel=1e-6)
 
 
-def test_a_child_computes_the_bound_of_this_process() -> None:
-    row = Row("bound", "", ("system=sdof", "snr=30"), repeats=1)
-    (own,) = children.measured(row.task(60.0)).answers
-    expected = compute_bound(row.scenario, SEED)
-    assert own["values"]["rmse"] == pytest.approx(math.log(expected.rmse), abs=1e-12)
-    assert own["values"]["k_over_m"] == pytest.approx(math.log(expected.relative_sd["k_over_m"]), abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ("script", "limit_s", "said"),
     [
@@ -80,11 +69,6 @@ def test_a_child_computes_the_bound_of_this_process() -> None:
 )
 def test_what_ends_a_child_is_an_entry(script: str, limit_s: float, said: object) -> None:
     assert answered(["-c", script], {"limit_s": limit_s}) == said
-
-
-def test_a_row_has_the_scenario_of_the_chains() -> None:
-    for n in (1, 10):
-        assert replace(rows()["chain10"], fields=chain_fields(n)).scenario.to_dict() == chains.scenario(n).to_dict()
 
 
 def test_both_codes_take_turns_and_agree_with_themselves() -> None:
@@ -134,20 +118,6 @@ def test_an_exponent_is_of_the_upper_half() -> None:
     assert math.isnan(results.exponent([2], [1.0]))
 
 
-def test_a_curve_ends_where_a_fit_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stands_in(task: dict[str, Any]) -> Outcome:
-        return Outcome(failure="not in 9 s") if task["together"] > 10 else outcome(1.0, seconds=0.5)
-
-    monkeypatch.setattr(results, "measured", stands_in)
-    growth = results.grow(CURVES[0], 9.0)
-    assert growth.sizes == (1, 3, 10)
-    assert growth.seconds == (0.5, 1.5, 5.0)  # of all together
-    assert growth.failure == "not in 9 s at 30"
-    assert "more than linear" not in page.said_of_growth([growth])
-    steep = replace(growth, seconds=(1.0, 9.0, 100.0))
-    assert re.search(r"exponent 2\.00, more than linear: .+; not in 9 s at 30", page.said_of_growth([steep]))
-
-
 # ------------------------------------------------------------------------------------------------ floors
 
 
@@ -164,18 +134,6 @@ def test_floors_by_hand() -> None:
     assert math.isnan(floors.floor(every["duffing"], 5.0, UNIT))
 
 
-def test_every_row_has_a_floor_or_a_reason() -> None:
-    for row in rows().values():
-        assert (row.floor in floors.FORMULAS) != bool(row.why), row.name
-
-
-def test_the_least_time_is_of_a_single_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four calls from 0 to 8, four from 10 to 14: 2 and 1."""
-    clock = iter([0.0, 8.0, 10.0, 14.0])
-    monkeypatch.setattr(floors.time, "process_time", lambda: next(clock))
-    assert floors.least(lambda: None, turns=2, calls=4) == 1.0
-
-
 # ------------------------------------------------------------------------------------------------ other engines
 
 TIMES = np.linspace(0.0, 10.0, 25)
@@ -189,28 +147,6 @@ def test_an_engine_finds_the_parameters_of_a_closed_form(name: str) -> None:
     c, k = fit(DATA, 0.9, 15.0)
     assert c == pytest.approx(0.8, rel=1e-3)
     assert k == pytest.approx(16.0, rel=1e-3)
-
-
-def test_starts_are_the_scans_and_the_stated_ones() -> None:
-    scenario = expand(["method=prior", "system=sdof", "snr=60"], multirun=False)[0].scenario
-    problem, truth = scenario.maker(SEED)(0)
-    assert problem.prior is not None
-    nominal, mass = problem.prior.nominal, 3.0
-    c, k = rivals.start_of(problem, "nominal", mass)
-    assert (c, k) == pytest.approx((mass * nominal["c"] / nominal["m"], mass * nominal["k"] / nominal["m"]))
-    _, k = rivals.start_of(problem, "scan", mass)
-    assert k / mass == pytest.approx(truth.parameters["k"] / truth.parameters["m"], rel=0.2)
-
-
-def test_an_engine_that_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(peers, "answered", lambda command, task, python: {"missing": "lmfit"})
-    found = peers.peer("lmfit", "lmfit", "scan", 9.0, "python")
-    assert page.peer_line(found, 1.0)[2:] == ["not installed", "-", "-"]
-    monkeypatch.setattr(
-        peers, "answered", lambda command, task, python: {"seconds": [1.0, 3.0], "off": [0.1, math.nan]}
-    )
-    found = peers.peer("lmfit", "lmfit", "scan", 9.0, "python")
-    assert page.peer_line(found, 0.5)[2:] == ["2000", "4 ×", "1/2"]
 
 
 # ------------------------------------------------------------------------------------------------ page
@@ -235,44 +171,7 @@ def test_the_page_counts(tmp_path: Path) -> None:
     ]
 
 
-def test_growth_faster_than_the_problem_is_counted() -> None:
-    """Time as the square of the samples, and as their root."""
-    square, root = Growth(CURVES[1], (1, 10), (1.0, 100.0)), Growth(CURVES[2], (1, 100), (1.0, 10.0))
-    said = caption([square, root])
-    assert said.startswith("Time grows faster than the problem on 1 of 2 lines.")
-    assert said.endswith("Multiple shooting with samples 2.00; Bayesian MCMC with samples 0.50.")
-
-
-def test_the_picture_alone_needs_stored_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fit=false", f"out={tmp_path}"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    rows = "growth,shooting samples,now,25,0.1", "growth,shooting samples,now,100,0.2"
-    (tmp_path / "engines.csv").write_text("\n".join(["part,name,code,size,seconds", *rows]) + "\n", encoding="utf-8")
-    assert main(["fit=false", f"out={tmp_path}"]) == 0
-    assert (tmp_path / "figures" / "engines_scaling.png").is_file()
-    assert not (tmp_path / "engines.md").exists()
-
-
 def test_a_row_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rows=bound", f"out={tmp_path}"]) == 0
     assert capsys.readouterr().out.split() == [str(tmp_path / name) for name in ("engines.md", "engines.csv")]
     assert "bound of a new linear scenario" in (tmp_path / "engines.md").read_text(encoding="utf-8")
-
-
-def test_named_rows_come_without_curves_and_other_engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def measured(names: list[str], before: Path | None, scaling: bool, python: str, limit_s: float) -> page.Study:
-        asked.append((names, scaling, bool(python)))
-        return page.Study([], [], [], UNIT, limit_s)
-
-    monkeypatch.setattr("tests.studies.engines.__main__.measured", measured)
-    for words in ([], ["rows=ml"], ["rows=none", "rivals=true"]):
-        assert main([*words, f"out={tmp_path}"]) == 0
-    assert asked == [(list(rows()), True, True), (["ml"], False, False), ([], False, True)]
-
-
-def test_a_wrong_argument_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    for wrong in ("rows=nothing", "before=/nowhere", "rivals=perhaps", "limit_s=0", "rival_python=/nowhere"):
-        assert main([wrong]) == 2
-        assert capsys.readouterr().err.count("\n") == 1

@@ -11,7 +11,7 @@ import pytest
 from bench import Estimate, Problem, Status
 from bench.config.experiment import expand
 from bench.scenario.scenario import Scenario
-from tests.studies.handwritten import Outcome, attempt, by_hand, chain_rates, duffing_rates, main, page, row
+from tests.studies.handwritten import attempt, by_hand, chain_rates, duffing_rates
 
 
 def scenario(system: str, snr: float) -> Scenario:
@@ -73,24 +73,3 @@ def test_success_needs_convergence_and_a_small_error() -> None:
     assert not tight.success
     assert tight.reason == "another minimum"
     assert attempt(gives_up, problem, truth, rng, 1.0, 60.0).excess == math.inf
-
-
-def test_the_page_counts() -> None:
-    outcomes = [
-        Outcome(1.0, 1.0, ""),
-        Outcome(2.0, 2.0, ""),
-        Outcome(9.0, math.inf, "no answer"),
-        Outcome(3.0, 50.0, "x"),
-    ]
-    cells = row("duffing", 20.0, "by_hand", outcomes)
-    assert cells[3].startswith("2/4 (")
-    assert cells[4] == "1.58"  # sqrt((1 + 4) / 2)
-    assert cells[5:7] == ["2.5", "9"]
-    assert cells[7] == "1 × no answer; 1 × x"
-    assert "| duffing" in page([cells], 120.0)
-
-
-def test_a_wrong_argument_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    for argument in ("duffing=0", "chain5=x", "timeout_s=-1"):
-        assert main([argument]) == 2
-        assert capsys.readouterr().err.count("\n") == 1

@@ -7,7 +7,6 @@ import pytest
 
 from bench.config.online import online_scenario
 from bench.entrants.online import make_online
-from tests.studies.online.__main__ import main
 from tests.studies.online.constant import ROWS, constant
 from tests.studies.online.faults import AT, FAULTS, METHODS, faulty, followed
 
@@ -15,11 +14,6 @@ from tests.studies.online.faults import AT, FAULTS, METHODS, faulty, followed
 @pytest.fixture(scope="module")
 def stream():
     return replace(online_scenario("constant_multisine"), samples=800).stream(2, 0)
-
-
-def test_a_part_that_is_not_there_is_said(capsys) -> None:
-    assert main(["part=konstant"]) == 2
-    assert "one of constant" in capsys.readouterr().err
 
 
 def test_thresholds_of_the_table_are_those_of_the_methods() -> None:

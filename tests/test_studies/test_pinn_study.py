@@ -10,30 +10,14 @@ import pytest
 
 from bench.reporting.pictures.png import caption_of
 from bench.scenario.scenario import Scenario
-from tests.studies.pinn.__main__ import main, page
+from tests.studies.pinn.__main__ import main
 from tests.studies.pinn.common import Comparison
-from tests.studies.pinn.scaling import GROWN, chain, horizon, ratios, settings
+from tests.studies.pinn.scaling import chain, horizon, ratios
 
 torch = pytest.importorskip("torch")
 
-from tests.studies.pinn import pictures, reach, rivals  # noqa: E402
+from tests.studies.pinn import reach, rivals  # noqa: E402
 from tests.studies.pinn.products import product_sizes, roofline  # noqa: E402
-
-
-@pytest.mark.parametrize(
-    ("argument", "words"),
-    [
-        ("part=speed", "speed"),
-        ("replicates=none", "integer"),
-        ("seeds=0", "greater"),
-        ("peers=/nowhere", "naive_fit.py"),
-    ],
-)
-def test_a_wrong_argument_is_one_line(argument: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([argument]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
 
 
 def test_the_rivals_loss_is_theirs() -> None:
@@ -79,13 +63,6 @@ def test_growing_scenarios_are_what_they_say() -> None:
     assert own["c"] / (2 * np.sqrt(own["k"] * own["m"])) == pytest.approx(1.2)
 
 
-def test_the_network_is_fitted_where_it_takes_less_than_minutes() -> None:
-    network = [(kind, n) for kind, (sizes, _) in GROWN.items() for n in sizes if "pinn" in settings(kind, n)]
-    assert ("masses", 5) in network
-    assert ("masses", 10) not in network
-    assert ("cycles", 200) not in network
-
-
 def test_errors_of_groups_are_pooled_over_their_bounds() -> None:
     """Two groups at 2 and 4 bounds, the oracle's at 1 and 3: the root of 20 over the root of 10; displacement apart."""
     over_oracle, over_bound = np.array([5.0, 2.0, 4.0 / 3.0]), np.array([9.0, 2.0, 4.0])
@@ -129,19 +106,3 @@ def test_pictures_are_made_from_stored_parts_alone(tmp_path: Path, capsys: pytes
     assert [Path(path).name for path in written] == ["pinn_scaling.png", "pinn.md"]
     text = (tmp_path / "pinn.md").read_text(encoding="utf-8")
     assert caption_of(tmp_path / "figures" / "pinn_scaling.png") in text
-
-
-def test_captions_of_the_pictures_say_what_the_numbers_say() -> None:
-    said = pictures.scaling_caption(GROWTH)
-    assert "and PINN takes most" in said
-    assert "on the shortest record PINN takes 4 times that of Multiple shooting" in said
-    assert "Multiple shooting 1234; PINN 1.25; Spline collocation 1." in said
-
-
-def test_the_page_shows_what_is_stored(tmp_path: Path) -> None:
-    part = {"title": "Memory", "text": "Peak.", "columns": ["method"], "rows": [["pinn"]], "data": {}}
-    (tmp_path / "memory.json").write_text(json.dumps(part), encoding="utf-8")
-    text = page(tmp_path)
-    assert "## Memory" in text
-    assert "| pinn" in text
-    assert "![" not in text
