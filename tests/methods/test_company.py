@@ -1,4 +1,4 @@
-"""Modal and regression methods in company: problems of several layouts together, each answered as it would be alone."""
+"""Methods in company: problems of several layouts together, each answered as it would be alone."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from methods.modal.log_decrement import LogDecrement
 from methods.modal.matrix_pencil import MatrixPencil
 from methods.regression.ls import LS
 from methods.regression.rls import RLS
+from methods.trajectory.output_error import SingleShooting
+from methods.trajectory.shooting import Shooting
 
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 METHODS = {
@@ -25,8 +27,11 @@ METHODS = {
     "ls": LS(bootstrap=40),
     "ls_spline": LS(derivative="spline", bootstrap=40),
     "rls": RLS(bootstrap=40),
+    "output_error": SingleShooting(),
+    "shooting": Shooting(),
 }
-each_method = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+SEARCHES = ("output_error", "shooting")
+"""Their fits take long: fewer problems."""
 
 
 def replicates(n: int, **fields: object) -> list[Problem]:
@@ -72,9 +77,10 @@ def numbers(estimate: Estimate) -> list[np.ndarray]:
     return [*computed, *responses, *estimate.traces.values()]
 
 
-@each_method
-def test_an_answer_is_the_same_alone_and_in_company(method: Identifier) -> None:
-    problems = mixed()
+@pytest.mark.parametrize("name", METHODS)
+def test_an_answer_is_the_same_alone_and_in_company(name: str) -> None:
+    method: Identifier = METHODS[name]
+    problems = mixed()[2:8:2] + configured("system=duffing") if name in SEARCHES else mixed()
     company = method.identify_many(problems, [np.random.default_rng(i) for i in range(len(problems))])
     for i, (problem, computed) in enumerate(zip(problems, company, strict=True)):
         alone = method.identify(problem, np.random.default_rng(i))
@@ -82,14 +88,3 @@ def test_an_answer_is_the_same_alone_and_in_company(method: Identifier) -> None:
         for first, two in zip(numbers(alone), numbers(computed), strict=True):
             np.testing.assert_allclose(two, first, rtol=1e-9, atol=1e-9 * np.max(np.abs(first)))
     assert company[0].status is Status.OK
-
-
-@each_method
-def test_parts_that_fit_into_memory_are_as_the_whole(method: Identifier, monkeypatch: pytest.MonkeyPatch) -> None:
-    problems = replicates(5)
-    whole = method.identify_many(problems, [np.random.default_rng(i) for i in range(5)])
-    monkeypatch.setattr("methods.regression.identifier.MOST_AT_ONCE", 2 * 40 * 25)
-    parts = method.identify_many(problems, [np.random.default_rng(i) for i in range(5)])
-    for first, two in zip(whole, parts, strict=True):
-        for a, b in zip(numbers(first), numbers(two), strict=True):
-            np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9 * np.max(np.abs(a)))

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from bench import Channel, Force, Problem, measurements
+from bench import Channel, Force, InitialState, Problem, Record, measurements
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method, missing_package
+from bench.systems import SDOF
 from methods.starts.forced_motion import ForcedMotion, forced_motion
 from methods.starts.waves import scan
 
@@ -155,3 +156,29 @@ def test_two_masses_under_a_force_are_told_with_widths_to_match(method: str) -> 
     widths = np.sqrt(np.diag(estimate.covariance))  # type: ignore[union-attr]
     assert np.all(np.abs(away) < 4.5 * widths)
     assert np.all(widths < 0.1)
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf", "output_error", "shooting", "mcmc"])
+def test_several_records_sensors_and_a_force(name: str) -> None:
+    """A forced record from a known start and a free one with an accelerometer and its offset, without a prior."""
+    lacking = missing_package(name)
+    if lacking:
+        pytest.skip(lacking)
+    system, rng, p = SDOF(), np.random.default_rng(0), {"m": 1.3, "c": 0.6, "k": 9.0}
+    times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
+    push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
+    start, records = InitialState(np.array([0.5]), np.array([0.0])), []
+    for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
+        blank = Channel(times, times, measures, offset=not known)  # type: ignore[arg-type]
+        clean = measurements(system, p, start, Record((blank,), forces))
+        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not known)
+        records.append(Record((dataclasses.replace(blank, values=noisy),), forces, start if known else None))
+    settings = {"effective": 200.0} if name == "mcmc" else {}
+    estimate = make_method(name, settings).identify(Problem(system, tuple(records)), np.random.default_rng(0))
+    for parameter, true in p.items():
+        marginal = estimate.marginal(system.quantity(parameter))
+        assert marginal is not None, estimate.message
+        low, high = marginal.interval(0.999)
+        assert low < true < high
+    assert estimate.offsets is not None
+    assert estimate.offsets[1] == pytest.approx(0.4, abs=0.1)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
 from functools import cache
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench import Channel, Estimate, InitialState, Problem, Record, Status
-from bench.entrants.registry import load_method, make_method, missing_package
+from bench.entrants.registry import load_method, make_method
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF, Duffing
 
@@ -110,35 +108,9 @@ def test_by_steps_the_answer_is_the_same_twice_and_nothing_is_left_behind(
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_a_package_that_is_absent_is_named_with_the_extra_that_brings_it(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    present = importlib.util.find_spec
-
-    def without(module: str, package: str | None = None) -> ModuleSpec | None:
-        return None if module == PACKAGES[name] else present(module, package)
-
-    monkeypatch.setattr(importlib.util, "find_spec", without)
-    sentence = missing_package(name)
-    assert sentence is not None
-    assert f"{name} needs {PACKAGES[name]}" in sentence
-    assert "[rivals]" in sentence
-
-
-@pytest.mark.parametrize("name", PACKAGES)
 def test_what_it_is_not_for_is_declined(name: str) -> None:
     method = load_method(name)()
     record = problem().records[0]
     assert method.objection(problem()) is None
     assert method.objection(Problem(Duffing(), (record,)))
     assert method.objection(Problem(SDOF(), (record, record)))
-
-
-@pytest.mark.parametrize("name", PACKAGES)
-@pytest.mark.parametrize(
-    "settings", [{"seconds": 0.0}, {"seconds": float("nan")}, {"adam_steps": -1}, {"second_steps": -1}]
-)
-def test_a_setting_that_makes_no_sense_is_named(name: str, settings: dict[str, Any]) -> None:
-    (key,) = settings
-    with pytest.raises(Exception, match=key):
-        make_method(name, settings)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from bench import Channel, Draws, Estimate, InitialState, NoEstimate, Normal, Prior, Problem, Record, Status
+from bench import Channel, Draws, Estimate, InitialState, NoEstimate, Prior, Problem, Record, Status
 from bench.scenario.truth import closed_form
 from bench.systems import SDOF
 
@@ -106,20 +106,6 @@ def test_the_prior_of_the_groups_is_that_of_draws() -> None:
     drawn = np.stack([np.log(k / m), np.log(c / m)])
     np.testing.assert_allclose(mean, drawn.mean(axis=1), atol=0.02)
     np.testing.assert_allclose(covariance, np.cov(drawn), atol=0.02)
-
-
-def test_training_again_gives_the_same_network(folder: Path) -> None:
-    settings = {**SMALL, "steps": 5, "seed": 3}
-    first, second = (density.trained(LAYOUT, settings, 1e-3) for _ in range(2))
-    for computed, other in zip(first.parameters(), second.parameters(), strict=True):
-        assert torch.equal(computed, other)
-
-
-def test_without_a_prior_only_groups_are_claimed(folder: Path) -> None:
-    estimate = answer(folder, record(prior=None))
-    assert estimate.parameters is None
-    assert isinstance(estimate.groups, Normal)
-    assert estimate.groups.mean[0] == pytest.approx(11.0 / 1.4, rel=0.2)
 
 
 def test_draws_outside_the_box_are_not_trusted() -> None:

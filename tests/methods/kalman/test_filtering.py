@@ -14,15 +14,13 @@ from bench import (
     Force,
     Identifier,
     InitialState,
-    InputError,
     Normal,
     OutputError,
     Prior,
     Problem,
     Record,
-    Status,
 )
-from bench.dynamics.simulate import measurements, simulate
+from bench.dynamics.simulate import simulate
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import PriorSpec, Scenario
 from bench.scenario.truth import closed_form
@@ -163,15 +161,6 @@ def test_the_tangent_is_the_derivative() -> None:
 
 @BOTH
 @pytest.mark.parametrize("initial_state", ["known", "unknown"])
-def test_clean_data_give_the_groups(method: Identifier, initial_state: str) -> None:
-    problem, _ = scenario(100.0, initial_state=initial_state, prior=None).replicates(0, 1)[0]
-    estimate = fit(method, problem)
-    assert value(estimate, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-4)
-    assert value(estimate, "c_over_m") == pytest.approx(0.6 / 1.3, rel=1e-3)
-
-
-@BOTH
-@pytest.mark.parametrize("initial_state", ["known", "unknown"])
 def test_it_agrees_with_output_error(method: Identifier, initial_state: str) -> None:
     """At 30 dB both are the most probable parameters of the same model, found by code that shares only the physics."""
     for problem, _ in scenario(30.0, initial_state=initial_state).replicates(3, 3):
@@ -194,29 +183,6 @@ def test_it_comes_near_the_bound(method: Identifier) -> None:
         true = made.make_system().quantity(name).value(PLANT)
         errors = [value(estimate, name) / true - 1 for estimate in fits]
         assert 0.7 < np.sqrt(np.mean(np.square(errors))) / bound[name] < 1.4
-
-
-@BOTH
-def test_several_records_sensors_and_a_force(method: Identifier) -> None:
-    """A forced record from a told start and a free one with an accelerometer and its offset, without a prior."""
-    system, rng = SDOF(), np.random.default_rng(0)
-    times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
-    push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
-    start, records = InitialState(np.array([0.5]), np.array([0.0])), []
-    for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
-        blank = Channel(times, times, measures, offset=not known)  # type: ignore[arg-type]
-        clean = measurements(system, PLANT, start, Record((blank,), forces))
-        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not known)
-        channel = Channel(times, noisy, measures, offset=not known)  # type: ignore[arg-type]
-        records.append(Record((channel,), forces, start if known else None))
-    estimate = fit(method, Problem(system, tuple(records)))
-    for name, true in PLANT.items():
-        marginal = estimate.marginal(system.quantity(name))
-        assert marginal is not None, estimate.message
-        low, high = marginal.interval(0.999)
-        assert low < true < high
-    assert estimate.offsets is not None
-    assert estimate.offsets[1] == pytest.approx(0.4, abs=0.1)
 
 
 @BOTH
@@ -342,33 +308,6 @@ def test_process_noise_widens_the_answer(method: Identifier) -> None:
     assert wide is not None
     assert narrow is not None
     assert np.diff(wide.interval(0.95)) > 2 * np.diff(narrow.interval(0.95))
-
-
-@BOTH
-def test_a_prior_out_of_reach_is_a_sentence_or_an_answer(method: Identifier) -> None:
-    """Stiffness seven times too high, far from any alias, and thought sure to 1 %: the answer says that it is poor."""
-    times = np.linspace(0.0, 10.0, 25)
-    y = closed_form(PLANT, 0.8, 0.5, times)
-    prior = Prior({"m": 1.3, "c": 0.6, "k": 64.0}, {"m": 0.02, "c": 0.1, "k": 0.01})
-    estimate = combine_with_prior(fit(method, Problem(SDOF(), (Record((Channel(times, y),)),), prior)), prior)
-    assert len(estimate.message.split()) > 4
-
-
-@BOTH
-def test_a_dead_channel_is_a_sentence(method: Identifier) -> None:
-    times = np.linspace(0, 10, 25)
-    estimate = fit(method, Problem(SDOF(), (Record((Channel(times, np.zeros(25)),)),)))
-    assert estimate.status is Status.DIVERGED
-    assert "motion" in estimate.message
-
-
-@pytest.mark.parametrize("setting", [{"passes": 0}, {"drift": -1.0}, {"open_sd": 0.0}, {"tolerance": np.nan}])
-def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
-    for method in (EKF, UKF):
-        with pytest.raises(InputError, match=next(iter(setting))):
-            method(**setting)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="kappa"):
-        UKF(kappa=-1.0)
 
 
 def test_values_one_by_one_are_the_update_by_all_of_them() -> None:

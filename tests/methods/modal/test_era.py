@@ -7,11 +7,11 @@ import pickle
 import numpy as np
 import pytest
 
-from bench import Channel, Estimate, Force, InitialState, Normal, Problem, Record, Status, state_matrix
+from bench import Channel, Estimate, InitialState, Normal, Problem, Record, state_matrix
 from bench.information.fisher import compute_bound
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form, reference_response
-from bench.systems import SDOF, Chain, Duffing, System
+from bench.systems import SDOF, Chain, System
 from methods.modal.era import ERA, state_rows
 from methods.modal.matrix_pencil import MatrixPencil
 from methods.modal.realisation import realise
@@ -114,18 +114,3 @@ def test_weights_pay() -> None:
     error = {n: np.array([groups(p, bootstrap=n).mean / truth - 1 for p in problems]) for n in (0, 200)}
     plain, weighted = (np.sqrt(np.mean(error[n] ** 2, axis=0)) for n in (0, 200))
     assert np.prod(weighted / plain) < 0.8
-
-
-def test_what_it_cannot_take_is_declined_in_a_sentence() -> None:
-    push = Force(np.linspace(0, 10, 11), np.ones(11))
-    channels = record(Chain(2), TWO).records[0].channels
-    cases = {
-        "force": Problem(Chain(2), (Record(channels, (push,)),)),
-        "every DOF": Problem(Chain(2), (Record(channels[:1]),)),
-        "even": record(SDOF(), ONE, times=np.sort(np.random.default_rng(3).uniform(0.0, 8.0, 25))),
-        "decimate": record(SDOF(), ONE, times=np.linspace(0.0, 10.0, 700)),
-        "linear": Problem(Duffing(), record(SDOF(), ONE).records),
-    }
-    for word, problem in cases.items():
-        assert word in (ERA().objection(problem) or "")
-        assert fit(problem).status is Status.UNSUPPORTED

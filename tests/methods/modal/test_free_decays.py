@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import Channel, Estimate, Force, Identifier, InitialState, InputError, Normal, Problem, Record, Status
+from bench import Channel, Estimate, Force, Identifier, InitialState, Normal, Problem, Record, Status
 from bench.entrants.registry import make_method
 from bench.scenario.scenario import Scenario
 from bench.scenario.truth import closed_form
@@ -151,21 +151,3 @@ def test_other_problems_are_declined_in_a_sentence(name: str) -> None:
         declined["channel"] = Problem(Chain(2), (Record((channel, Channel(TIMES, np.cos(TIMES), dof=1))),))
     for word, problem in declined.items():
         assert word in (method.objection(problem) or ""), word
-
-
-@pytest.mark.parametrize(
-    ("name", "setting", "value"),
-    [
-        *((name, "bootstrap", -1) for name in [*EVERY, "ls", "rls"]),
-        *((name, "forgetting", value) for name in ("ar_recursive", "rls") for value in (0.0, 1.1)),
-        *((name, "diffuse", value) for name in ("ar_recursive", "rls") for value in (0.0, np.inf)),
-        ("iqml", "rounds", 0),
-        ("srivc", "rounds", 0),
-        ("matrix_pencil", "pencil", 0.0),
-        ("era", "rows", 1.0),
-        ("log_decrement", "smallest", 1.5),
-    ],
-)
-def test_settings_out_of_range_are_refused(name: str, setting: str, value: float) -> None:
-    with pytest.raises(InputError, match=setting):
-        make_method(name, {setting: value})

@@ -93,8 +93,3 @@ def test_an_offset_is_taken_out(level: float) -> None:
     assert resting_level(times, y[None], 0.2)[0] == pytest.approx(level, abs=1e-4)
     problem = Problem(SDOF(), (Record((Channel(times, y, offset=True),)),))
     np.testing.assert_allclose(groups(problem), [9.0 / 1.3, 0.6 / 1.3], rtol=2e-3)
-
-
-def test_a_clipped_top_is_read_as_it_is() -> None:
-    place, heights = extremes(np.arange(5.0), np.array([[-1.0, 2.0, 2.0, 2.0, -1.0]]), np.array([[2]]))
-    np.testing.assert_array_equal([place[0, 0], heights[0, 0]], [2.0, 2.0])

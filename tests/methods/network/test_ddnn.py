@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
-from bench import Channel, Problem, Record, Status
+from bench import Channel, Problem, Record
 from bench.systems import SDOF
 from methods.network.ddnn import DDNN, Smoother
 
@@ -53,13 +51,3 @@ def test_draws_have_the_posterior_of_the_linear_model() -> None:
         expected = prior - prior @ np.linalg.solve(prior + noise, prior)
         drawn = smoother.paths(record.channels[0].times, 4000, np.random.default_rng(1))[1:, 0, :, 0]
     np.testing.assert_allclose(np.cov(drawn, rowvar=False), expected, atol=0.1 * expected.max())
-
-
-def test_survives_little_and_nothing() -> None:
-    t = np.array([0.0, 0.3, 0.7, 1.9, 2.0])
-    few = FAST.identify(Problem(SDOF(), (Record((Channel(t, np.cos(t)),)),)), np.random.default_rng(0))
-    assert few.status is not Status.OK or (few.distribution is not None and few.distribution.finite())
-    pickle.loads(pickle.dumps(few))
-    dead = FAST.identify(Problem(SDOF(), (Record((Channel(t, 0 * t),)),)), np.random.default_rng(0))
-    assert dead.status is Status.DIVERGED
-    assert dead.message

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bench import InputError, Layout, Sample, Sensor
+from bench import Layout, Sample, Sensor
 from bench.entrants.online import make_online, registered_online
 from bench.online.bound import bound_variances
 from bench.online.course import Course
@@ -256,12 +256,6 @@ def test_memory_does_not_grow_with_the_record(name) -> None:
     assert sizes[0] == sizes[1]
 
 
-def test_what_a_method_cannot_follow_it_says() -> None:
-    unknown = scenario(forces=(HeldForce("white", told=False),)).layout()
-    for name in ("rls", "window_ls"):
-        assert "force" in make_online(name).objection(unknown)
-
-
 def test_recursive_least_squares_without_noise_is_the_truth() -> None:
     made = scenario(snr_db=100.0, rate=40.0, samples=1200)
     stream = made.stream(0, 0)
@@ -306,30 +300,6 @@ def test_the_recursive_model_has_no_bias_where_plain_autoregression_has_a_large_
     own_error = abs(errors(stream, path, "c_over_m")[-1])
     assert plain > 10 * np.sqrt(bound["c_over_m"][-1])
     assert own_error < 4 * np.sqrt(bound["c_over_m"][-1])
-
-
-@pytest.mark.parametrize(
-    ("name", "made", "message"),
-    [
-        ("ssi", {}, "unknown white force"),
-        ("ar", {"system": "chain", "options": {"n": 2}, "parameters": {"m1": 1.0, "m2": 1.0, "c1": 0.1, "c2": 0.1,
-                                                                       "k1": 9.0, "k2": 9.0}}, "one mass"),
-    ],
-)  # fmt: skip
-def test_one_mass_methods_object_to_more(name, made, message) -> None:
-    assert message in make_online(name).objection(scenario(**made).layout())
-
-
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [("ar", {"factor": 0.2}), ("ar", {"warm_up": 3}), ("ssi", {"length": 20}), ("ssi", {"every": 0}),
-     ("pinn", {"length": 5}), ("pinn", {"every": 0}), ("cusum", {"support": 0}), ("glr", {"threshold": -1.0}),
-     ("change_points", {"hazard": 1.0}), ("change_points", {"members": 3}), ("rls", {"span": 7}),
-     ("rls", {"forgetting": "all"}), ("imm", {"settles": 0.0}), ("ekf", {"warm_up": 19})],
-)  # fmt: skip
-def test_settings_that_make_no_sense_are_said(name, settings) -> None:
-    with pytest.raises(InputError, match=f"method.{next(iter(settings))}"):
-        make_online(name, settings)
 
 
 def test_with_an_arrival_cost_a_window_knows_more() -> None:

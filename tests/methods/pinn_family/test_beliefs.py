@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from functools import partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +14,6 @@ from scipy.optimize import least_squares
 from bench import Channel, Draws, Estimate, Force, InitialState, Prior, Problem, Record, Status, System, simulate
 from bench.systems import SDOF, Chain, Duffing
 from methods.pinn_family import PINNFamily
-from methods.pinn_family.choices import UNCERTAINTIES
-from methods.pinn_family.settings import Uncertainty
 
 torch = pytest.importorskip("torch")
 
@@ -91,12 +89,6 @@ def checked(estimate: Estimate) -> None:
         band = record.bands[0](np.linspace(0.5, 7.5, 40))
         assert np.all(np.isfinite(band))
         assert np.all(band > 0)
-
-
-def test_every_way_of_the_setting_is_named_and_made() -> None:
-    assert set(get_args(Uncertainty)) == set(UNCERTAINTIES)
-    assert set(METHODS) == set(UNCERTAINTIES) - {"laplace", "ensemble", "bootstrap"}
-    assert PINNFamily.card.choices["uncertainty"] is UNCERTAINTIES
 
 
 @pytest.mark.parametrize("way", [*QUICK, NUTS, "ensemble", "bootstrap"])

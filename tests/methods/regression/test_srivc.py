@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import least_squares
 
-from bench import Channel, Estimate, Force, InitialState, InputError, Problem, Record, Status, Units
+from bench import Channel, Estimate, Force, InitialState, InputError, Problem, Record, Status
 from bench.information.fisher import compute_bound
 from bench.scenario.force import ForceSpec
 from bench.scenario.scenario import Scenario
@@ -143,15 +143,6 @@ def test_it_is_at_the_bound() -> None:
         assert 0.7 < error / bound[quantity.name] < 1.35
         intervals = np.array([marginal.interval(0.95) for marginal in marginals])
         assert np.mean((intervals[:, 0] < true) & (true < intervals[:, 1])) >= 0.85
-
-
-def test_units_change_nothing_but_units() -> None:
-    problem, units = record(noise=0.05, known=False), Units(mass=10.0, length=1e-3, time=0.1)
-    here = fit(problem).parameters
-    there = fit(problem.expressed_in(units)).expressed_in(units.inverse).parameters
-    assert here is not None
-    assert there is not None
-    np.testing.assert_allclose(there.mean, here.mean, atol=1e-6)
 
 
 def test_noise_alone_is_not_trusted() -> None:

@@ -76,15 +76,3 @@ def test_its_intervals_hold_the_truth_and_those_of_white_errors_do_not() -> None
             covered[likelihood] += low <= TRUE["c_over_m"] <= high
     assert covered["autoregressive"] >= binom.ppf(0.001, 40, 0.95)
     assert covered["normal"] < binom.ppf(0.001, 40, 0.95)
-
-
-def test_each_problem_keeps_its_own_colour_in_company() -> None:
-    method, rngs = MCMC(likelihood="autoregressive"), [np.random.default_rng(seed) for seed in (1, 2)]
-    together = method.identify_many([problem(1), problem(2)], rngs)
-    for seed, computed in zip((1, 2), together, strict=True):
-        alone = sample(seed, "autoregressive")
-        quantity = SYSTEM.quantity("k_over_m")
-        both = [first.marginal(quantity) for first in (computed, alone)]
-        assert both[0] is not None
-        assert both[1] is not None
-        assert both[0].value == pytest.approx(both[1].value, rel=1e-9)

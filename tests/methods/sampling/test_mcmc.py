@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.special import logsumexp
 
-from bench import Channel, Draws, Force, InitialState, Normal, Problem, Record, measurements
+from bench import Channel, Draws, Normal, Problem, Record
 from bench.config.experiment import expand
 from bench.contract.estimate import Estimate, Status
 from bench.dynamics.simulate import simulate
@@ -149,16 +149,6 @@ def test_the_autocorrelation_time_is_emcee_s() -> None:
         np.testing.assert_allclose(autocorrelation_times(path), expected, rtol=1e-9)
 
 
-def test_the_autocorrelation_time_is_that_of_the_process() -> None:
-    """Walkers that are first-order autoregressive, ``x' = a x + e``, have the time ``(1 + a) / (1 - a)``."""
-    rng, a, steps = np.random.default_rng(0), 0.8, 1500
-    path = np.empty((2, steps, 20, 2))
-    path[:, 0] = rng.standard_normal((2, 20, 2))
-    for i in range(1, steps):
-        path[:, i] = a * path[:, i - 1] + np.sqrt(1 - a * a) * rng.standard_normal((2, 20, 2))
-    np.testing.assert_allclose(autocorrelation_times(path), 9.0, rtol=0.2)
-
-
 @pytest.mark.slow
 def test_walkers_that_move_by_each_other_alone_do_not_mix_among_many_unknowns() -> None:
     """Four masses, 24 unknowns: without independent moves the autocorrelation time outgrows the chain."""
@@ -220,27 +210,6 @@ def test_the_reconstruction_is_the_mean_response_and_can_be_pickled() -> None:
     assert np.sqrt(np.mean((curve - truth.dense_displacement) ** 2)) < truth.sigma[0]
     assert estimate.initial_states is not None
     assert estimate.initial_states[0].displacement[0] == pytest.approx(curve[0, 0], abs=0.5 * truth.sigma[0])
-
-
-def test_a_force_and_two_records_and_other_sensors() -> None:
-    system, rng = SDOF(), np.random.default_rng(0)
-    times, knots = np.linspace(0, 8, 30), np.linspace(0, 8, 60)
-    push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
-    start, records = InitialState(np.array([0.5]), np.array([0.0])), []
-    for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
-        blank = Channel(times, times, measures, offset=not known)  # type: ignore[arg-type]
-        clean = measurements(system, TRUE, start, Record((blank,), forces))
-        noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not known)
-        channel = Channel(times, noisy, measures, offset=not known)  # type: ignore[arg-type]
-        records.append(Record((channel,), forces, start if known else None))
-    estimate = sample(Problem(system, tuple(records)), effective=200.0)
-    for name, true in TRUE.items():
-        marginal = estimate.marginal(system.quantity(name))
-        assert marginal is not None, estimate.message
-        low, high = marginal.interval(0.999)
-        assert low < true < high
-    assert estimate.offsets is not None
-    assert estimate.offsets[1] == pytest.approx(0.4, abs=0.1)
 
 
 CHAIN = {"m1": 1.2, "m2": 0.9, "c1": 0.25, "c2": 0.2, "k1": 7.0, "k2": 11.0}

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bench import Channel, Estimate, Identifier, InitialState, Normal, OutputError, Prior, Problem, Record, Status
+from bench import Channel, Estimate, InitialState, Normal, Prior, Problem, Record
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, BoucWen, Chain
 from methods.starts.band import natural_frequencies
-from methods.starts.evidence import Basins
-from methods.trajectory import screening
 
 RATE, DECAY, MASS = 2 * np.pi * 1.3, 0.08, 2.0
 """Damped rate (rad/s) and decay (1/s) of the motion that is sampled."""
@@ -116,17 +112,6 @@ def test_samples_that_are_many_a_cycle_need_no_word_on_the_band() -> None:
     assert "half the sampling rate" not in answer("matrix_pencil", sampled(nominal_hz=None, step=0.1)).message
 
 
-def test_a_method_that_states_nothing_is_left_alone() -> None:
-    class Fixed(Identifier):
-        card = make_method("ls", {}).card
-
-        def estimate(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-            return Estimate.failed(problem.system, status=estimate.status, message="none")
-
-    estimate = answer("shooting", sampled(nominal_hz=1.2, step=0.1))
-    assert Fixed().identify(sampled(nominal_hz=1.02), np.random.default_rng(0)).message == "none"
-
-
 @pytest.mark.parametrize(("step", "warned"), [(0.5, True), (0.05, False)])
 def test_hidden_states_are_not_searched_and_the_answer_says_so(step: float, warned: bool) -> None:
     """A stiffness of 40 on a mass of 1 is 1 Hz, known to a factor of 1.6 at one standard deviation."""
@@ -172,11 +157,3 @@ def test_several_modes_beyond_the_band_are_found_or_the_answer_names_them(method
         estimate = answer(method, problem)
         parts = (estimate, *estimate.alternatives)
         assert any(natural_frequencies(problem, part) == pytest.approx(true, rel=0.02) for part in parts), seed
-
-
-def test_basins_without_a_covariance_leave_the_best_fit_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[Basins]:
-        return [Basins(start[:0], np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0)) for start in starts]
-
-    monkeypatch.setattr(screening, "basins", none)
-    assert answer("shooting", chain_sampled_rarely(0)[0]).status is Status.OK

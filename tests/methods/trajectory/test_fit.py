@@ -22,35 +22,6 @@ def problems(arguments: Sequence[str], n: int) -> list[Problem]:
     return [problem for problem, _ in job.scenario.replicates(job.config.seed, n)]
 
 
-ARGUMENTS = (
-    ["snr=10"],
-    ["snr=20", "initial_state=unknown"],
-    ["system=sdof_forced"],
-    ["system=sdof_forced", "prior=handbook"],
-    ["system=duffing_forced", "prior=handbook"],
-    ["system=duffing", "snr=10", "initial_state=unknown"],
-    ["system=coulomb"],
-    ["system=duffing_forced"],
-)
-
-
-@pytest.mark.parametrize("arguments", ARGUMENTS)
-def test_an_answer_is_the_same_alone_and_in_company(arguments: Sequence[str]) -> None:
-    """To 1e-9 of its standard deviation's size."""
-    given = problems(arguments, 6)
-    mixed = [*given, *problems(["system=duffing"], 1), *problems(["system=sdof", "system.samples=30"], 1)]
-    rngs = [np.random.default_rng(0) for _ in mixed]
-    company = Shooting().identify_many(mixed, rngs)
-    for problem, computed in zip(given[:3], company, strict=False):
-        alone = Shooting().identify(problem, np.random.default_rng(0))
-        for quantity in problem.system.quantities:
-            first, two = alone.marginal(quantity), computed.marginal(quantity)
-            assert first is not None
-            assert two is not None
-            assert two.value == pytest.approx(first.value, rel=1e-9)
-            np.testing.assert_allclose(two.interval(0.95), first.interval(0.95), rtol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("arguments", "n"),
     [(["system=chain2_forced", "snr=20"], 6), (["system=pendulum", "snr=5"], 3), (["system=coulomb", "snr=40"], 3)],

@@ -9,17 +9,15 @@ from bench import (
     Channel,
     Estimate,
     InitialState,
-    InputError,
     Prior,
     Problem,
     Record,
     Status,
-    Units,
     measurements,
 )
 from bench.entrants.reference import oracle_estimate
 from bench.scenario.scenario import ForceSpec, PriorSpec, Scenario
-from bench.systems import SDOF, Chain, Duffing, System
+from bench.systems import Chain, Duffing, System
 from methods.trajectory.output_error import SingleShooting, cold_start
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
@@ -142,21 +140,6 @@ def test_it_ends_where_multiple_shooting_does(snr: float, changes: dict[str, obj
     assert compared >= 5
 
 
-def test_two_records_an_offset_and_two_kinds_of_sensor() -> None:
-    system, times = SDOF(), np.linspace(0.0, 8.0, 30)
-    shifted = exact(system, TRUE, START, Channel(times, times, "velocity", offset=True), 0.4)
-    other = InitialState(np.array([-0.2]), np.array([2.0]))
-    second = exact(system, TRUE, other, Channel(times[:20], times[:20], "acceleration"))
-    prior = Prior({"m": 1.3, "c": 0.5, "k": 9.5}, {"m": 0.02, "c": 1.0, "k": 0.5})
-    estimate = fit(Problem(system, (Record((shifted,)), Record((second,), initial_state=other)), prior))
-    assert value(estimate, system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=1e-4)
-    assert estimate.offsets == pytest.approx((0.4, 0.0), abs=1e-4)
-    assert estimate.initial_states is not None
-    assert estimate.initial_states[0].velocity[0] == pytest.approx(0.5, abs=1e-3)
-    in_mm = fit(Problem(system, (Record((shifted,)),), prior).expressed_in(Units(length=1e-3)))
-    assert in_mm.offsets == pytest.approx((400.0,), rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("system", "p", "start"),
     [
@@ -189,11 +172,6 @@ def test_a_start_that_cannot_be_simulated_is_a_sentence() -> None:
     assert "initial guess" in estimate.message
 
 
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="sigma_rounds"):
-        SingleShooting(sigma_rounds=0)
-
-
 def many(snr: float, n: int, **changes: object) -> list[Problem]:
     return [problem for problem, _ in scenario(snr, **changes).replicates(5, n)]
 
@@ -203,26 +181,6 @@ def test_a_search_stops_at_its_last_evaluation() -> None:
         estimate = fit(problem, cold=True, max_evaluations=2, sigma_rounds=1)
         assert "max_evaluations" in estimate.message
         assert estimate.cost.evaluations == 2
-
-
-def test_an_answer_is_the_same_alone_and_in_company() -> None:
-    duffing = {"system": "duffing", "parameters": {"m": 1.2, "c": 0.5, "k": 6.0, "k3": 4.0}, "samples": 15}
-    given = [
-        *many(10.0, 6),
-        *many(10.0, 4, initial_state="unknown"),
-        *many(20.0, 1, **duffing),
-        *many(20.0, 4, prior=None),
-    ]
-    company = SingleShooting().identify_many(given, [np.random.default_rng(0) for _ in given])
-    for problem, computed in zip(given, company, strict=True):
-        alone = fit(problem)
-        assert computed.cost == alone.cost
-        for quantity in problem.system.quantities:
-            first, two = alone.marginal(quantity), computed.marginal(quantity)
-            assert (first is None) == (two is None)
-            if first is not None and two is not None:
-                assert two.value == pytest.approx(first.value, rel=1e-9)
-                np.testing.assert_allclose(two.interval(0.95), first.interval(0.95), rtol=1e-9)
 
 
 def test_a_problem_without_a_response_spoils_no_other() -> None:
