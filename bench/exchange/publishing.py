@@ -1,9 +1,9 @@
 """Write the published archive from a store and the present archive.
 
-A cell of the store replaces that of the archive, and a cell of an experiment replaces one that differs in the number of
-replicates alone. A cell of no experiment is published as long as it is current. A file of the archive has the cells of one experiment; a cell of several experiments is in the file of
-the first (tables by number, then the others by name), and a cell of none in ``other``. All files are replaced together
-at the end; if that is interrupted, restore the folder (``git restore results/archive``) and run it again.
+A cell of the store replaces that of the archive; a cell that no experiment describes is not published. A file of the
+archive has the cells of one experiment; a cell of several experiments is in the file of the first (tables by number,
+then the others by name). All files are replaced together at the end; if that is interrupted, restore the folder
+(``git restore results/archive``) and run it again.
 """
 
 from __future__ import annotations
@@ -16,16 +16,12 @@ from pathlib import Path
 from bench.config.choices import choices
 from bench.config.experiment import Experiment
 from bench.config.random_scenarios import drawn_scenarios
-from bench.errors import InputError
 from bench.files import read_regular
 from bench.store.archive import Archive
-from bench.store.cell import stored_as_cell
 from bench.store.publication import write_archive
 from bench.store.seal import Unsealed, unsealed_text
 from bench.store.store import BOUND_FORMAT, Store
 from bench.store.stored_cell import StoredCell
-
-OTHER = "other"
 
 
 @dataclass(frozen=True)
@@ -34,13 +30,11 @@ class Described:
 
     Attributes:
         places: File of each cell, by identity.
-        questions: Identities by the cells' questions, which do not depend on the number of replicates.
         bounds: Identities of all bounds.
         drawn: Experiments with random scenarios, whose arrays are not published.
     """
 
     places: Mapping[str, str] = field(default_factory=dict)
-    questions: Mapping[str, str] = field(default_factory=dict)
     bounds: Collection[str] = ()
     drawn: Collection[str] = ()
 
@@ -48,26 +42,12 @@ class Described:
 def described() -> Described:
     """Read the experiments: tables by number, then the others by name."""
     numbers = {name: Experiment(name).table.get("number") for name in choices("experiment")}
-    places, questions, bounds = dict[str, str](), dict[str, str](), set[str]()
+    places, bounds = dict[str, str](), set[str]()
     for name in sorted(numbers, key=lambda own: (numbers[own] is None, numbers[own] or 0, own)):
         for cell in Experiment(name).cells():
             places.setdefault(cell.identity, name)
-            questions.setdefault(cell.question, cell.identity)
             bounds.add(cell.bound_identity)
-    return Described(places, questions, bounds, [name for name in numbers if drawn_scenarios(name)])
-
-
-def superseded(stored: StoredCell, experiments_described: Described, both: Store) -> bool:
-    """Return whether a cell of no experiment is stale or differs from one of an experiment in the number of replicates
-    alone."""
-    try:
-        cell = stored_as_cell(stored)
-        if not cell.version.matches(stored.version):
-            return True
-    except InputError:
-        return False  # its configuration means something else now: nothing that an experiment asks
-    identity = experiments_described.questions.get(cell.question, stored.identity)
-    return identity != stored.identity and identity in both
+    return Described(places, bounds, [name for name in numbers if drawn_scenarios(name)])
 
 
 def write_published(store: Store, archive: Archive, experiments_described: Described) -> list[Path]:
@@ -78,9 +58,9 @@ def write_published(store: Store, archive: Archive, experiments_described: Descr
     both = Store(store.folder, archive)
     experiments: dict[str, list[StoredCell]] = {}
     for identity in both.identities():
-        name, cell = experiments_described.places.get(identity, OTHER), both.load(identity)
+        name, cell = experiments_described.places.get(identity), both.load(identity)
         assert cell is not None
-        if name == OTHER and superseded(cell, experiments_described, both):
+        if name is None:
             continue
         experiments.setdefault(name, []).append(
             replace(cell, arrays={}) if name in experiments_described.drawn else cell

@@ -21,7 +21,6 @@ from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, method_names
-from bench.errors import InputError
 from bench.reporting import frame, labels
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
@@ -217,7 +216,7 @@ def chains(
     workers: Annotated[Count, "processes that fit"] = 1,
     store: Annotated[Path, "folder of finished cells, which are not computed again"] = Path(DEFAULT_STORE),
     out: Out = RESULTS,
-    fit: Annotated[bool, "false: table, page and picture of what is stored"] = True,
+    fit: Annotated[bool, "false: page and picture of the published table"] = True,
 ) -> int:
     """Measure how far each method reaches as the number of masses grows, and what it costs.
 
@@ -225,15 +224,13 @@ def chains(
     nominal prior. At each size every method first gets one data set; one that gives no answer within the limits is not
     asked again, neither for more data sets of that size nor for longer chains.
     """
-    opened, names = open_store(store), methods or (*REFERENCES, *_others())
-    opened.prepare()
     if fit:
+        opened, names = open_store(store), methods or (*REFERENCES, *_others())
+        opened.prepare()
         compute(sizes, names, opened, Limits(workers, timeout_s))
-    data = tidy(sizes, names, opened)
-    if not fit and (data.status == "not tried").all():
-        raise InputError("store", store, "one with cells of these chains; without fit=false they are computed")
+        publish(out / "chains.csv", tidy(sizes, names, opened).to_csv(index=False, float_format="%.5g"))
+    data = pd.read_csv(out / "chains.csv").fillna({"message": ""})
     publish(out / "chains.md", page(data, timeout_s))
-    publish(out / "chains.csv", data.to_csv(index=False, float_format="%.5g"))
     print(*picture(data, out / "figures"), sep="\n")
     return 0
 

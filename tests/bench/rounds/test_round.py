@@ -108,6 +108,12 @@ def test_the_commitment_can_be_computed_without_this_project(six: tuple[Path, Pa
     assert json.loads((folder / COMMITMENT).read_text())["commitment"] == hashlib.sha256(text.encode()).hexdigest()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", sorted((REPOSITORY / "results" / "rounds").glob("round_*")), ids=lambda p: p.name)
+def test_a_published_round_is_that_of_its_seed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["round", "verify", str(folder)]) == 0, capsys.readouterr().out
+
+
 def test_an_opened_round_is_verified(copied: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
     folder, secret = copied
     (secret / "methods").mkdir()

@@ -16,9 +16,6 @@ from conftest import damaged
 from stored import VERSION
 
 from bench import InputError, Status
-from bench.config.experiment import expand
-from bench.engine.launch import complete
-from bench.engine.pool import Limits
 from bench.exchange.publishing import Described, write_published
 from bench.scoring.row import STATISTICS, Row
 from bench.store.archive import Archive
@@ -90,7 +87,7 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-PLACES = {f"{seed:020x}": f"table{seed % 3}" for seed in range(9)}
+PLACES = {f"{seed:020x}": f"table{seed % 3}" for seed in range(12)}
 
 
 @pytest.fixture
@@ -186,8 +183,9 @@ def test_a_changed_cell_changes_its_own_rows_alone(store: Store, archive: Archiv
     again = Archive(archive.folder)
     assert again.identities() == store.identities()
     assert again.load(changed.identity).wall_s == 7.0  # type: ignore[union-attr]
-    write_published(other, again, Described())
-    assert {name for name in contents(archive) if "rows/" in name} == {"rows/other.parquet"}
+    write_published(other, again, Described({changed.identity: "table7"}))
+    assert {name for name in contents(archive) if "rows/" in name} == {"rows/table7.parquet"}
+    assert Archive(archive.folder).identities() == [changed.identity]  # no experiment describes the others
 
 
 def test_a_write_that_fails_leaves_the_archive_of_before(
@@ -216,7 +214,7 @@ def read_all(folder: Path) -> None:
 
 def test_every_flipped_bit_is_noticed(archive: Archive) -> None:
     files = [archive.folder / name for name in contents(archive)]
-    assert len(files) == 9
+    assert len(files) == 8
     for _ in damaged(files, FLIPS):
         with pytest.raises(InputError, match=r"^archive=") as error:
             read_all(archive.folder)
@@ -256,17 +254,3 @@ def test_the_archive_is_named_by_field_or_environment(archive: Archive, monkeypa
     assert pickle.loads(pickle.dumps(Store(Path("x"), archive))).archive.identities() == archive.identities()
     cell = archive.load(f"{4:020x}")
     assert repr(pickle.loads(pickle.dumps(cell)).rows) == repr(tuple(cell.rows))  # type: ignore[union-attr]
-
-
-@pytest.mark.usefixtures("any_bound")
-def test_a_cell_gives_way_to_one_that_asks_the_same_of_more_replicates(tmp_path: Path) -> None:
-    """As soon as that one is stored; settings at their defaults, named or not, ask the same."""
-    store, archive = Store(tmp_path / "rows"), Archive(tmp_path / "archive")
-    store.prepare()
-    few, more = (expand(["method=prior", f"replicates={n}"], multirun=False)[0].cell() for n in (3, 4))
-    asked = Described({more.identity: "table1"}, {more.question: more.identity})
-    for cell, kept in ((few, [few.identity]), (more, [more.identity])):
-        complete([cell], store, Limits(1, 60.0))
-        write_published(store, archive, asked)
-        archive = Archive(archive.folder)
-        assert archive.identities() == kept
