@@ -99,7 +99,6 @@ def published_cells() -> Iterator[PublishedCell]:
     archive = Archive(REPOSITORY / "results" / "archive")
     for identity in archive.identities():
         cell = archive.load(identity)
-        assert cell is not None
         today = cell_version(cell.cell["method"], cell.cell["data"]["system"])
         comparable = today.changed_since(cell.version) in ("", OTHER_BASINS)
         yield PublishedCell(identity, cell.cell, cell.rows, comparable)
