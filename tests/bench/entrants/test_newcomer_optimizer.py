@@ -88,6 +88,7 @@ def test_it_is_at_most_thirty_lines() -> None:
     assert len(CODE.splitlines()) <= 30
 
 
+@pytest.mark.slow
 def test_its_row_stands_beside_the_others_and_is_computed_by_its_version(
     site: tuple[Path, dict[str, str]], python: Python, new_store: StoreFactory, tmp_path: Path
 ) -> None:
