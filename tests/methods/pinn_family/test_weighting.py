@@ -91,7 +91,7 @@ def test_the_tangent_kernel_weighting_gives_equal_traces() -> None:
 
 def test_gradient_norms_tend_to_be_equal() -> None:
     computed = attempt("gradient_norms")
-    for _ in range(80):  # of a moving average: 0.9^80 = 2e-4
+    for _ in range(150):  # of a moving average: 0.9^150 = 1e-7
         updated(computed)
     d = computed.loss.deviations[0].numpy()
     rows = state_of(computed).rows[0].numpy()
