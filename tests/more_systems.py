@@ -30,7 +30,7 @@ class Coupled(System):
     def n_dof(self) -> int:
         return 2
 
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
+    def residual(self, p, x, v, a, f, z, ops):
         tie = p["m2"] * ops.cos(x[1])
         return [
             (p["m1"] + p["m2"]) * a[0] + tie * a[1] + p["k"] * x[0] - f[0],
@@ -57,10 +57,10 @@ class BoucWen(System):
     def n_hidden(self) -> int:
         return 1
 
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
+    def residual(self, p, x, v, a, f, z, ops):
         return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * z[0] - f[0]]
 
-    def hidden_rates(self, p, x, v, f, z, ops):  # type: ignore[no-untyped-def]
+    def hidden_rates(self, p, x, v, f, z, ops):
         return [v[0] - 0.5 * ops.abs(v[0]) * z[0]]
 
     @property

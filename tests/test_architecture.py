@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import inspect
 import re
 import subprocess
 import sys
@@ -14,7 +13,6 @@ from pathlib import Path
 import pytest
 from conftest import REPOSITORY
 
-import bench
 from bench.conformance.imports import foreign_imports
 
 HEAVY = {"torch", "casadi", "pysindy", "emcee", "blackjax"}
@@ -180,19 +178,6 @@ def test_what_is_public_has_a_docstring() -> None:
         return names if ast.get_docstring(parsed(path)) else ["the module", *names]
 
     assert offenders(BENCH + METHODS, undocumented) == {}
-
-
-@pytest.mark.parametrize("exported", bench.__all__)
-def test_the_public_face_is_documented(exported: str) -> None:
-    """Every function and class of the contract, and every public function of its classes, theirs or a base's."""
-    item = getattr(bench, exported)
-    if inspect.isclass(item) and item.__module__.startswith("bench"):
-        assert item.__doc__
-        for attribute, value in vars(item).items():
-            if inspect.isfunction(value) and not attribute.startswith("_"):
-                assert inspect.getdoc(getattr(item, attribute)), f"{exported}.{attribute}"
-    elif callable(item) and inspect.isfunction(item):
-        assert item.__doc__
 
 
 def test_no_file_names_a_place_on_somebodys_machine() -> None:

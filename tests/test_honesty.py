@@ -24,13 +24,11 @@ def test_a_method_cannot_draw_the_nominal_values_again(reference: Scenario, stor
     problem, _ = reference.replicates(0, 3)[2]
     leaking = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(METHOD, *reference._key, 2)))
     answer = misbehaving.Redraw().identify(problem, leaking).groups
-    assert answer is not None
     assert answer.values() == pytest.approx(TRUE, rel=1e-12)
     plugins("Redraw")
     (stored,) = computed(store, a_cell(reference, "redraw", 3))
     nominal = [make[0].prior for make in reference.replicates(0, 3)]
     for row, prior in zip(stored.rows, nominal, strict=True):
-        assert prior is not None
         expected = 100 * abs(prior.nominal["k"] / prior.nominal["m"] / TRUE["k_over_m"] - 1)
         assert row.scores["k_over_m_error_pct"] == pytest.approx(expected, rel=1e-3)
         assert expected > 1.0
@@ -59,7 +57,6 @@ def test_no_true_parameter_stands_in_a_process_that_a_method_can_read(
     done = python("-m", "bench", "method=ancestors", *fields, f"store={store.folder}", env=env)
     assert done.returncode == 0, done.stderr
     (stored,) = (store.load(identity) for identity in store.identities())
-    assert stored is not None
     assert [(row.status, row.message) for row in stored.rows] == [(Status.OK, "[]")]
 
 

@@ -99,7 +99,6 @@ def published_cells() -> Iterator[PublishedCell]:
     archive = Archive(REPOSITORY / "results" / "archive")
     for identity in archive.identities():
         cell = archive.load(identity)
-        assert cell is not None
         today = cell_version(cell.cell["method"], cell.cell["data"]["system"])
         comparable = today.changed_since(cell.version) in ("", OTHER_BASINS)
         yield PublishedCell(identity, cell.cell, cell.rows, comparable)
@@ -275,7 +274,7 @@ def check_rows(method: str, n: int, longest_s: float, most_different: int) -> No
 
 @pytest.mark.parametrize("method", method_names())
 def test_rows_drawn_at_random_agree(method: str) -> None:
-    check_rows(method, n=3, longest_s=0.4, most_different=1)
+    check_rows(method, n=2, longest_s=0.4, most_different=1)
 
 
 @pytest.mark.slow

@@ -64,6 +64,7 @@ def test_every_module_and_every_data_file_is_in_the_wheel_and_no_test(wheel: Pat
     assert "vibration-bench = bench.commands.main:main" in points
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_runs_from_an_empty_folder(site: Path, python: Callable[..., Any]) -> None:
     env = {"PYTHONPATH": str(site)}
     done = python("-m", "bench", "method=oracle", "replicates=2", "format=json", "workers=1", "store=rows", env=env)
@@ -103,6 +104,7 @@ print(json.dumps([files, sorted(registered()), choices("experiment"), choices("m
 """
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_knows_its_methods_and_tables(site: Path, python: Callable[..., Any]) -> None:
     done = python("-c", SCRIPT, env={"PYTHONPATH": str(site)})
     files, methods, experiments, variants, numbers = json.loads(done.stdout)

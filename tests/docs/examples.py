@@ -65,8 +65,6 @@ def run(page: Path, folder: Path) -> Iterator[tuple[Block, str]]:
         [sys.executable, "-c", SESSION], cwd=folder, env=environment, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
     ) as session:  # fmt: skip
-        assert session.stdin is not None
-        assert session.stdout is not None
         printed = ""
         for block in blocks(page):
             if block.title:

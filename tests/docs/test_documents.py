@@ -7,8 +7,11 @@ import re
 import shlex
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 
 import pandas as pd
@@ -96,34 +99,35 @@ def arguments(text: str) -> list[str]:
     return shlex.split(text.removesuffix("'") if text.count("'") % 2 else text)
 
 
-def written() -> list[tuple[str, str, tuple[str, ...]]]:
-    """Return document, module and arguments of every command in a block."""
-    written_commands = set()
-    for document in DOCUMENTS:
-        for block in blocks(document):
-            for line in commands(block) if block.language in ("bash", "sh") else ():
-                if match := re.search(r"python -m (bench[\w.]*) ?(.*)", re.sub(r"\s[<>]\s.*", "", line)):
-                    written_commands.add((name(document), match[1], tuple(arguments(match[2]))))
-    return sorted(written_commands)
+def written(document: Path) -> set[tuple[str, ...]]:
+    """Return the words of every command of ``python -m bench`` in a document's blocks."""
+    lines = {line for block in blocks(document) if block.language in ("bash", "sh") for line in commands(block)}
+    matches = [re.search(r"python -m bench ?(.*)", re.sub(r"\s[<>]\s.*", "", line)) for line in lines]
+    return {tuple(arguments(match[1])) for match in matches if match}
 
 
-@pytest.mark.parametrize(("document", "module", "given"), written(), ids=lambda value: str(value)[:60])
-def test_fields_of_a_command_are_in_its_help(
-    document: str, module: str, given: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+@cache
+def help_of(*words: str) -> str:
+    """Return what a verb, or ``python -m bench`` itself, prints as its help."""
+    with redirect_stdout(StringIO()) as out:
+        bench_main([*words, "--help"])
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_fields_of_a_command_are_in_its_help(document: Path) -> None:
     """A field that a document uses is in the help of its command, or in that of ``python -m bench``."""
-    command = import_module(f"bench.commands.{module.removeprefix('bench').lstrip('.') or 'main'}").main
-    command([*(word for word in given[:1] if word in VERBS), "--help"])
-    bench_main(["--help"])
-    sources = [
-        "conf/config.yaml",
-        *(f"bench/commands/{EXPERIMENT_MODULES[word]}.py" for word in given if word in EXPERIMENT_MODULES),
-    ]
-    helps = capsys.readouterr().out + "".join((REPOSITORY / path).read_text(encoding="utf-8") for path in sources)
-    for argument in given:
-        field = re.match(r"\+?([\w./]+)=", argument)
-        if field and re.split(r"[./]", field[1])[0] not in FREE_GROUPS:
-            assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", helps), (document, argument)
+    for given in written(document):
+        sources = [
+            "conf/config.yaml",
+            *(f"bench/commands/{EXPERIMENT_MODULES[word]}.py" for word in given if word in EXPERIMENT_MODULES),
+        ]
+        helps = help_of() + "".join((REPOSITORY / path).read_text(encoding="utf-8") for path in sources)
+        helps += help_of(given[0]) if given and given[0] in VERBS else ""
+        for argument in given:
+            field = re.match(r"\+?([\w./]+)=", argument)
+            if field and re.split(r"[./]", field[1])[0] not in FREE_GROUPS:
+                assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", helps), argument
 
 
 def test_the_examples_with_pandas_give_the_published_numbers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,8 +46,6 @@ def notebooks() -> ModuleType:
     """The module docs/notebooks.py, a hook of the site."""
     pytest.importorskip("mkdocs")
     spec = spec_from_file_location("notebooks", REPOSITORY / "docs" / "notebooks.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -57,8 +57,6 @@ def hooks() -> ModuleType:
     """The module that completes pages when the site is built."""
     pytest.importorskip("mkdocs")
     spec = spec_from_file_location("hooks", REPOSITORY / "docs" / "hooks.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

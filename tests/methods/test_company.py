@@ -35,7 +35,7 @@ SEARCHES = ("output_error", "shooting")
 
 
 def replicates(n: int, **fields: object) -> list[Problem]:
-    scenario = replace(Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0), **fields)  # type: ignore[arg-type]
+    scenario = replace(Scenario("sdof", PLANT, ((0.8,), (0.5,)), 20.0), **fields)
     return [problem for problem, _ in scenario.replicates(5, n)]
 
 

@@ -22,19 +22,14 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 NAMES = sorted({*registered(), *VARIANTS})
 LONG = ("nuts", "pinn_adam")
-"""Of these the checks on data of another kind are slow: one compiles anew for each layout, the other descends."""
-ORDINARY_DATA = (
-    *("card", "imports", "answer", "seed", "state", "honesty", "input", "batch", "units, mm"),
-    *("units, tenths of a second", "dead channel", "dead channel, unknown initial state", "pickling", "time"),
-)
+"""Of these most checks are slow: one compiles anew for each layout, the other descends."""
+OF_ONE_FIT = ("card", "imports", "answer", "dead channel", "dead channel, unknown initial state", "pickling", "time")
 IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")
 """Methods for which the start of another process is worth its time in the quick tests."""
 
 
 def is_slow(name: str, check: Check) -> bool:
-    return (name in LONG and check.name not in ORDINARY_DATA) or (
-        check.name == "state" and name not in IN_ANOTHER_PROCESS
-    )
+    return (name in LONG and check.name not in OF_ONE_FIT) or (check.name == "state" and name not in IN_ANOTHER_PROCESS)
 
 
 @pytest.fixture(scope="module")

@@ -85,8 +85,7 @@ def test_a_force_that_jumps_is_followed(system: str, method: str) -> None:
     """Their bounds at 40 dB are below 1 %; a smooth response alone was wrong by a hundred times that."""
     problem, p = _problem(system, 40)
     estimate = make_method(method, {}).identify(problem, np.random.default_rng(0))
-    assert estimate.parameters is not None
-    for name, value in zip(estimate.parameters.names, np.exp(estimate.parameters.mean), strict=True):  # type: ignore[union-attr]
+    for name, value in zip(estimate.parameters.names, np.exp(estimate.parameters.mean), strict=True):
         assert value == pytest.approx(p[name], rel=0.04)
 
 
@@ -96,8 +95,7 @@ def test_a_step_is_followed_in_short_and_long_records(samples: int) -> None:
     override = ["method=prior", "system=sdof_step", "snr=20", f"system.samples={samples}"]
     (problem, truth), *_ = expand(override, multirun=False)[0].cell().scenario.replicates(31, 1)
     estimate = make_method("collocation", {}).identify(problem, np.random.default_rng(0))
-    assert estimate.parameters is not None
-    assert np.exp(estimate.parameters.mean[0]) == pytest.approx(truth.parameters["m"], rel=0.08)  # type: ignore[union-attr]
+    assert np.exp(estimate.parameters.mean[0]) == pytest.approx(truth.parameters["m"], rel=0.08)
 
 
 @pytest.mark.parametrize("method", ["pinn", "collocation"])
@@ -110,9 +108,8 @@ def test_a_damping_that_the_noise_hides_is_held(method: str) -> None:
     estimate = make_method(method, {}).identify(problem, np.random.default_rng(0))
     assert "very wide prior" in estimate.message
     computed = estimate.parameters
-    assert computed is not None
-    widths = np.sqrt(np.diag(computed.covariance))  # type: ignore[union-attr]
-    away = (computed.mean - np.log([truth.parameters[name] for name in computed.names])) / widths  # type: ignore[union-attr]
+    widths = np.sqrt(np.diag(computed.covariance))
+    away = (computed.mean - np.log([truth.parameters[name] for name in computed.names])) / widths
     assert 1.0 < np.max(widths) <= 3.0
     assert np.all(np.abs(away) < 4.0)
 
@@ -122,7 +119,7 @@ def _sensed(measures: str) -> tuple[Problem, dict[str, float]]:
     problem, p = _problem("sdof_forced", 40)
     record = problem.records[0]
     assert record.initial_state is not None
-    ideal = Channel(record.channels[0].times, record.channels[0].values, measures)  # type: ignore[arg-type]
+    ideal = Channel(record.channels[0].times, record.channels[0].values, measures)
     clean = measurements(problem.system, p, record.initial_state, dataclasses.replace(record, channels=(ideal,)))
     noise = 0.01 * np.std(clean) * np.random.default_rng(5).standard_normal(clean.size)
     sensed = dataclasses.replace(record, channels=(dataclasses.replace(ideal, values=clean + noise),))
@@ -136,9 +133,8 @@ def test_sensors_of_velocity_and_acceleration_serve_under_a_force(measures: str,
     problem, p = _sensed(measures)
     estimate = make_method("collocation", settings).identify(problem, np.random.default_rng(0))
     computed = estimate.parameters
-    assert computed is not None
-    away = computed.mean - np.log([p[name] for name in computed.names])  # type: ignore[union-attr]
-    widths = np.sqrt(np.diag(computed.covariance))  # type: ignore[union-attr]
+    away = computed.mean - np.log([p[name] for name in computed.names])
+    widths = np.sqrt(np.diag(computed.covariance))
     assert np.all(np.abs(away) < 0.05)
     assert np.all((widths > 1e-4) & (widths < 0.03))
 
@@ -151,9 +147,8 @@ def test_two_masses_under_a_force_are_told_with_widths_to_match(method: str) -> 
         pytest.skip(lacking)
     problem, p = _problem("chain2_forced", 40)
     estimate = make_method(method, {}).identify(problem, np.random.default_rng(0)).parameters
-    assert estimate is not None
-    away = estimate.mean - np.log([p[name] for name in estimate.names])  # type: ignore[union-attr]
-    widths = np.sqrt(np.diag(estimate.covariance))  # type: ignore[union-attr]
+    away = estimate.mean - np.log([p[name] for name in estimate.names])
+    widths = np.sqrt(np.diag(estimate.covariance))
     assert np.all(np.abs(away) < 4.5 * widths)
     assert np.all(widths < 0.1)
 
@@ -169,7 +164,7 @@ def test_several_records_sensors_and_a_force(name: str) -> None:
     push = Force(knots, 3.0 * np.sin(2 * np.pi * 0.35 * knots) + 2.0 * np.cos(5.0 * knots))
     start, records = InitialState(np.array([0.5]), np.array([0.0])), []
     for measures, forces, known in (("displacement", (push,), True), ("acceleration", (), False)):
-        blank = Channel(times, times, measures, offset=not known)  # type: ignore[arg-type]
+        blank = Channel(times, times, measures, offset=not known)
         clean = measurements(system, p, start, Record((blank,), forces))
         noisy = clean + 0.03 * np.sqrt(np.mean(clean**2)) * rng.standard_normal(clean.size) + 0.4 * (not known)
         records.append(Record((dataclasses.replace(blank, values=noisy),), forces, start if known else None))
@@ -180,5 +175,4 @@ def test_several_records_sensors_and_a_force(name: str) -> None:
         assert marginal is not None, estimate.message
         low, high = marginal.interval(0.999)
         assert low < true < high
-    assert estimate.offsets is not None
     assert estimate.offsets[1] == pytest.approx(0.4, abs=0.1)

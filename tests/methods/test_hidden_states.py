@@ -33,7 +33,6 @@ def test_a_hidden_state_is_followed(name: str, tolerance: float) -> None:
     estimate = make_method(name, {}).identify(problem, np.random.default_rng(0))
     for group in problem.system.groups:
         marginal = estimate.marginal(group)
-        assert marginal is not None
         assert marginal.value == pytest.approx(group.value(truth.parameters), rel=tolerance)
         if name == "collocation":
             assert "too narrow" in estimate.message  # and they are
@@ -52,10 +51,10 @@ class Follower(System):
     parameters = SDOF().parameters
     groups = SDOF().groups
 
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
+    def residual(self, p, x, v, a, f, z, ops):
         return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * (x[0] + z[0]) - f[0]]
 
-    def hidden_rates(self, p, x, v, f, z, ops):  # type: ignore[no-untyped-def]
+    def hidden_rates(self, p, x, v, f, z, ops):
         return [0.5 * v[0]]
 
 
@@ -93,7 +92,6 @@ def test_a_hidden_rate_needs_no_parameter(name: str, settings: dict[str, object]
     estimate = make_method(name, settings).identify(problem, np.random.default_rng(0))
     for group in Follower().groups:
         marginal = estimate.marginal(group)
-        assert marginal is not None
         assert marginal.value == pytest.approx(group.value({"m": m, "c": c, "k": k}), rel=0.03)
 
 

@@ -41,7 +41,6 @@ def fitted(name: str, start: bool) -> Estimate:
 
 def k_over_m(estimate: Estimate) -> float:
     assert estimate.status is Status.OK, estimate.message
-    assert estimate.groups is not None
     return estimate.groups.values()["k_over_m"]
 
 
@@ -68,7 +67,6 @@ def test_the_path_runs_from_our_start_to_the_answer(name: str) -> None:
     assert np.all(np.diff(seconds) > 0)
     assert np.all(loss > 0)
     assert loss[-1] < 0.1 * loss[0]
-    assert estimate.groups is not None
     computed = estimate.groups.values()
     gauge, damping, stiffness = parameters.T
     np.testing.assert_array_equal(gauge, 1.0)

@@ -25,7 +25,7 @@ def test_a_kind_is_drawn_by_its_seed_with_a_truth(kind: str, tmp_path: Path) -> 
 def answer(
     value: float, low: float, high: float, trust: str = "trust", said: str = "", limit: str = ""
 ) -> SimpleNamespace:
-    own = StatedInterval(value, low, high, low, high, low, high, "1/s²", limit)  # type: ignore[arg-type]
+    own = StatedInterval(value, low, high, low, high, low, high, "1/s²", limit)
     return SimpleNamespace(estimates={"k_over_m": own}, trust=trust, notes=(said,), reasons=(), message="")
 
 

@@ -36,7 +36,6 @@ def test_it_finds_the_ratios_from_near_by(system: str) -> None:
     problem, truth = cell.replicates(3, 1)[0]
     estimate = by_hand(problem, np.random.default_rng(0))
     assert estimate.status is Status.OK
-    assert estimate.parameters is not None
     for group in problem.system.groups:
         found = group.value(estimate.parameters.values())
         assert found == pytest.approx(group.value(truth.parameters), rel=1e-3), group.name
@@ -61,7 +60,6 @@ def test_success_needs_convergence_and_a_small_error() -> None:
     def nominal(problem: Problem, rng: np.random.Generator) -> Estimate:
         from bench.contract.distribution import Normal
 
-        assert problem.prior is not None
         return Estimate(problem.system, parameters=Normal(problem.prior.names, problem.prior.log_mean, None, True))
 
     def gives_up(problem: Problem, rng: np.random.Generator) -> Estimate:

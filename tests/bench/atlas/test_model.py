@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from bench.atlas.design import Slice, sobol
-from bench.atlas.model import FEWEST, AtlasModel, cross_validate, determined, features, unknown
+from bench.atlas.model import AtlasModel, cross_validate, determined, unknown
 from bench.atlas.point import FreeDecay
 from bench.commands.main import main
 from bench.reporting.atlas import point_frame
@@ -61,13 +61,6 @@ def test_the_model_knows_the_rule(model: AtlasModel) -> None:
     assert np.mean([one.gross for one in quiet]) < 0.06
 
 
-def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
-    with pytest.raises(ValueError, match="too few"):
-        AtlasModel(atlas().head(FEWEST // 2), "k_over_m")
-    with pytest.raises(ValueError, match="too few"):
-        AtlasModel(atlas(), "c_over_m")
-
-
 @pytest.mark.parametrize(
     ("point", "why"),
     [
@@ -80,11 +73,6 @@ def test_a_model_of_few_points_or_of_what_is_not_told_is_refused() -> None:
 def test_it_says_where_it_does_not_know(point: FreeDecay, why: str) -> None:
     assert why in unknown(point_frame(point), "k_over_m")
     assert bool(why) == bool(unknown(point_frame(point), "k_over_m"))
-
-
-def test_features_are_numbers() -> None:
-    frame = determined(atlas(), "k_over_m")
-    assert np.all(np.isfinite(features(frame, "k_over_m")))
 
 
 def test_the_command_names_methods_and_refuses_what_it_cannot_read(tmp_path, capsys) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench import InputError
-from bench.atlas.design import Slice, blocks, sobol
+from bench.atlas.design import Slice, sobol
 from bench.atlas.point import FreeDecay
 from bench.atlas.run import bound_at
 
@@ -25,13 +25,6 @@ def test_the_scenario_is_the_test_that_the_numbers_say() -> None:
     assert len(problem.records[0].channels[0].values) == 200
     assert problem.records[0].initial_state is None
     assert truth.realised_snr_db == pytest.approx(20.0, abs=2.0)
-
-
-def test_size_and_frequency_differ_from_point_to_point_and_are_the_same_again() -> None:
-    masses = {point.scenario().parameters["m"] for point in sobol(FreeDecay, 16, 1)}
-    assert len(masses) == 16
-    assert all(0.1 <= mass <= 10.0 for mass in masses)
-    assert POINT.scenario().parameters == POINT.scenario().parameters
 
 
 def test_the_bound_of_a_light_damping_is_that_of_a_sinusoids_frequency() -> None:
@@ -74,7 +67,3 @@ def test_a_slice_is_a_grid_with_the_rest_fixed() -> None:
     assert [point.snr_db for point in points[:4]] == [-5.0] * 4
     with pytest.raises(InputError, match=r"atlas\.slices"):
         Slice("x", POINT, "cycle", "snr_db", (4, 3)).points()
-
-
-def test_blocks_hold_every_point_once() -> None:
-    assert [len(block) for block in blocks(sobol(FreeDecay, 8, 0), 3)] == [3, 3, 2]

@@ -8,7 +8,7 @@ import pytest
 
 from bench import Card, Estimate, Identifier
 from bench.atlas.point import FreeDecay
-from bench.atlas.run import PointBlock, fit_point, read_block, write_block
+from bench.atlas.run import PointBlock, fit_point, read_block
 from bench.commands.main import main
 from bench.config.atlas import SAMPLED, atlas_blocks, atlas_content, atlas_methods, part_names
 from bench.engine.pool import Limits, run_tasks
@@ -33,18 +33,9 @@ def test_a_block_is_computed_once_and_found_again(tmp_path) -> None:
     assert run_tasks([BLOCK], tmp_path, Limits(), ("fit", "block")) == {}
     assert result_path(tmp_path, BLOCK.key).stat().st_mtime_ns == written
     statistics = read_block(tmp_path, BLOCK)
-    assert statistics is not None
     assert [at.fits for at in statistics] == [10, 10]
     assert statistics[0].values[0, 0] < 5  # a bias in units of the bound
     assert read_block(tmp_path, replace(BLOCK, seed=2)) is None
-
-
-def test_a_block_comes_back_as_it_was(tmp_path) -> None:
-    statistics = [fit_point(BLOCK, Raising(), point) for point in BLOCK.points]
-    write_block(tmp_path, BLOCK, statistics)
-    again = read_block(tmp_path, BLOCK)
-    assert again is not None
-    assert [at.row().tobytes() for at in again] == [at.row().tobytes() for at in statistics]
 
 
 def test_a_method_that_raises_has_failed_fits() -> None:
@@ -66,14 +57,6 @@ def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() 
     every = [task for part in part_names() for task in atlas_blocks(part)]
     assert sum(block.size for block in every) >= 1_000_000
     assert atlas_content()["points"] * len(atlas_methods()) > len(tasks)
-
-
-def test_the_command_writes_the_atlas_and_its_maps(tmp_path, capsys) -> None:
-    given = [f"store={tmp_path / 'store'}", f"out={tmp_path / 'out'}"]
-    assert main(["-m", "experiment=atlas", "part=points", "method=matrix_pencil", "points=2", *given]) == 0
-    assert "2 points" in (tmp_path / "out" / "atlas.md").read_text()
-    assert main(["-m", "experiment=atlas", "fit=false", f"store={tmp_path / 'none'}"]) == 2
-    assert "finished blocks" in capsys.readouterr().err
 
 
 def test_a_slice_is_drawn_from_its_first_row_on(tmp_path) -> None:

@@ -25,13 +25,6 @@ def test_gross_errors_are_counted_and_left_out_of_the_core() -> None:
     assert (found.fits, found.failed, found.seconds) == (4, 0.25, 2.5)
 
 
-def test_without_an_interval_there_is_no_coverage() -> None:
-    found = summarise_fits([fit(1.0, 1.0)], [False], [1.0])
-    c = dict(zip(COLUMNS, found.values[1], strict=True))
-    assert np.isnan(c["held"])
-    assert c["told"] == 0.0
-
-
 def test_a_row_holds_everything() -> None:
     found = summarise_fits([fit(1.0, 1.0), fit(9.0, 0.0)], [False, False], [1.0, 2.0])
     again = Statistics.from_row(found.row())

@@ -59,14 +59,3 @@ def test_below_the_threshold_it_is_the_share_that_is_counted(point: FreeDecay) -
 def test_well_above_the_threshold_no_basin_is_wrong() -> None:
     assert counted(FreeDecay(60, 6.0, 0.02, 10.0, 0.7, False)) == 0.0
     assert wrong_basin(FreeDecay(60, 6.0, 0.02, 10.0, 0.7, False)) < 1e-3
-
-
-def test_who_knows_the_start_is_wrong_less_often() -> None:
-    open_, told = (wrong_basin(FreeDecay(20, 3.0, 0.02, -4.0, 0.7, known)) for known in (False, True))
-    assert told < open_
-
-
-@pytest.mark.parametrize("known", [False, True])
-def test_it_falls_with_the_noise(known: bool) -> None:
-    shares = [wrong_basin(FreeDecay(24, 4.0, 0.02, snr, 0.7, known)) for snr in (-5.0, 0.0, 5.0)]
-    assert shares[0] > shares[1] > shares[2]

@@ -39,10 +39,10 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     "fewer values than times": (lambda: Channel(T, X[:4]), "as many values as times"),
     "a table of values": (lambda: Channel(T, X[None]), "one dimension"),
     "a word": (lambda: Channel(T, ["a"] * 5), "numbers are needed"),
-    "unknown sensor": (lambda: Channel(T, X, measures="strain"), "displacement, velocity, acceleration"),  # type: ignore[arg-type]
+    "unknown sensor": (lambda: Channel(T, X, measures="strain"), "displacement, velocity, acceleration"),
     "two samples": (lambda: Record((Channel(T[:2], X[:2]),)), "at least 3"),
     "no channel": (lambda: Record(()), "at least 3"),
-    "unknown hold": (lambda: Force(T, X, "quintic"), "zero_order, linear"),  # type: ignore[arg-type]
+    "unknown hold": (lambda: Force(T, X, "quintic"), "zero_order, linear"),
     "force of one sample": (lambda: Force([0.0], [1.0]), "at least two"),
     "force of unequal sizes": (lambda: Force(T, X[:4]), "one per time"),
     "NaN in the force": (lambda: Force(T, [0, 0, 0, 0, NAN]), "force.values"),
@@ -84,8 +84,8 @@ def test_an_input_error_survives_the_way_between_processes() -> None:
 def test_inputs_are_copied_and_read_only() -> None:
     times, values, push, x0 = T.copy(), X.copy(), X.copy(), np.array([0.4])
     nominal, log_sd = dict(FINE["nominal"]), dict(FINE["log_sd"])
-    record = Record([Channel(times, values)], [Force(times, push)], InitialState(x0, x0))  # type: ignore[arg-type]
-    problem = Problem(SDOF(), [record], Prior(nominal, log_sd))  # type: ignore[arg-type]
+    record = Record([Channel(times, values)], [Force(times, push)], InitialState(x0, x0))
+    problem = Problem(SDOF(), [record], Prior(nominal, log_sd))
     for array in (times, values, push, x0):
         array[:] = 99.0
     nominal["m"] = log_sd["m"] = 99.0
@@ -93,9 +93,7 @@ def test_inputs_are_copied_and_read_only() -> None:
     np.testing.assert_array_equal(inside.channels[0].times, T)
     np.testing.assert_array_equal(inside.channels[0].values, X)
     np.testing.assert_array_equal(inside.forces[0].values, X)
-    assert inside.initial_state is not None
     assert inside.initial_state.displacement[0] == 0.4
-    assert problem.prior is not None
     assert (problem.prior.nominal["m"], problem.prior.log_sd["m"]) == (1.0, 0.02)
     channel, force = inside.channels[0], inside.forces[0]
     for array in (channel.times, channel.values, force.times, force.values, inside.initial_state.velocity):
@@ -131,7 +129,7 @@ def a_chain_problem(prior: bool, force: bool) -> Problem:
     names = Chain(2).names
     told = Prior({n: 0.5 + i for i, n in enumerate(names)}, dict.fromkeys(names, 0.3)) if prior else None
     forces = (Force(T, X, "zero_order", dof=1),) if force else ()
-    return Problem(Chain(2), (Record(channels, forces, InitialState([0.1, 0.2], [0.3, 0.4])),), told)  # type: ignore[arg-type]
+    return Problem(Chain(2), (Record(channels, forces, InitialState([0.1, 0.2], [0.3, 0.4])),), told)
 
 
 def numbers(problem: Problem) -> np.ndarray:
@@ -170,15 +168,6 @@ def test_natural_units_do_not_depend_on_the_units_a_problem_came_in(units: Units
     np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-9, atol=1e-9)
 
 
-def test_natural_units_are_of_the_size_of_the_data() -> None:
-    prior = Prior({"m": 5.0, "c": 1.0, "k": 10.0}, FINE["log_sd"])
-    units = sdof(one_record(), prior).natural_units()
-    assert (units.mass, units.time) == (5.0, 3.5)
-    assert units.length == pytest.approx(np.sqrt(np.mean(X**2)))
-    dead = sdof(one_record(Channel(T, np.zeros(5)))).natural_units()
-    assert (dead.mass, dead.length, dead.time) == (1.0, 1.0, 3.5)
-
-
 def test_one_unit_by_hand_grams_millimetres_milliseconds() -> None:
     """1 N/m = 1 kg/s² is 1e3 g over (1e3 ms)² = 1e-3 g/ms²; 2 m/s is 2 mm/ms; 3 N is 3e3 g·1e3 mm/(1e6 ms²) = 3."""
     units = Units(1e-3, 1e-3, 1e-3)
@@ -189,7 +178,6 @@ def test_one_unit_by_hand_grams_millimetres_milliseconds() -> None:
     np.testing.assert_allclose(there.channels[0].values, 1e3 * X)
     np.testing.assert_allclose(there.channels[0].times, 1e3 * T)
     np.testing.assert_allclose(there.forces[0].values, X)
-    assert there.initial_state is not None
     assert there.initial_state.displacement[0] == pytest.approx(1e3)
     assert there.initial_state.velocity[0] == pytest.approx(2.0)
 

@@ -22,11 +22,3 @@ def test_a_belief_that_no_longer_holds_hardly_counts() -> None:
     found = product(own(2.0, 0.1), np.array([0.0]), np.array([[0.05**2]]))
     assert found.mean[0] == pytest.approx(2.0, abs=0.01)
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.1, rel=0.01)
-
-
-def test_correlations_count() -> None:
-    """What the past knows of one parameter helps the other where the window knows their sum alone."""
-    covariance = np.array([[1.0, -0.999], [-0.999, 1.0]])
-    distribution = Normal(("a", "b"), np.zeros(2), covariance, log=True)
-    found = product(distribution, np.zeros(2), np.diag([1e-4, 1e2]))
-    assert found.covariance[1, 1] < 0.01

@@ -19,14 +19,8 @@ def test_a_jump_is_found_where_it_is_with_its_size(at: int, seed: int) -> None:
     values = noisy(seed)
     values[at:] += 1.5
     found = largest_jump(values)
-    assert found is not None
     assert found.first == at
     assert found.size == pytest.approx(1.5, abs=0.4)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_motion_without_one_has_none(seed: int) -> None:
-    assert largest_jump(noisy(seed)) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -41,9 +35,4 @@ def test_missing_samples_are_passed_over() -> None:
     values[10:60] = np.nan
     values[90:] -= 2.0
     found = largest_jump(values)
-    assert found is not None
     assert found.first == 90
-
-
-def test_too_few_samples_tell_nothing() -> None:
-    assert largest_jump(np.arange(10.0)) is None

@@ -95,7 +95,7 @@ def test_jax_differentiates_the_path() -> None:
     grid = np.linspace(0.0, 3.0, 7)
     steps = Steps.over(grid, step_counts(grid, 0.01), [], 1)
 
-    def displacement(k):  # type: ignore[no-untyped-def]
+    def displacement(k):
         start = jax.numpy.array([1.0, 0.0])
         return rk4_scan(SDOF(), {"m": 2.0, "c": 0.0, "k": k}, start, steps.lengths, steps.forces)[steps.reached, 0]
 

@@ -48,7 +48,6 @@ def test_a_new_method_is_one_file(folder: Path, python: Python, new_store: Store
     assert done.stderr.startswith("bench: method=broken: could not import its entry point")
     assert len(done.stderr.splitlines()) == 1
     (stored,) = (store.load(identity) for identity in store.identities())
-    assert stored is not None
     assert stored.cell["settings"] == {"damping_ratio": pytest.approx(DAMPING_RATIO)}
     for row in stored.rows:
         ratio = row.scores["k_over_m_ratio"]

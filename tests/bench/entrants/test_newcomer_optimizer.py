@@ -88,6 +88,7 @@ def test_it_is_at_most_thirty_lines() -> None:
     assert len(CODE.splitlines()) <= 30
 
 
+@pytest.mark.slow
 def test_its_row_stands_beside_the_others_and_is_computed_by_its_version(
     site: tuple[Path, dict[str, str]], python: Python, new_store: StoreFactory, tmp_path: Path
 ) -> None:
@@ -98,7 +99,6 @@ def test_its_row_stands_beside_the_others_and_is_computed_by_its_version(
     done = python(*sweep, "method.optimizer=short_lion", env=env)
     assert done.returncode == 0, done.stderr
     (stored,) = (store.load(identity) for identity in store.identities())
-    assert stored is not None
     assert stored.version["optimizer lion_pinn:ShortLion"] == 1
     tables = ("-m", "bench", "tables", f"store={store.folder}", "archive=none", f"out={tmp_path}", f"tex={tmp_path}")
     done = python(*tables, env=env)
@@ -154,9 +154,8 @@ def test_a_weighting_and_a_function_of_time_from_outside_find_the_stiffness(
 ) -> None:
     """As the family's own do: within a few of the answer's own standard deviations of the truth."""
     problem, truth = next(iter(reference.replicates(0, 1)))
-    estimate = PINNFamily(**{setting: name}).identify(problem, np.random.default_rng(0))  # type: ignore[arg-type]
+    estimate = PINNFamily(**{setting: name}).identify(problem, np.random.default_rng(0))
     k_over_m = estimate.marginal(problem.system.quantity("k_over_m"))
-    assert k_over_m is not None
     assert k_over_m.value == pytest.approx(truth.parameters["k"] / truth.parameters["m"], rel=0.05)
     assert settings_version("pinn_family", "sdof", {setting: name}).as_json()[f"{setting} lion_pinn:{CLASS[name]}"] == 1
 

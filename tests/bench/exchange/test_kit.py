@@ -6,12 +6,14 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import pytest
 from conftest import Python, StoreFactory, install
 
 from bench.commands.main import main
 from bench.store.store import Store
 
 
+@pytest.mark.slow
 def test_a_method_from_the_template_is_run_submitted_and_merged(
     tmp_path: Path, python: Python, new_store: StoreFactory
 ) -> None:

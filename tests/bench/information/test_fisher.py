@@ -79,7 +79,7 @@ PROTOCOL = {
 @pytest.mark.parametrize("told", ["known", "unknown"])
 @pytest.mark.parametrize("snr", [40, 30, 20, 10, 5])
 def test_the_protocols_displacement_bounds(told: str, snr: int) -> None:
-    found = compute_bound(replace(SDOF_FREE, snr_db=float(snr), initial_state=told)).rmse  # type: ignore[arg-type]
+    found = compute_bound(replace(SDOF_FREE, snr_db=float(snr), initial_state=told)).rmse
     assert found == pytest.approx(PROTOCOL[told][snr], abs=0.00005000001)
 
 
@@ -101,7 +101,7 @@ def test_fisher_information_and_bound_are_those_of_the_closed_form() -> None:
     for told, free in (("known", [1, 2]), ("unknown", [1, 2, 3, 4])):
         g = gradient_of_closed_form(t)[:, free]  # with m fixed, log c and log k are log c/m and log k/m
         covariance = np.linalg.inv(g.T @ g) * sigma**2
-        found = compute_bound(replace(SDOF_FREE, initial_state=told))  # type: ignore[arg-type]
+        found = compute_bound(replace(SDOF_FREE, initial_state=told))
         assert found.relative_sd["c_over_m"] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
         assert found.relative_sd["k_over_m"] == pytest.approx(np.sqrt(covariance[1, 1]), rel=1e-6)
         w = np.array([1.0, -0.5, 0.0, 0.0][: len(free)])  # log of damping ratio = log c - ½ log k + ...
@@ -172,7 +172,7 @@ def test_a_known_force_tells_everything(scenario: Scenario, told: str) -> None:
 def test_three_samples_do_not_tell_two_groups_and_a_start() -> None:
     """Three equations: with the start known, two groups; with it unknown, four unknowns, so one combination is lost."""
     three = on_its_samples(SDOF_FREE, samples=3, duration=2.0)
-    known, unknown = (compute_bound(replace(three, initial_state=told)) for told in ("known", "unknown"))  # type: ignore[arg-type]
+    known, unknown = (compute_bound(replace(three, initial_state=told)) for told in ("known", "unknown"))
     assert (len(known.null_space), len(unknown.null_space)) == (1, 2)
     assert known.identifiable["k_over_m"]
     assert not unknown.identifiable["k_over_m"]

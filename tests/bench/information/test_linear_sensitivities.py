@@ -161,7 +161,7 @@ class BentSign(SDOF):
 
     name: ClassVar[str] = "bent_sign"
 
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
+    def residual(self, p, x, v, a, f, z, ops):
         return [p["m"] * a[0] + p["c"] * v[0] + ops.abs(-p["k"]) * x[0] - f[0]]
 
 

@@ -66,10 +66,6 @@ def test_the_start_is_the_one_that_the_data_were_made_with(name: str) -> None:
     np.testing.assert_allclose(found, theta, atol=2e-3)
 
 
-def test_a_linear_system_keeps_its_exact_response() -> None:
-    assert type(compiled_output_error(problem(sum_from("sdof"), False))) is OutputError
-
-
 def test_what_diverges_is_not_finite() -> None:
     system, p = SYSTEMS["Duffing"]
     model = compiled_output_error(problem(system, False))

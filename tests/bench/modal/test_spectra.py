@@ -31,7 +31,7 @@ def response(hertz: np.ndarray, order: int, window: float = 0.0) -> np.ndarray:
     ("name", "order", "window"), [("receptance", 0, 0.0), ("mobility", 1, 2.0), ("accelerance", 2, 0.0)]
 )
 def test_frequency_responses_without_noise_give_the_modes_exactly(name: str, order: int, window: float) -> None:
-    data = FrequencyResponses(LINES, response(LINES, order, window), name, window=window)  # type: ignore[arg-type]
+    data = FrequencyResponses(LINES, response(LINES, order, window), name, window=window)
     estimate = make_modal("spectra").identify_modes(ModalProblem(data))
     assert [mode.frequency for mode in estimate.modes] == pytest.approx(HERTZ, rel=1e-9)
     assert [mode.damping_ratio for mode in estimate.modes] == pytest.approx(RATIOS, rel=1e-7)

@@ -64,12 +64,6 @@ def test_the_noise_has_the_level_that_is_asked_for() -> None:
     assert snr == pytest.approx(12.0, abs=0.3)
 
 
-def test_the_same_replicate_is_the_same_and_the_label_changes_nothing() -> None:
-    one, other = scenario().stream(3, 1), scenario(label="y").stream(3, 1)
-    assert np.array_equal(one.values, other.values)
-    assert not np.array_equal(one.values, scenario().stream(3, 2).values)
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

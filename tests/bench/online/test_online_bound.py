@@ -75,10 +75,3 @@ def test_behind_a_step_it_opens_by_the_step_and_closes_again() -> None:
     assert found[200] > 5 * found[198]
     assert found[200] <= 1.01 * np.hypot(found[198], abs(np.log(0.8)))
     assert found[-1] < 2.5 * found[198]
-
-
-def test_an_unknown_force_tells_less_than_a_known_one() -> None:
-    known = scenario(forces=(HeldForce("white"),), samples=400)
-    unknown = scenario(forces=(HeldForce("white", told=False),), samples=400)
-    told, guessed = (bound_variances(s, s.stream(0, 0))["k_over_m"][-1] for s in (known, unknown))
-    assert guessed > 20 * told

@@ -9,12 +9,12 @@ from bench.commands.main import main
 from bench.config.overrides import read_overrides
 from bench.entrants.registry import make_method
 from bench.information.fisher import compute_bound
-from bench.planning.forced_test import FORCED_QUANTITIES, ForcedTest, displacement, forced_errors
+from bench.planning.forced_test import ForcedTest, displacement, forced_errors
 from bench.planning.forces import Forces, evaluate_force, half_sine
 from bench.planning.free_decay import Oscillator
 from bench.planning.multisine import ALL, criterion_columns
 from bench.planning.search import Likely
-from bench.planning.verify import robust_deviation, simulate_forced_tests
+from bench.planning.verify import simulate_forced_tests
 from bench.records.problem import read_measured
 from bench.records.request import request_of
 from bench.scenario.force import ForceSpec
@@ -117,12 +117,6 @@ def test_real_estimates_gain_what_the_bound_promises() -> None:
     assert every[1] < 0.6 * every[0]
 
 
-def test_counted_errors_of_normal_ones_are_their_standard_deviation() -> None:
-    errors = np.abs(0.03 * np.random.default_rng(0).standard_normal(20_000))
-    assert robust_deviation(errors) == pytest.approx(0.03, rel=0.03)
-    assert robust_deviation(np.array([0.1, np.inf, np.inf])) == math.inf
-
-
 def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")  # headings and names stand on one line each
     path = tmp_path / "force.csv"
@@ -159,9 +153,3 @@ def test_a_mistype_is_one_line(fields: list[str], said: str, capsys) -> None:
 def test_a_field_that_is_not_given_is_named(field: str, capsys) -> None:
     assert main(["design", *(one for one in GIVEN if not one.startswith(f"{field}="))]) == 2
     assert f"{field}=" in capsys.readouterr().err
-
-
-def test_every_quantity_of_a_free_decay_is_told_and_the_mass() -> None:
-    found = forced_errors(SURE.nominal, TEST, TEST.scale(half_sine(TEST, 0.2)))
-    assert list(found) == list(FORCED_QUANTITIES)
-    assert all(0 < value < 1 for value in found.values())

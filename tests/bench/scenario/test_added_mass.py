@@ -69,10 +69,10 @@ def test_the_bound_is_that_of_both_closed_forms_together(told: str) -> None:
         blocks.append(rows / math.sqrt(np.mean(clean**2) / 100))
     stacked = np.concatenate(blocks)
     sd = np.sqrt(np.diag(np.linalg.inv(stacked.T @ stacked)))
-    bound = compute_bound(replace(TWO, initial_state=told))  # type: ignore[arg-type]
+    bound = compute_bound(replace(TWO, initial_state=told))
     assert [bound.relative_sd[name] for name in "mck"] == pytest.approx(list(sd[:3]), rel=1e-6)
     assert bound.null_space == ()
-    assert compute_bound(replace(PLAIN, initial_state=told)).relative_sd["m"] == math.inf  # type: ignore[arg-type]
+    assert compute_bound(replace(PLAIN, initial_state=told)).relative_sd["m"] == math.inf
 
 
 def test_a_perfect_optimiser_finds_mass_damping_and_stiffness_without_a_prior() -> None:

@@ -41,9 +41,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from scipy.optimize import root
 
-from bench import Channel, InitialState, Record, fit_initial_state, measurements
 from bench.config.experiment import expand
 from bench.contract.estimate import Estimate, Status
 from bench.contract.problem import Problem
@@ -106,28 +104,6 @@ def test_the_information_loses_the_directions_that_are_lost_by_hand(told: Told, 
     assert told_ratios == [told == "known"] * 5
 
 
-def test_two_chains_of_the_same_masses_move_the_first_mass_alike() -> None:
-    """From d3 to d0 the other chain, damped too; some start of it gives the first mass's motion to rounding."""
-    cell = scenario("unknown")
-    true, wanted = cell.parameters, told_coefficients(np.log([cell.parameters[n] for n in NAMES]), "unknown")
-
-    def off(logs: np.ndarray) -> np.ndarray:
-        masses = np.log([true["m1"], true["m2"]])
-        return told_coefficients(np.concatenate([masses, logs]), "unknown") - wanted
-
-    found = root(off, np.log([true["c1"], true["c2"], 20.25, 16 / 3]), tol=1e-12)
-    assert found.success
-    other = {**true, **dict(zip(NAMES[2:], np.exp(found.x), strict=True))}
-    assert [other["k1"], other["k2"]] == pytest.approx([20.25, 16 / 3], rel=0.01)  # the damping is small
-    problem, _ = cell.replicates(0, 1)[0]
-    times = problem.records[0].channels[0].times
-    start = InitialState(np.array([1.0, 0.0]), np.zeros(2))
-    clean = measurements(problem.system, true, start, Record((Channel(times, times),)))
-    record = Record((Channel(times, clean),))
-    again = measurements(problem.system, other, fit_initial_state(problem.system, other, record), record)
-    assert again == pytest.approx(clean, abs=1e-8)
-
-
 @pytest.mark.parametrize("told", ["unknown", "known"])
 @pytest.mark.parametrize("name", ["oracle", "output_error", "shooting"])
 def test_fits_find_the_coefficients_and_leave_the_rest_to_the_prior(name: str, told: Told) -> None:
@@ -145,8 +121,6 @@ def test_fits_find_the_coefficients_and_leave_the_rest_to_the_prior(name: str, t
     for i, (problem, truth) in enumerate(cell.replicates(0, 3)):
         estimate = fit(name, problem, truth, cell.stream(METHOD, 0, i))
         assert estimate.status is Status.OK
-        assert estimate.parameters is not None
-        assert problem.prior is not None
         values, nominal = estimate.parameters.values(), problem.prior.nominal
         logs, before = np.log([values[n] for n in NAMES]), np.log([nominal[n] for n in NAMES])
         off.append((told_coefficients(logs, told) - told_coefficients(true, told)) / bound)

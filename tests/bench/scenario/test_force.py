@@ -168,23 +168,11 @@ def test_a_cubic_force_by_duhamels_integral() -> None:
     )
 
 
-def test_cubic_and_held_forces_on_a_chain_add_up() -> None:
-    rng = np.random.default_rng(2)
-    forces = [
-        Force(np.linspace(0, 5, 12), rng.standard_normal(12), "cubic", 1),
-        Force([0.5, 2.0, 3.0], [1, -1, 0], "zero_order", 0),
-    ]
-    rest = InitialState(np.zeros(2), np.zeros(2))
-    parts = [simulate(Chain(2), CHAIN, rest, TIMES, [force]).displacement for force in forces]
-    both = reference_response(Chain(2), CHAIN, rest, TIMES, forces)
-    np.testing.assert_allclose(both, parts[0] + parts[1], atol=1e-11)
-
-
 @pytest.mark.parametrize("hold", ["zero_order", "linear", "cubic"])
 def test_with_a_force_of_any_hold_the_bound_on_the_samples_is_a_projections(hold: str) -> None:
     """``sigma √(p / N)``: m, c, k and, in the second case, k3, all told by the force."""
     for system, p in (("sdof", P), ("duffing", {**P, "k3": 3.0})):
-        spec = ForceSpec(3.0, 0.1, 1.0, samples=41, hold=hold)  # type: ignore[arg-type]
+        spec = ForceSpec(3.0, 0.1, 1.0, samples=41, hold=hold)
         scenario = replace(BASE, system=system, parameters=p, force=spec, duration=5.0, forecast=0.5)
         sigma = scenario.sigmas(0)[0]
         assert compute_bound(scenario).rmse == pytest.approx(sigma * math.sqrt(len(p) / 40), rel=1e-6)
@@ -220,7 +208,7 @@ def test_errors_and_bound_are_over_the_masses_with_a_sensor() -> None:
     assert scores["rmse"] == pytest.approx(0.25, rel=1e-6)
     assert scores["rmse_simulated"] == pytest.approx(0.0, abs=1e-6)
     for told, unknowns in (("known", 5), ("unknown", 8)):
-        bound = compute_bound(replace(one, initial_state=told))  # type: ignore[arg-type]
+        bound = compute_bound(replace(one, initial_state=told))
         assert bound.rmse == pytest.approx(one.sigmas(0)[1] * math.sqrt(unknowns / 40), rel=1e-5)
 
 

@@ -48,13 +48,6 @@ def test_a_second_mode_is_a_second_cosine(reference: Scenario) -> None:
     np.testing.assert_allclose(motion(reference, SecondMode(0.2), times), expected, atol=1e-7)
 
 
-@pytest.mark.parametrize("kind", [AddedFriction(1e-7), CubicSpring(1e-7), SecondMode(1e-7)])
-def test_next_to_nothing_added_changes_next_to_nothing(reference: Scenario, kind: Disturbance) -> None:
-    (_, own), (_, plain) = (s.replicates(0, 1)[0] for s in (replace(reference, disturbance=kind), reference))
-    np.testing.assert_allclose(own.dense_displacement, plain.dense_displacement, atol=1e-5)
-    assert own.parameters == plain.parameters
-
-
 @pytest.mark.parametrize("kind", [AddedFriction(0.02), CubicSpring(0.2), SecondMode(0.1)])
 def test_the_true_start_is_where_the_motion_starts(reference: Scenario, kind: Disturbance) -> None:
     _, truth = replace(reference, disturbance=kind).replicates(0, 1)[0]

@@ -107,7 +107,7 @@ def test_data_do_not_depend_on_what_a_method_is_told(changes: dict[str, Any]) ->
 
 def test_a_replicate_does_not_depend_on_how_many_there_are() -> None:
     np.testing.assert_array_equal(data(BASE, n=7)[:2], data(BASE, n=2))
-    nominal = [[p.prior.nominal for p, _ in BASE.replicates(0, n)][:2] for n in (2, 7)]  # type: ignore[union-attr]
+    nominal = [[p.prior.nominal for p, _ in BASE.replicates(0, n)][:2] for n in (2, 7)]
     assert nominal[0] == nominal[1]
 
 
@@ -120,7 +120,6 @@ def test_the_data_are_the_same_in_another_process(python: Callable[..., Any]) ->
     )
     there = python("-c", script, env={"PYTHONHASHSEED": "1"}).stdout
     problem = BASE.replicates(3, 1)[0][0]
-    assert problem.prior is not None
     own = f"{problem.records[0].channels[0].values.tobytes().hex()} {problem.prior.nominal}\n"
     assert there == own
 
@@ -160,7 +159,6 @@ def test_the_nominal_prior_is_calibrated_and_independent() -> None:
         assert stats.kstest(column, "norm").pvalue > 1e-4
     assert np.max(np.abs(np.corrcoef(z.T) - np.eye(3))) < 5 / math.sqrt(500)
     first = priors[0]
-    assert first is not None
     assert dict(first.log_sd) == {"m": 0.02, "c": 1.0, "k": 0.5}
 
 
@@ -192,7 +190,6 @@ def test_a_force_is_the_same_for_every_replicate_and_another_for_another_seed() 
 @pytest.mark.parametrize("forces", [{}, {"force": ForceSpec(1.0, 0.1, 1.0)}], ids=["free", "forced"])
 def test_the_bytes_that_a_method_gets_hold_no_true_value(forces: dict[str, Any]) -> None:
     problem, truth = replace(BASE, initial_state="unknown", **forces).replicates(0, 1)[0]
-    assert problem.prior is not None
     payload = pickle.dumps(problem)
     assert struct.pack(">d", problem.prior.nominal["m"]) in payload  # numbers are seen
     for value in (*TRUE.values(), 0.34567891, truth.sigma[0], truth.realised_snr_db):
@@ -233,7 +230,7 @@ def test_a_cell_is_known_by_what_it_computes() -> None:
     cell = Cell(BASE, "ls", {"a": 1}, 20, 0, "ls")
     assert replace(cell, label="other").identity == cell.identity
     assert replace(cell, scenario=replace(BASE, label="other")).identity == cell.identity
-    same = replace(BASE, snr_db=20, parameters=dict(reversed(TRUE.items())))  # type: ignore[arg-type]
+    same = replace(BASE, snr_db=20, parameters=dict(reversed(TRUE.items())))
     assert replace(cell, scenario=same).identity == cell.identity
     others = [
         replace(cell, method="rls"),

@@ -47,12 +47,3 @@ def test_neither_attributes_nor_pickles_hold_seed_or_key(reference: Scenario) ->
         assert not hasattr(sequence, "entropy")
         assert not hasattr(sequence, "spawn_key")
         assert not any(str(secret) in repr(stream) + repr(sequence) for secret in secrets)
-
-
-def test_a_copy_goes_on_as_the_original(reference: Scenario) -> None:
-    rng = reference.stream(METHOD, 3, 1)
-    rng.spawn(2)
-    rng.standard_normal(5)
-    copy = pickle.loads(pickle.dumps(rng))
-    assert numbers(copy) == numbers(rng)
-    assert [numbers(child) for child in copy.spawn(2)] == [numbers(child) for child in rng.spawn(2)]

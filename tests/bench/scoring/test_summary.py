@@ -44,31 +44,11 @@ def test_bounds_of_the_displacement_metrics() -> None:
     assert summary["rmse_forecast"]["excess"] == pytest.approx(2.0)
 
 
-def test_without_a_finite_bound_there_is_no_excess() -> None:
-    s = summarise([ok(0, k_error_pct=1.0)], BOUND)["k_error_pct"]
-    assert math.isnan(s["excess"])
-    assert s["bound"] == math.inf
-
-
 def test_a_failure_counts_as_infinite_in_mean_and_median_but_not_in_the_excess() -> None:
     rows = [ok(0, m_error_pct=3.0), ok(1, m_error_pct=4.0), failed(2)]
     s = summarise(rows, BOUND)["m_error_pct"]
     assert (s["mean"], s["median"], s["ci_high"], s["n_ok"]) == (math.inf, 4.0, math.inf, 2)
     assert s["excess"] == pytest.approx(math.sqrt(12.5) / 2.0)
-
-
-def test_half_of_the_replicates_failed_so_the_median_is_infinite() -> None:
-    s = summarise([ok(0, m_error_pct=3.0), failed(1)], BOUND)["m_error_pct"]
-    assert s["median"] == math.inf
-    assert not math.isnan(s["ci_low"])
-
-
-def test_all_failed_is_a_line_a_metric_all_the_same() -> None:
-    summary = summarise([failed(0), failed(1)], BOUND)
-    assert {"rmse", "rmse_simulated", "rmse_forecast", "m_error_pct", "k_error_pct"} <= set(summary)
-    for s in summary.values():
-        assert (s["median"], s["n_ok"]) == (math.inf, 0)
-        assert math.isnan(s["excess"])
 
 
 def test_a_replicate_without_a_score_that_others_have_counts_as_failed_in_it() -> None:
@@ -84,12 +64,6 @@ def test_coverage_has_wilsons_interval(hits: int, n: int) -> None:
     interval = stats.binomtest(hits, n).proportion_ci(0.95, method="wilson")
     assert (s["mean"], s["ci_low"], s["ci_high"]) == pytest.approx((hits / n, *interval), abs=1e-9)
     assert math.isnan(s["excess"])
-
-
-def test_coverage_is_over_the_successful() -> None:
-    rows = [ok(0, m_coverage_95=1.0), ok(1, m_coverage_95=1.0), failed(2)]
-    s = summarise(rows, BOUND)["m_coverage_95"]
-    assert (s["mean"], s["n_ok"]) == (1.0, 2)
 
 
 def test_the_bootstrap_interval_of_the_median_covers_it() -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from bench import Estimate, Identifier, Normal, Status
+from bench import Estimate, Identifier, Normal
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from bench.scenario.truth import Truth
@@ -56,17 +54,6 @@ def test_a_training_arrives_where_its_loss_stays_near_the_minimum(
     losses: list[float], arrival: float, truth: Truth
 ) -> None:
     assert trace_scores(estimate(**path(losses, 1.0)), truth)["arrival_s"] == arrival
-
-
-def test_a_training_that_ends_elsewhere_never_arrives(truth: Truth) -> None:
-    scores = trace_scores(estimate(**path([9.0, 3.0, 1.5, 1.2], 1.0)), truth)
-    assert "arrival_s" not in scores
-    assert scores["loss_over_minimum"] == pytest.approx(1.2)
-
-
-def test_no_path_no_scores(truth: Truth) -> None:
-    assert trace_scores(estimate(), truth) == {}
-    assert trace_scores(replace(estimate(**path([1.0] * 4, 1.0)), status=Status.DIVERGED), truth) == {}
 
 
 def test_starting_points_that_ended_where_the_best_did_are_counted(truth: Truth) -> None:

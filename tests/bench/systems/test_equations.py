@@ -40,7 +40,7 @@ from bench.systems import (
     make_system,
 )
 
-BAR = Matrices(mass=[[1, 1], [1, 2], [2, 2]], damping=[[1, 1], [2, 2]], stiffness=[[1, 1], [1, 2, -1], [2, 2]])  # type: ignore[arg-type]
+BAR = Matrices(mass=[[1, 1], [1, 2], [2, 2]], damping=[[1, 1], [2, 2]], stiffness=[[1, 1], [1, 2, -1], [2, 2]])
 SYSTEMS: dict[str, System] = {
     "quadratic_damping": QuadraticDamping(),
     "coulomb": Coulomb(0.3),
@@ -178,7 +178,7 @@ def test_free_vibration_tells_the_declared_groups_by_exact_algebra(name: str) ->
     """Taylor coefficients in rational arithmetic (no integrator): every group is told and there are no more."""
     system = SYSTEMS[name]
     for told in ("known", "unknown"):
-        found = structure(system, None, told)  # type: ignore[arg-type]
+        found = structure(system, None, told)
         assert found.rank == len(system.groups)
         assert all(found.identifiable(group) for group in system.groups)
         assert found.identifiable(system.quantity(system.gauge)) is False

@@ -112,7 +112,7 @@ def test_its_data_are_those_of_its_equation(folder: Path) -> None:
     assert np.allclose(truth.dense_displacement[0], path, atol=1e-7)
     ops = type("ops", (), {"tanh": np.tanh})
     for x, force in ((0.004, k * 0.004), (4.0, k * 4.0 + k2 * 3.6)):
-        (residual,) = make_system("gap", {}).residual(truth.parameters, [x], [0.0], [0.0], [0.0], [], ops)  # type: ignore[arg-type]
+        (residual,) = make_system("gap", {}).residual(truth.parameters, [x], [0.0], [0.0], [0.0], [], ops)
         assert residual == pytest.approx(force, rel=2e-4)
 
 

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from more_systems import BoucWen, Coupled, Exponential
+from more_systems import BoucWen, Coupled
 
 from bench import InputError, Ops, acceleration, array_ops, mass_matrix, numpy_ops, regression_columns, state_rate
 from bench.dynamics.mechanics import linear_matrices
-from bench.systems import SDOF, Chain, Dimension, Duffing, System, make_system
+from bench.systems import SDOF, Chain, Duffing, System, make_system
 
 SYSTEMS = [SDOF(), Chain(2), Chain(3), Duffing()]
 IDS = ["sdof", "chain2", "chain3", "duffing"]
@@ -98,11 +98,6 @@ def test_regression_columns_times_parameters_plus_offset_is_the_residual(system:
     np.testing.assert_allclose(offset, -np.concatenate(f), atol=1e-12)
 
 
-def test_regression_columns_refuse_a_system_that_is_not_affine_in_its_parameters() -> None:
-    with pytest.raises(ValueError, match="exponential"):
-        regression_columns(Exponential(), [np.ones(3)], [np.ones(3)], [np.ones(3)], [np.zeros(3)])
-
-
 @pytest.mark.parametrize("system", SYSTEMS, ids=IDS)
 def test_the_mass_matrix_is_diagonal_with_the_masses(system: System) -> None:
     p, (x, v, _, f) = drawn(system, 1)
@@ -163,18 +158,6 @@ def test_the_matrices_of_a_chain_are_the_textbooks() -> None:
     np.testing.assert_allclose(damping, np.array([[0.3, -0.2, 0.0], [-0.2, 0.5, -0.3], [0.0, -0.3, 0.3]]), atol=1e-15)
 
 
-def test_matrices_of_many_parameter_sets_at_once() -> None:
-    sets = {"m": np.array([1.0, 2.0]), "c": np.array([0.1, 0.2]), "k": np.array([3.0, 4.0])}
-    mass, damping, stiffness = linear_matrices(SDOF(), sets)
-    assert mass.shape == (2, 1, 1)
-    np.testing.assert_allclose(np.stack([mass, damping, stiffness])[..., 0, 0], list(sets.values()))
-
-
-def test_a_nonlinear_system_has_no_matrices() -> None:
-    with pytest.raises(ValueError, match="duffing"):
-        linear_matrices(Duffing(), {"m": 1.0, "c": 1.0, "k": 1.0, "k3": 1.0})
-
-
 def test_quantities_are_the_textbook_formulas() -> None:
     p = {"m": 2.0, "c": 0.6, "k": 18.0}
     values = {q.name: q.value(p) for q in SDOF().quantities}
@@ -182,13 +165,6 @@ def test_quantities_are_the_textbook_formulas() -> None:
     assert values["c_over_m"] == pytest.approx(0.3)
     assert values["natural_frequency"] == pytest.approx(3.0 / (2 * np.pi))
     assert values["damping_ratio"] == pytest.approx(0.6 / (2 * np.sqrt(36.0)))
-
-
-def test_the_dimension_of_a_quantity_follows_from_its_exponents() -> None:
-    system = SDOF()
-    assert system.dimension(system.quantity("natural_frequency")) == Dimension(0, 0, -1)
-    assert system.dimension(system.quantity("damping_ratio")) == Dimension(0, 0, 0)
-    assert Duffing().dimension(Duffing().quantity("k3_over_m")) == Dimension(0, -2, -2)
 
 
 def test_hidden_states_have_their_own_rates_in_the_state_rate() -> None:

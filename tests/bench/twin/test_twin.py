@@ -9,9 +9,8 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from itertools import pairwise
-from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -96,8 +95,13 @@ def test_a_file_that_grows_is_followed_half_lines_included(tmp_path) -> None:
 
 
 def run(arguments: list[str], text: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "bench", "track", *arguments]
-    return subprocess.run(command, input=text, capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    """Run the command on a stream, in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    streams = redirect_stdout(out), redirect_stderr(err)
+    with pytest.MonkeyPatch.context() as patch, streams[0], streams[1]:
+        patch.setattr(sys, "stdin", io.StringIO(text))
+        status = main(["track", *arguments])
+    return subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
 
 
 def test_a_line_of_json_comes_out_for_each_sample() -> None:
@@ -222,13 +226,6 @@ def test_a_stream_without_a_readable_line_is_refused() -> None:
     done = run(["method=rls", "forced=0", "rate=20"], "one two\nthree\n")
     assert done.returncode == 2
     assert "no line of the form t, x1, f1; name other columns" in done.stderr.splitlines()[-1]
-
-
-def test_what_stood_at_the_end_is_shown_where_there_is_no_terminal() -> None:
-    done = run([*RLS, "view=true", "out=none"], RECORD)
-    assert done.returncode == 0, done.stderr
-    assert "sample 400" in done.stderr
-    assert "k/m" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -426,10 +423,3 @@ def test_the_page_follows_in_a_browser_without_a_word_on_the_console(page, tmp_p
         assert [url for url in urls if not url.startswith((page.url, "data:", "chrome"))] == []
     finally:
         browser.quit()
-
-
-def test_what_the_page_needs_travels_with_the_package() -> None:
-    assets = Path(REPOSITORY) / "bench" / "twin" / "assets"
-    assert {"page.html", "page.js", "page.css", "uplot.js", "uplot.css", "uplot-LICENSE.txt"} <= {
-        p.name for p in assets.iterdir()
-    }

@@ -42,7 +42,7 @@ def record(noise: float = 0.1, prior: Prior | None = PRIOR) -> Problem:
 
 
 def answer(folder: Path, problem: Problem, corrected: bool = False) -> Estimate:
-    method = NPE(**SMALL, corrected=corrected, folder=str(folder))  # type: ignore[arg-type]
+    method = NPE(**SMALL, corrected=corrected, folder=str(folder))
     return method.identify(problem, np.random.default_rng(1))
 
 

@@ -56,7 +56,6 @@ def test_it_has_the_bias_of_noisy_columns() -> None:
 def test_the_recursion_ends_at_least_squares_and_keeps_its_way() -> None:
     y = closed_form(PLANT, 0.8, 0.5, TIMES) + 0.02 * np.random.default_rng(1).standard_normal(25)
     estimate, units = fit(ARRecursive(), record(y)), Units(length=1e-3, time=0.1)
-    assert estimate.groups is not None
     np.testing.assert_allclose(estimate.groups.mean, groups(AR(), record(y)).mean, rtol=1e-4)
     np.testing.assert_allclose(estimate.traces["trajectory"][-1], estimate.groups.mean, rtol=1e-9)
     np.testing.assert_allclose(estimate.traces["trajectory_times"], TIMES[2:])

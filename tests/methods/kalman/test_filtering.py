@@ -51,10 +51,10 @@ class Slipping(SDOF):
     def n_hidden(self) -> int:
         return 1
 
-    def residual(self, p, x, v, a, f, z, ops):  # type: ignore[no-untyped-def]
+    def residual(self, p, x, v, a, f, z, ops):
         return [p["m"] * a[0] + p["c"] * v[0] + p["k"] * z[0] - f[0]]
 
-    def hidden_rates(self, p, x, v, f, z, ops):  # type: ignore[no-untyped-def]
+    def hidden_rates(self, p, x, v, f, z, ops):
         return [v[0] - p["b"] * ops.abs(v[0]) * z[0]]
 
 
@@ -65,7 +65,7 @@ BOTH = pytest.mark.parametrize("method", [EKF(), UKF()], ids=["ekf", "ukf"])
 
 def scenario(snr: float, **changes: object) -> Scenario:
     given = {"system": "sdof", "parameters": PLANT, "initial": ((0.8,), (0.5,)), "prior": NOMINAL, **changes}
-    return Scenario(snr_db=snr, **given)  # type: ignore[arg-type]
+    return Scenario(snr_db=snr, **given)
 
 
 def fit(method: Identifier, problem: Problem) -> Estimate:
@@ -84,7 +84,7 @@ def distribution(problem: Problem, p: dict[str, float]) -> Joint:
 
 @pytest.mark.parametrize("rule", [tangent, regression], ids=["ekf", "ukf"])
 @pytest.mark.parametrize("times", [np.linspace(0.0, 1.0, 12), np.array([0.03, 0.11, 0.12, 0.5, 0.72, 1.0])])
-def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> None:
     """A linear system at known parameters is affine in its start, ``y = B s0 + e``, so the smoothed start must be
     ``(B'B / sigma² + P0^-1)^-1 B'y / sigma²`` and its covariance that inverse: the closed form, in one pass.
     """
@@ -102,19 +102,6 @@ def test_with_known_parameters_it_is_least_squares(rule, times: np.ndarray) -> N
     np.testing.assert_allclose(
         computed.covariances[0, 0, :2, :2] / np.outer(sd, sd), inverse / np.outer(sd, sd), atol=1e-3
     )
-
-
-def test_the_trajectory_of_a_start_is_the_closed_form() -> None:
-    """Displacement and velocity from a start of the vector, at irregular times."""
-    times = np.array([0.0, 0.02, 0.11, 0.5, 0.52, 1.0])
-    p = {"m": 1.0, "c": 4.0, "k": 900.0}
-    problem = Problem(SDOF(), (Record((Channel(times, np.ones(times.size)),)),), Prior(p, dict.fromkeys(p, 0.5)))
-    theta = np.array([[*np.log(list(p.values())), 0.3, -2.0], [*np.log(list(p.values())), 1.0, 0.0]])
-    joint = distribution(problem, p)
-    path = joint.trajectories(theta, Nodes.of(joint.model, 0.002))
-    np.testing.assert_allclose(path[0, :, 0], closed_form(p, 0.3, -2.0, times), atol=1e-5)
-    np.testing.assert_allclose(path[1, :, 0], closed_form(p, 1.0, 0.0, times), atol=1e-5)
-    np.testing.assert_allclose(path[:, :, 2:], np.broadcast_to(theta[:, None, :3], (2, 6, 3)))
 
 
 def bend(points: np.ndarray) -> np.ndarray:
@@ -167,8 +154,6 @@ def test_it_agrees_with_output_error(method: Identifier, initial_state: str) -> 
         mine, other = fit(method, problem), fit(SingleShooting(), problem)
         assert isinstance(mine.parameters, Normal)
         assert isinstance(other.parameters, Normal)
-        assert mine.parameters.covariance is not None
-        assert other.parameters.covariance is not None
         sd = np.sqrt(np.diag(other.parameters.covariance))
         np.testing.assert_allclose(mine.parameters.mean / sd, other.parameters.mean / sd, atol=0.1)
         np.testing.assert_allclose(np.sqrt(np.diag(mine.parameters.covariance)), sd, rtol=0.1)
@@ -194,7 +179,7 @@ def test_it_comes_near_the_bound(method: Identifier) -> None:
     ],
     ids=["chain", "duffing"],
 )
-def test_other_systems_at_different_times_by_channel(  # type: ignore[no-untyped-def]
+def test_other_systems_at_different_times_by_channel(
     method: Identifier, system, parameters: dict[str, float], start
 ) -> None:
     """Each sensor has times of its own; the truth lies in the 99.9 % intervals of the groups."""
@@ -233,7 +218,6 @@ def test_the_filter_carries_hidden_states(method: Identifier) -> None:
     prior = Prior({"m": 1.4, "c": 0.3, "k": 6.0, "b": 0.7}, dict.fromkeys(p, 0.5))
     estimate = fit(method, Problem(Slipping(), (record,), prior))
     assert isinstance(estimate.parameters, Normal), estimate.message
-    assert estimate.parameters.covariance is not None
     sd = np.sqrt(np.diag(estimate.parameters.covariance))
     assert np.all(np.abs(estimate.parameters.mean - np.log(list(p.values()))) < 3.5 * sd)
     assert np.all(sd < 0.2)
@@ -267,7 +251,6 @@ def test_data_without_noise_give_intervals_that_hold_the_truth(method: Identifie
         assert "least that the filter resolves" in estimate.message
         for name in ("k_over_m", "c_over_m"):
             marginal = estimate.marginal(problem.system.quantity(name))
-            assert marginal is not None
             low, high = marginal.interval(0.95)
             assert low < problem.system.quantity(name).value(PLANT) < high
             assert high / low < 1.01
@@ -301,12 +284,10 @@ def test_a_rival_widens_the_interval_as_a_mixture_of_two() -> None:
 @BOTH
 def test_process_noise_widens_the_answer(method: Identifier) -> None:
     problem, _ = scenario(30.0).replicates(1, 1)[0]
-    still, walking = fit(method, problem), fit(type(method)(drift=0.1), problem)  # type: ignore[call-arg]
+    still, walking = fit(method, problem), fit(type(method)(drift=0.1), problem)
     for estimate in (still, walking):
         assert isinstance(estimate.parameters, Normal)
     wide, narrow = (e.marginal(problem.system.quantity("k_over_m")) for e in (walking, still))
-    assert wide is not None
-    assert narrow is not None
     assert np.diff(wide.interval(0.95)) > 2 * np.diff(narrow.interval(0.95))
 
 
@@ -362,8 +343,6 @@ def test_nodes_with_several_samples_give_the_same_answer(
     long = fit(method, problem)
     assert isinstance(short.distribution, Normal)
     assert isinstance(long.distribution, Normal)
-    assert short.distribution.covariance is not None
-    assert long.distribution.covariance is not None
     sd = np.sqrt(np.diag(short.distribution.covariance))
     np.testing.assert_allclose(long.distribution.mean / sd, short.distribution.mean / sd, atol=0.02)
     np.testing.assert_allclose(np.sqrt(np.diag(long.distribution.covariance)), sd, rtol=0.01)
@@ -387,7 +366,6 @@ def test_a_long_record_takes_memory_in_proportion(method: Identifier) -> None:
                     initial_state="unknown")  # fmt: skip
     problem, _ = made.replicates(1, 1)[0]
     marginal = fit(method, problem).marginal(problem.system.quantity("k_over_m"))
-    assert marginal is not None
     low, high = marginal.interval(0.9999)
     assert low < 9.0 / 1.3 < high
     assert high / low < 1.0001

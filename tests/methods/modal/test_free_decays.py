@@ -53,7 +53,6 @@ def test_exact_samples_give_the_groups(name: str, p: dict[str, float], offset: f
 def test_the_recursion_gives_them_to_its_diffuse_start(offset: float) -> None:
     problem = record(closed_form(PLANT, 0.8, 0.5, TIMES) + offset, offset=offset != 0.0)
     estimate = ARRecursive(diffuse=1e12).identify(problem, np.random.default_rng(0))
-    assert estimate.groups is not None
     np.testing.assert_allclose(estimate.groups.mean, [9.0 / 1.3, 0.6 / 1.3], rtol=1e-4)
 
 
@@ -72,7 +71,6 @@ def test_the_decrement_of_a_dense_exact_record(p: dict[str, float], uneven: bool
 def test_a_growing_vibration_is_given_as_it_is_and_said_to_grow(name: str) -> None:
     times, rtol = (DENSE, 2e-3) if name == "log_decrement" else (TIMES, 1e-3 if name == "ar_recursive" else 1e-6)
     estimate = fit(name, record(np.exp(0.1 * times) * np.cos(3.0 * times), times))
-    assert estimate.groups is not None
     np.testing.assert_allclose(estimate.groups.mean, [9.01, -0.2], rtol=rtol)
     assert "negative" in estimate.message
 

@@ -19,7 +19,7 @@ def free(times: np.ndarray, p: dict[str, float] = PLANT, noise: float = 0.0, see
 
 
 def fit(problem: Problem, **settings: float) -> Estimate:
-    return LogDecrement(**settings).identify(problem, np.random.default_rng(0))  # type: ignore[arg-type]
+    return LogDecrement(**settings).identify(problem, np.random.default_rng(0))
 
 
 def groups(problem: Problem, **settings: float) -> np.ndarray:

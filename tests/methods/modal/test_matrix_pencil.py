@@ -25,7 +25,7 @@ def record(p: dict[str, float], times: np.ndarray = TIMES, noise: float = 0.0) -
 
 
 def fit(problem: Problem, **settings: float) -> Estimate:
-    return MatrixPencil(**settings).identify(problem, np.random.default_rng(0))  # type: ignore[arg-type]
+    return MatrixPencil(**settings).identify(problem, np.random.default_rng(0))
 
 
 def groups(problem: Problem, **settings: float) -> Normal:
@@ -81,8 +81,6 @@ def test_first_order_covariance_is_the_bootstrap_s(monkeypatch: pytest.MonkeyPat
     first_order = groups(problem, bootstrap=4000).covariance
     monkeypatch.setattr("methods.modal.perturbation.SMALL", 0.0)
     drawn = groups(problem, bootstrap=4000).covariance
-    assert first_order is not None
-    assert drawn is not None
     sds, expected = np.sqrt(np.diag(first_order)), np.sqrt(np.diag(drawn))
     np.testing.assert_allclose(sds, expected, rtol=0.05)
     np.testing.assert_allclose(first_order[0, 1] / np.prod(sds), drawn[0, 1] / np.prod(expected), atol=0.06)

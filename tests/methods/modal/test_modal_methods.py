@@ -65,7 +65,7 @@ def test_little_noise_gives_the_answer_of_the_likelihood_and_its_standard_errors
 @pytest.mark.parametrize("name", REALISATIONS)
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_intervals_hold_at_white_and_at_coloured_noise(name: str, colour: float) -> None:
-    covered, records = np.zeros(2), 25
+    covered, records = np.zeros(2), 12
     for seed in range(records):
         answer = modes(name, decays(0.005, seed=seed, colour=colour), count=3)
         reach = stdtrit(answer.degrees, 0.975)
@@ -74,14 +74,14 @@ def test_intervals_hold_at_white_and_at_coloured_noise(name: str, colour: float)
                 abs(mode.frequency - frequency) < reach * mode.frequency_sd,
                 abs(mode.damping_ratio - ratio) < reach * mode.damping_ratio_sd,
             ]
-    # of 75 draws at 95 %, 64 or fewer are a chance of 1 in 1000
-    assert np.all(covered > 64)
+    # of 36 draws at 95 %, 28 or fewer are a chance of 1 in 3000
+    assert np.all(covered > 28)
 
 
 @pytest.mark.parametrize("name", REALISATIONS)
 def test_the_number_is_found_and_noise_alone_has_none(name: str) -> None:
-    counts = [len(modes(name, decays(0.01, seed=seed)).modes) for seed in range(10)]
-    assert counts.count(3) >= 9
+    counts = [len(modes(name, decays(0.01, seed=seed)).modes) for seed in range(5)]
+    assert counts.count(3) >= 4
     noise = np.random.default_rng(2).standard_normal((2, 500))
     assert not modes(name, FreeDecays(0.02 * np.arange(500), noise)).modes
 
@@ -107,7 +107,7 @@ def test_ema_finds_poles_and_residues_of_a_closed_form(kind: str) -> None:
     pytest.importorskip("sdypy.EMA")
     lines = 0.02 * np.arange(1001)
     values = response(lines, ["receptance", "mobility", "accelerance"].index(kind))
-    answer = modes("ema", FrequencyResponses(lines, values, kind, window=0.0))  # type: ignore[arg-type]
+    answer = modes("ema", FrequencyResponses(lines, values, kind, window=0.0))
     assert [mode.frequency for mode in answer.modes] == pytest.approx(FREQUENCIES, rel=1e-4)
     assert [mode.damping_ratio for mode in answer.modes] == pytest.approx(RATIOS, rel=1e-2)
     np.testing.assert_allclose(np.transpose([mode.shape for mode in answer.modes]), SHAPES, atol=0.01)

@@ -43,7 +43,6 @@ def test_noise_that_turns_the_sign_of_the_fast_pole_is_no_failure(name: str) -> 
     quantity, inside, errors = SDOF().quantity("k_over_m"), 0, []
     for estimate in estimates:
         marginal = estimate.marginal(quantity)
-        assert marginal is not None
         low, high = marginal.interval(0.95)
         inside += low <= SLOW * FAST <= high
         errors.append(np.log(marginal.value / (SLOW * FAST)))

@@ -83,13 +83,14 @@ def test_a_sum_that_the_likelihood_does_not_support_changes_nothing(constant) ->
 def test_under_a_known_force_the_noise_is_learned_from_all_samples(constant) -> None:
     made = scenario(samples=1200)
     ratios = []
-    for replicate in range(6):
+    for replicate in range(3):
         stream = made.stream(0, replicate)
         tracker = make_online("cusum").start(stream.layout)
         for sample in stream.samples():
             tracker.update(sample)
         ratios.append(np.log(tracker.sigma[0] / stream.truth.sigma[0]))
-    assert np.sqrt(np.mean(np.square(ratios))) < 1.7 / np.sqrt(2 * 1200)  # 150 samples alone: 2.8 times that
+    # of three: the quantile of 0.999 of chi, 2.3; 150 samples alone: 2.8
+    assert np.sqrt(np.mean(np.square(ratios))) < 2.3 / np.sqrt(2 * 1200)
 
 
 @pytest.mark.slow
@@ -102,8 +103,14 @@ def test_under_an_unknown_force_the_groups_are_found() -> None:
         assert abs(errors(stream, path, name)[-1]) < 4 * np.sqrt(bound[name][-1])
 
 
-@pytest.mark.parametrize("name", ["ekf", "change_points", "cusum", "glr", "ar"])
-@pytest.mark.parametrize("kind", ["nan", "gap", "repeated", "spike", "saturation", "jump"])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *((kind, name) for kind in ("nan", "gap", "repeated", "spike", "jump")
+          for name in ("ekf", "change_points", "cusum", "glr", "ar")),
+        ("saturation", "ar"), pytest.param("saturation", "ekf", marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_a_filter_recovers_from_a_fault(kind, name, constant) -> None:
     _, stream, bound = constant
     layout = stream.layout
@@ -139,7 +146,7 @@ def test_a_step_that_raises_costs_its_sample_alone(constant) -> None:
 
 
 @pytest.mark.parametrize("name", ["change_points", "glr"])
-@pytest.mark.parametrize("place", range(250, 258))
+@pytest.mark.parametrize("place", [250, 253, 257])
 def test_a_jump_is_not_taken_for_a_change_by_a_hypothesis_that_was_just_born(place, name, constant) -> None:
     _, stream, bound = constant
     tracker, sigma = make_online(name).start(stream.layout), stream.truth.sigma[0]
@@ -164,18 +171,15 @@ def test_a_jump_of_the_sensors_zero_hardly_moves_what_is_found_behind_it(name, c
     assert name == "rls" or "sensor_jump" in statuses
 
 
-def test_no_equation_of_recursive_least_squares_reaches_across_a_jump(constant) -> None:
-    _, stream, _ = constant
-    trackers = [make_online("rls").start(stream.layout) for _ in range(13)]
-    for i, sample in enumerate(stream.samples()):
-        for place, tracker in enumerate(trackers, 250):  # the first: without a jump
-            value = sample.values[0] + (20 * stream.truth.sigma[0] if i >= place > 250 else 0.0)
-            tracker.update(dataclasses.replace(sample, values=(value,)))
-    plain, *jumping = (tracker._distribution() for tracker in trackers)
-    off = [(distribution.mean - plain.mean) / np.sqrt(np.diag(plain.covariance)) for distribution in jumping]
-    assert np.sqrt(np.mean(np.square(off))) < 1.0
+def blown(seed: int, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Acceleration at 250 Hz of 4 s at 25 Hz, then of 4 s behind a blow and a factor of the stiffness; frequencies."""
+    rng, frequency = np.random.default_rng(seed), 25.0 * np.repeat([1.0, np.sqrt(factor)], 1000)
+    phase, time = 2.0 * np.pi * np.cumsum(frequency) / 250.0, np.tile(np.arange(1000), 2) / 250.0
+    values = np.repeat([1.0, 1.5], 1000) * np.exp(-0.5 * time) * np.cos(phase + np.repeat([0.0, 1.0], 1000))
+    return values + 0.02 * rng.standard_normal(2000), frequency
 
 
+@pytest.mark.slow
 def test_where_nothing_moves_the_status_says_so() -> None:
     time = np.arange(2400) / 12.0
     motion = np.exp(-0.2 * time) * np.cos(4.0 * time)
@@ -186,15 +190,9 @@ def test_where_nothing_moves_the_status_says_so() -> None:
     assert set(status[1500:]) == {"at_rest"}
 
 
-def blown(seed: int, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Acceleration at 250 Hz of 4 s at 25 Hz, then of 4 s behind a blow and a factor of the stiffness; frequencies."""
-    rng, frequency = np.random.default_rng(seed), 25.0 * np.repeat([1.0, np.sqrt(factor)], 1000)
-    phase, time = 2.0 * np.pi * np.cumsum(frequency) / 250.0, np.tile(np.arange(1000), 2) / 250.0
-    values = np.repeat([1.0, 1.5], 1000) * np.exp(-0.5 * time) * np.cos(phase + np.repeat([0.0, 1.0], 1000))
-    return values + 0.02 * rng.standard_normal(2000), frequency
-
-
-@pytest.mark.parametrize("name", ["ekf", "ukf", "square_root", "imm"])
+@pytest.mark.parametrize(
+    "name", ["ekf", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ukf", "square_root", "imm"))]
+)
 def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubles_the_stiffness(name) -> None:
     values, frequency = blown(3, 2.0)
     values = values + 9.81  # an accelerometer shows its weight
@@ -215,6 +213,7 @@ def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubl
         )
 
 
+@pytest.mark.slow
 def test_noise_alone_is_no_mode_and_a_lost_mode_is_counted_and_its_interval_widened() -> None:
     layout = Layout(make_system("sdof", {}), (Sensor("acceleration"),), 1.0 / 250.0)
     tracker, noise = make_online("ekf").start(layout), np.random.default_rng(8).standard_normal(450)

@@ -20,7 +20,7 @@ PRIOR = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5})
 
 
 def scenario(snr: float, **changes: object) -> Scenario:
-    return replace(Scenario("sdof", PLANT, ((0.8,), (0.5,)), snr, prior=PRIOR), **changes)  # type: ignore[arg-type]
+    return replace(Scenario("sdof", PLANT, ((0.8,), (0.5,)), snr, prior=PRIOR), **changes)
 
 
 def groups(problem: Problem, method: LS) -> Normal:
@@ -74,7 +74,7 @@ def test_spline_recovers_dense_and_nearly_noise_free_samples() -> None:
 def test_spline_beats_finite_differences_on_few_samples() -> None:
     problems = [p for p, _ in scenario(30).replicates(9, 12)]
     error = {
-        d: np.sqrt(np.mean([(groups(p, LS(d, bootstrap=8)).mean[0] / (9.0 / 1.3) - 1) ** 2 for p in problems]))  # type: ignore[arg-type]
+        d: np.sqrt(np.mean([(groups(p, LS(d, bootstrap=8)).mean[0] / (9.0 / 1.3) - 1) ** 2 for p in problems]))
         for d in ("finite", "spline")
     }
     assert error["finite"] > 0.08
@@ -83,7 +83,7 @@ def test_spline_beats_finite_differences_on_few_samples() -> None:
 
 @pytest.mark.parametrize("derivative", ["finite", "spline"])
 def test_the_bootstrap_covariance_is_the_spread_over_replicates(derivative: str) -> None:
-    fits = [groups(p, LS(derivative)) for p, _ in scenario(20).replicates(21, 60)]  # type: ignore[arg-type]
+    fits = [groups(p, LS(derivative)) for p, _ in scenario(20).replicates(21, 60)]
     spread = np.std([fit.mean for fit in fits], axis=0)
     known = np.median([np.sqrt(np.diag(fit.covariance)) for fit in fits if fit.covariance is not None], axis=0)
     np.testing.assert_allclose(known, spread, rtol=0.4)
@@ -132,7 +132,7 @@ def test_likelihood_finds_the_noise_of_a_well_sampled_vibration() -> None:
 def test_with_a_force_all_parameters_come_out(derivative: str) -> None:
     forced = scenario(50, samples=120, prior=None, force=ForceSpec(3.0, 0.1, 1.0))
     problem, _ = forced.replicates(5, 1)[0]
-    distribution = LS(derivative).identify(problem, np.random.default_rng(0)).parameters  # type: ignore[arg-type]
+    distribution = LS(derivative).identify(problem, np.random.default_rng(0)).parameters
     assert isinstance(distribution, Normal)
     assert distribution.log
     tolerance = {"finite": 0.3, "spline": 0.03}[derivative]
@@ -165,7 +165,7 @@ def test_an_unknown_offset_changes_nothing() -> None:
         return Problem(SDOF(), (Record((replace(channel, values=channel.values + by, offset=True),)),))
 
     for derivative in ("finite", "spline"):
-        here, there = (groups(shifted(by), LS(derivative)) for by in (0.0, 0.7))  # type: ignore[arg-type]
+        here, there = (groups(shifted(by), LS(derivative)) for by in (0.0, 0.7))
         np.testing.assert_allclose(there.mean, here.mean, rtol=1e-6)
 
 

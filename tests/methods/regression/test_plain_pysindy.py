@@ -14,8 +14,8 @@ pytest.importorskip("pysindy")
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 
 
-def estimated(samples: int, system: str = "sdof", parameters: dict[str, float] = PLANT, **changes: object):  # type: ignore[no-untyped-def]
-    scenario = Scenario(system, parameters, ((0.9,), (0.4,)), 140.0, samples=samples, **changes)  # type: ignore[arg-type]
+def estimated(samples: int, system: str = "sdof", parameters: dict[str, float] = PLANT, **changes: object):
+    scenario = Scenario(system, parameters, ((0.9,), (0.4,)), 140.0, samples=samples, **changes)
     return PlainPySINDy().identify(scenario.replicates(2, 1)[0][0], np.random.default_rng(0))
 
 

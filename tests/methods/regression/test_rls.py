@@ -34,8 +34,6 @@ def test_it_is_the_filter_of_padasip(forgetting: float) -> None:
 def test_without_forgetting_it_ends_at_batch_least_squares() -> None:
     for problem, _ in SCENARIO.replicates(3, 4):
         batch, recursive = LS().identify(problem, rng()).groups, RLS(forgetting=1.0).identify(problem, rng()).groups
-        assert batch is not None
-        assert recursive is not None
         np.testing.assert_allclose(recursive.mean, batch.mean, rtol=1e-6)
         np.testing.assert_allclose(recursive.covariance, batch.covariance, rtol=1e-4)
 
@@ -66,7 +64,6 @@ def test_its_rounding_does_not_grow_with_the_diffuse_start() -> None:
 def test_the_trajectory_is_kept_in_the_units_of_the_problem() -> None:
     problem, _ = SCENARIO.replicates(3, 1)[0]
     estimate = RLS().identify(problem, rng())
-    assert estimate.groups is not None
     trajectory, times = estimate.traces["trajectory"], estimate.traces["trajectory_times"]
     assert trajectory.shape == (23, 2)
     np.testing.assert_allclose(trajectory[-1], estimate.groups.mean, rtol=1e-12)

@@ -43,7 +43,7 @@ def problem(seed: int) -> Problem:
 
 
 def sample(seed: int, likelihood: str) -> Estimate:
-    estimate = MCMC(likelihood=likelihood).identify(problem(seed), np.random.default_rng(seed))  # type: ignore[arg-type]
+    estimate = MCMC(likelihood=likelihood).identify(problem(seed), np.random.default_rng(seed))
     assert estimate.status is Status.OK, estimate.message
     return estimate
 
@@ -57,7 +57,6 @@ def test_value_and_spread_are_those_of_generalised_least_squares() -> None:
     computed = sample(1, "autoregressive")
     for i, name in enumerate(TRUE):
         marginal = computed.marginal(SYSTEM.quantity(name))
-        assert marginal is not None
         low, high = marginal.interval(0.95)
         deviation = np.sqrt(covariance[i, i])
         assert (high - low) / 3.92 == pytest.approx(deviation, rel=0.2)
@@ -71,7 +70,6 @@ def test_its_intervals_hold_the_truth_and_those_of_white_errors_do_not() -> None
     for seed in range(40):
         for likelihood in covered:
             marginal = sample(seed, likelihood).marginal(SYSTEM.quantity("c_over_m"))
-            assert marginal is not None
             low, high = marginal.interval(0.95)
             covered[likelihood] += low <= TRUE["c_over_m"] <= high
     assert covered["autoregressive"] >= binom.ppf(0.001, 40, 0.95)

@@ -122,5 +122,4 @@ def test_modes_are_those_of_the_search_by_differences(arguments: list[str]) -> N
         assert modes[0][0] == pytest.approx(value, abs=0.01)
         predicted, slopes = model.jacobian(theta)
         covariance = model.covariance(slopes, model.noise(model.data - predicted, 0.0), 3.0)
-        assert covariance is not None
         assert np.all(np.abs(modes[0][1] - theta) < 0.03 * np.sqrt(np.diag(covariance)))

@@ -39,7 +39,6 @@ def answer(method: str, problem: Problem) -> Estimate:
 
 
 def damped_rate(estimate: Estimate) -> float:
-    assert estimate.parameters is not None
     p = estimate.parameters.values()
     return float(np.sqrt(p["k"] / p["m"] - (p["c"] / p["m"] / 2) ** 2))
 
@@ -54,7 +53,6 @@ def test_a_searching_method_names_the_alias_that_fits_as_well(method: str) -> No
     assert estimate.weight + sum(part.weight for part in estimate.alternatives) == pytest.approx(1.0)
     assert "Hz (" in estimate.message
     marginal = estimate.marginal(estimate.system.quantity("natural_frequency"))
-    assert marginal is not None
     pieces = marginal.intervals(0.95)
     assert len(pieces) == 2
     assert any(low <= 1.3 <= high for low, high in pieces)
@@ -71,7 +69,6 @@ def test_the_weights_are_those_of_the_prior_and_of_the_volumes() -> None:
     problem = sampled(nominal_hz=1.02)
     estimate = answer("shooting", problem)
     (other,) = estimate.alternatives
-    assert problem.prior is not None
     nominal = np.log(problem.prior.nominal["k"])
     logs = [np.log(MASS * (damped_rate(part) ** 2 + DECAY**2)) for part in (estimate, other)]
     odds = np.exp(0.5 * ((logs[1] - nominal) ** 2 - (logs[0] - nominal) ** 2) / (0.3**2 + 0.02**2))

@@ -34,8 +34,3 @@ def test_an_alias_is_kept_only_where_it_is_far_more_probable() -> None:
     assert distinct_minima(model, np.array([0.0, 5.0]), thetas) == [1]
     assert distinct_minima(model, np.array([0.0, 7.0]), thetas) == [0, 1]
     assert distinct_minima(model, np.array([0.0]), thetas[:1]) == [0]
-
-
-def test_nothing_is_kept_of_nothing() -> None:
-    model, thetas = ends(3.0)
-    assert distinct_minima(model, np.array([np.nan]), thetas) == []

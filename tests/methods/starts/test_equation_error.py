@@ -101,7 +101,7 @@ def test_steps_keep_the_error_that_they_are_asked_for() -> None:
     times = np.linspace(0.0, 40.0, 81)
     record = Record((Channel(times, np.zeros(81)),), (), InitialState([1.0], [0.0]))
     for allowed in (1e-3, 1e-5):
-        computed = integrated_readings(Duffing(), p, record.initial_state, record, radians_a_step(allowed, 40.0))  # type: ignore[arg-type]
+        computed = integrated_readings(Duffing(), p, record.initial_state, record, radians_a_step(allowed, 40.0))
         assert 0.05 * allowed < float(np.max(np.abs(computed - np.cos(times)))) < 1.5 * allowed
 
 

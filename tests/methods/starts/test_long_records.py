@@ -41,8 +41,6 @@ def test_shooting_takes_a_long_record_and_its_interval_holds_the_truth() -> None
     problem = Problem(SDOF(), (Record((decay(20_000, 700.0, 0.0002, 0.3),)),))
     answer = Shooting().identify(problem, np.random.default_rng(0))
     w, groups = 2 * np.pi * 35.0, answer.groups
-    assert groups is not None
-    assert groups.covariance is not None
     for i, truth in enumerate((2 * 0.0002 * w, w**2)):
         point = groups.names.index(("c_over_m", "k_over_m")[i])
         assert abs(groups.mean[point] - truth) < 4 * np.sqrt(groups.covariance[point, point])

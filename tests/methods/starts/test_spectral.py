@@ -31,7 +31,6 @@ def test_of_two_frequencies_through_the_same_samples_the_prior_says_which(nomina
     nearer = min((FAST, SLOW), key=lambda rate: abs(np.log(rate / nominal)))
     problem = coarse(nominal**2)
     marginal = Shooting().identify(problem, np.random.default_rng(0)).marginal(problem.system.quantity("k_over_m"))
-    assert marginal is not None
     assert marginal.value == pytest.approx(nearer**2, rel=0.01)
 
 
@@ -57,9 +56,7 @@ def test_500_cycles_leave_the_scale_to_the_prior() -> None:
     sds = {"m": 0.02, "c": 1.0, "k": 0.5}
     problem = Problem(system, (Record((Channel(times, clean),), initial_state=start),), Prior(p, sds))
     model = OutputError(problem.expressed_in(problem.natural_units()))
-    assert model.prior is not None
     _, slopes = model.jacobian(model.prior.log_mean)
     covariance = model.covariance(slopes, 1e-3 * model.rms)
-    assert covariance is not None
     expected = sum(sd**-2 for sd in sds.values()) ** -0.5
     assert np.sqrt(np.diag(covariance)) == pytest.approx([expected] * 3, rel=0.02)

@@ -39,10 +39,8 @@ def test_certified_digits(method: Identifier) -> None:
     channel = Channel(10.0 * np.arange(READINGS.size), READINGS, offset=True)
     problem = Problem(SDOF(), (Record((channel,)),))
     estimate = method.identify(problem, np.random.default_rng(0))
-    assert estimate.groups is not None
     for name, certified in (("k_over_m", B4 * B5), ("c_over_m", B4 + B5)):
         marginal = estimate.marginal(problem.system.quantity(name))
-        assert marginal is not None
         assert marginal.value == pytest.approx(certified, rel=DIGITS), name
     assert estimate.offsets == pytest.approx((B1,), rel=DIGITS)
     assert estimate.groups.dof == pytest.approx(DEGREES_OF_FREEDOM, abs=1e-6)

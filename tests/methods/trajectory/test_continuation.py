@@ -35,7 +35,6 @@ def test_a_motion_that_sticks_tells_its_friction(terms: tuple[str, ...]) -> None
     def interval(name: str) -> tuple[float, float, float]:
         quantity: Quantity = problem.system.quantity(name)
         marginal = estimate.marginal(quantity)
-        assert marginal is not None
         return (marginal.value, *marginal.interval(0.95))
 
     assert interval("k_over_m")[0] == pytest.approx(K, rel=1e-3)

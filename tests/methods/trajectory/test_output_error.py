@@ -26,12 +26,12 @@ START = InitialState(np.array([0.8]), np.array([0.5]))
 
 
 def fit(problem: Problem, **settings: object) -> Estimate:
-    return SingleShooting(**settings).identify(problem, np.random.default_rng(0))  # type: ignore[arg-type]
+    return SingleShooting(**settings).identify(problem, np.random.default_rng(0))
 
 
 def scenario(snr: float, **changes: object) -> Scenario:
     given = {"system": "sdof", "parameters": TRUE, "initial": ((0.8,), (0.5,)), "prior": NOMINAL, **changes}
-    return Scenario(snr_db=snr, **given)  # type: ignore[arg-type]
+    return Scenario(snr_db=snr, **given)
 
 
 def value(estimate: Estimate, system: System, name: str) -> float:
@@ -65,8 +65,6 @@ def test_from_near_it_ends_where_the_oracle_does(initial_state: str, snr: float)
         mine, oracle = fit(problem), oracle_estimate(problem, truth)
         for quantity in problem.system.quantities:
             own_error, reference = mine.marginal(quantity), oracle.marginal(quantity)
-            assert own_error is not None
-            assert reference is not None
             low, high = reference.interval(0.6827)
             assert abs(own_error.value - reference.value) < 0.01 * (high - low) / 2, quantity.name
             assert np.ptp(own_error.interval(0.95)) == pytest.approx(np.ptp(reference.interval(0.95)), rel=0.02)
@@ -74,7 +72,6 @@ def test_from_near_it_ends_where_the_oracle_does(initial_state: str, snr: float)
 
 def test_a_cold_start_is_the_prior_or_of_unit_size() -> None:
     problem, _ = scenario(20.0).replicates(3, 1)[0]
-    assert problem.prior is not None
     assert cold_start(problem) == problem.prior.nominal
     assert cold_start(Problem(problem.system, problem.records)) == {"m": 1.0, "c": 1.0, "k": 1.0}
 
@@ -133,8 +130,6 @@ def test_it_ends_where_multiple_shooting_does(snr: float, changes: dict[str, obj
         compared += 1
         for name in ("k_over_m", "c_over_m"):
             first, other = (e.marginal(problem.system.quantity(name)) for e in (mine, reference))
-            assert first is not None
-            assert other is not None
             low, high = other.interval(0.6827)
             assert abs(first.value - other.value) < 0.02 * (high - low), name
     assert compared >= 5
@@ -148,7 +143,7 @@ def test_it_ends_where_multiple_shooting_does(snr: float, changes: dict[str, obj
     ],
     ids=["chain", "duffing"],
 )
-def test_other_systems_from_clean_data(system: System, p: dict[str, float], start: tuple) -> None:  # type: ignore[type-arg]
+def test_other_systems_from_clean_data(system: System, p: dict[str, float], start: tuple) -> None:
     """From nominal values a few percent off, with the start told: ratios to the truth within a thousandth."""
     times, state = np.linspace(0.0, 6.0, 40), InitialState(*map(np.array, start))
     channels = tuple(Channel(times, times, dof=i) for i in range(system.n_dof))
@@ -185,7 +180,6 @@ def test_a_search_stops_at_its_last_evaluation() -> None:
 
 def test_a_problem_without_a_response_spoils_no_other() -> None:
     good = many(20.0, 2)
-    assert good[0].prior is not None
     endless = Prior({**good[0].prior.nominal, "c": 1e200}, good[0].prior.log_sd)
     bad = Problem(good[0].system, good[0].records, endless)
     estimates = SingleShooting(cold=True).identify_many([good[0], bad, good[1]], [np.random.default_rng(0)] * 3)

@@ -32,8 +32,8 @@ class Programme(Shooting):
 def fit(problem: Problem, **settings: object) -> Estimate:
     """The answer of the programme; the one of linear systems together must be the same, to a part of its interval."""
     rng = np.random.default_rng(0)
-    estimate = Programme(**settings).identify(problem, rng)  # type: ignore[arg-type]
-    other = Shooting(**settings).identify(problem, rng)  # type: ignore[arg-type]
+    estimate = Programme(**settings).identify(problem, rng)
+    other = Shooting(**settings).identify(problem, rng)
     assert other.status is estimate.status
     for quantity in problem.system.quantities if estimate.message != WIDE_PRIOR else ():
         first, two = estimate.marginal(quantity), other.marginal(quantity)
@@ -51,7 +51,7 @@ def fit(problem: Problem, **settings: object) -> Estimate:
 
 def scenario(snr: float, **changes: object) -> Scenario:
     given = {"system": "sdof", "parameters": TRUE, "initial": ((0.8,), (0.5,)), "prior": NOMINAL, **changes}
-    return Scenario(snr_db=snr, **given)  # type: ignore[arg-type]
+    return Scenario(snr_db=snr, **given)
 
 
 def value(estimate: Estimate, system: System, name: str) -> float:
@@ -88,11 +88,10 @@ def test_data_almost_without_noise_give_the_groups_to_one_part_in_100000(initial
 
 def test_the_mass_comes_from_the_prior_alone() -> None:
     problem, _ = scenario(120.0).replicates(0, 1)[0]
-    assert problem.prior is not None
     estimate = fit(problem)
     shift = np.log(value(estimate, problem.system, "m") / problem.prior.nominal["m"]) / problem.prior.log_sd["m"]
     assert abs(shift) < 0.2
-    interval = estimate.marginal(problem.system.quantity("m")).interval(0.95)  # type: ignore[union-attr]
+    interval = estimate.marginal(problem.system.quantity("m")).interval(0.95)
     assert np.log(interval[1] / interval[0]) == pytest.approx(4 * 0.02, rel=0.15)
 
 
@@ -115,7 +114,7 @@ def test_it_needs_no_hint_of_the_frequency(parameters: dict[str, float]) -> None
 @pytest.mark.parametrize("hold", ["linear", "zero_order"])
 @pytest.mark.parametrize("initial_state", ["known", "unknown"])
 def test_a_known_force_tells_mass_damping_and_stiffness(hold: str, initial_state: str) -> None:
-    push = ForceSpec(3.0, 0.1, 1.0, samples=101, hold=hold)  # type: ignore[arg-type]
+    push = ForceSpec(3.0, 0.1, 1.0, samples=101, hold=hold)
     problem, _ = scenario(120.0, prior=None, force=push, initial_state=initial_state, samples=50).replicates(0, 1)[0]
     estimate = fit(problem)
     for name, true in TRUE.items():
@@ -133,7 +132,6 @@ def test_two_records_share_the_parameters() -> None:
         assert value(estimate, system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=tolerance)
         assert value(estimate, system, "c_over_m") == pytest.approx(0.6 / 1.3, rel=10 * tolerance)
         assert len(estimate.reconstructions) == 2
-        assert estimate.initial_states is not None
         assert estimate.initial_states[1].velocity[0] == pytest.approx(2.0, rel=max(5 * tolerance, 1e-4))
 
 
@@ -142,9 +140,9 @@ def test_other_sensors_and_their_offsets(measures: str) -> None:
     system, times = SDOF(), np.linspace(0, 10, 60)
     estimates = []
     for sigma, tolerance in ((0.0, 1e-5), (0.05, 0.03)):
-        channel = Channel(times, times, measures, offset=True)  # type: ignore[arg-type]
+        channel = Channel(times, times, measures, offset=True)
         record = noisy_record(system, TRUE, START, [channel], sigma, 4, known=False)
-        shifted = Channel(times, record.channels[0].values + 0.7, measures, offset=True)  # type: ignore[arg-type]
+        shifted = Channel(times, record.channels[0].values + 0.7, measures, offset=True)
         estimates.append(fit(Problem(system, (Record((shifted,)),))))
         assert value(estimates[-1], system, "k_over_m") == pytest.approx(9.0 / 1.3, rel=tolerance)
     assert estimates[0].offsets == pytest.approx((0.7,), abs=1e-5)
@@ -154,9 +152,8 @@ def test_displacement_with_acceleration_beats_either() -> None:
     system, times = SDOF(), np.linspace(0, 10, 25)
     widths = []
     for kinds in (("displacement",), ("acceleration",), ("displacement", "acceleration")):
-        record = noisy_record(system, TRUE, START, [Channel(times, times, k) for k in kinds], 0.1, 6, known=True)  # type: ignore[arg-type]
+        record = noisy_record(system, TRUE, START, [Channel(times, times, k) for k in kinds], 0.1, 6, known=True)
         marginal = fit(Problem(system, (record,))).marginal(system.quantity("k_over_m"))
-        assert marginal is not None
         low, high = marginal.interval(0.99)
         widths.append(high - low)
         assert low < 9.0 / 1.3 < high
@@ -199,7 +196,6 @@ def test_intervals_cover_and_errors_match_them() -> None:
         estimate = fit(problem)
         for group in problem.system.groups:
             marginal = estimate.marginal(group)
-            assert marginal is not None
             low, high = marginal.interval(0.6827)
             scores.append((marginal.value - group.value(truth.parameters)) / (0.5 * (high - low)))
     assert 0.6 < np.mean(np.square(scores)) < 1.6
@@ -218,7 +214,7 @@ def test_the_air_track_glider() -> None:
     channel = Channel(rows[:, 1] - rows[0, 1], rows[:, 2], offset=True)
     estimate = fit(Problem(SDOF(), (Record((channel,)),)))
     assert value(estimate, SDOF(), "k_over_m") == pytest.approx(6.2203, rel=0.005)
-    low, high = estimate.marginal(SDOF().quantity("c_over_m")).interval(0.95)  # type: ignore[union-attr]
+    low, high = estimate.marginal(SDOF().quantity("c_over_m")).interval(0.95)
     assert low < 0.01368 < high
 
 
@@ -239,8 +235,8 @@ def test_a_damping_that_the_noise_hides_is_no_failure() -> None:
         record = Record((Channel(times, values),), (force,), start)
         estimate = fit(Problem(SDOF(), (record,)), screen_iterations=iterations)
         assert estimate.parameters is not None, estimate.message
-        m, c, k = np.exp(estimate.parameters.mean)  # type: ignore[union-attr]
-        sd = float(np.sqrt(estimate.parameters.covariance[1, 1]))  # type: ignore[union-attr]
+        m, c, k = np.exp(estimate.parameters.mean)
+        sd = float(np.sqrt(estimate.parameters.covariance[1, 1]))
         assert c * np.exp(-2.0 * sd) < 0.008 < c * np.exp(2.0 * sd)
         assert sd < 3.01
         assert m == pytest.approx(1.0, rel=0.08)
@@ -275,5 +271,5 @@ def test_a_free_decay_without_visible_damping_tells_its_frequency(initial_state:
     computed = Shooting().identify_many(problems, [np.random.default_rng(0)] * len(problems))
     assert all(estimate.status is Status.OK for estimate in computed), {estimate.message for estimate in computed}
     group = SDOF().quantity("k_over_m")
-    errors = [np.log(estimate.marginal(group).value / (9.0 / 1.3)) for estimate in computed]  # type: ignore[union-attr]
+    errors = [np.log(estimate.marginal(group).value / (9.0 / 1.3)) for estimate in computed]
     assert np.max(np.abs(errors)) < 4.0 * bound

@@ -46,7 +46,7 @@ def errors(estimate: Estimate, p: dict[str, float]) -> np.ndarray:
     """Relative errors of the parameters."""
     assert estimate.status is Status.OK, estimate.message
     computed = [estimate.marginal(estimate.system.quantity(name)) for name in p]
-    return np.array([f.value / p[name] - 1 for f, name in zip(computed, p, strict=True)])  # type: ignore[union-attr]
+    return np.array([f.value / p[name] - 1 for f, name in zip(computed, p, strict=True)])
 
 
 @pytest.mark.parametrize(("hold", "least", "most"), [("cubic", 0.0, 1e-5), ("linear", 1e-2, np.inf)])

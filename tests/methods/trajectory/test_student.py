@@ -22,7 +22,7 @@ TRUE = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 
 def problems(n: int, **changes: object) -> list[Problem]:
     given = {"system": "sdof", "parameters": TRUE, "initial": ((0.8,), (0.5,)), "prior": NOMINAL, **changes}
-    return [problem for problem, _ in Scenario(snr_db=20.0, **given).replicates(21, n)]  # type: ignore[arg-type]
+    return [problem for problem, _ in Scenario(snr_db=20.0, **given).replicates(21, n)]
 
 
 def struck(problem: Problem, place: int, by: float) -> Problem:
@@ -39,7 +39,6 @@ def value(method: Shooting, problem: Problem, name: str = "k_over_m") -> tuple[f
     estimate = method.identify(problem, np.random.default_rng(0))
     assert estimate.status is Status.OK, estimate.message
     marginal = estimate.marginal(problem.system.quantity(name))
-    assert marginal is not None
     low, high = marginal.interval(0.6827)
     return marginal.value, (high - low) / 2
 
