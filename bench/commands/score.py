@@ -20,7 +20,7 @@ def score(
     round: Annotated[Path, Bare(), "folder of the round"],
     secret: Annotated[Path | None, "folder of seed and truth, if the round is not yet opened"] = None,
     name: Annotated[str | None, "name of the method [that of the file]"] = None,
-    out: Annotated[Path | None, "folder of score.html, a page, and score.md, a line to cite"] = None,
+    out: Annotated[Path | None, "folder of score.md: a line to cite, the tables, and what they are of"] = None,
 ) -> int:
     """Score a file of predictions of a round, and compare it with those in the folder methods of seed and truth.
 
@@ -69,8 +69,8 @@ def score(
         "SHA-256 of the predictions": hashlib.sha256(predictions.read_bytes()).hexdigest(),
         "Version of vibration-bench": __version__,
     }  # fmt: skip
-    pages = {out / "score.html": report.page(line, origin), out / "score.md": f"{line}\n"} if out else {}
-    for path, text in pages.items():
-        write(path, text, out)
-    print(report.text(), line, "\n".join(map(str, pages)), sep="\n\n")
+    print(report.text(), line, sep="\n\n")
+    if out:
+        write(out / "score.md", report.page(line, origin), out)
+        print(f"\n{out / 'score.md'}")
     return 0

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench import __version__
-from bench.reporting.answer import Grid
-from bench.reporting.certificate.template import rendered
 from bench.reporting.labels import title
 from bench.reporting.ranking import CAP, ON_BOUND, Ranked, log_sizes, ranked
 from bench.reporting.rounding import answered, excess_text, number, percent, percent_between
+from bench.reporting.tables.render import markdown_table
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.verdict import below
 from bench.rounds.scoring import DISTURBED, MOST_SCORE, RoundScores, summarise_rows
@@ -51,18 +50,18 @@ ALONE = "no method to compare with: python -m bench round solve --help"
 
 @dataclass(frozen=True)
 class RoundReport:
-    """Report on predictions: the answer in one line, sentences, and two tables."""
+    """Report on predictions: the answer in one line, sentences, and the rows of two tables."""
 
     name: str
     answer: str
     sentences: list[str]
-    kinds: Grid
-    ranking: Grid
+    kinds: list[list[str]]
+    ranking: list[list[str]]
 
     @property
     def compared(self) -> bool:
         """Whether other methods are in the ranking."""
-        return "" in self.ranking.classes
+        return any(row[1] != title(self.name) for row in self.ranking)
 
     def line(self, round_name: str, commitment: str) -> str:
         """Return a line of Markdown for citation."""
@@ -72,14 +71,19 @@ class RoundReport:
     def text(self) -> str:
         """Return the report for a terminal."""
         head = "\n".join([wrapped(f"{self.name}: {self.answer}"), *map(wrapped, self.sentences)])
-        ranking = table(self.ranking.rows, RANKING, (0, 1)) if self.compared else ALONE
-        tables = table(self.kinds.rows, KINDS), ranking
+        ranking = table(self.ranking, RANKING, (0, 1)) if self.compared else ALONE
+        tables = table(self.kinds, KINDS), ranking
         legend = [f"{name}: {LEGEND[name]}" for name in ("error over bound", "tier", "interval score")]
         return "\n\n".join([head, *tables, "\n".join(map(wrapped, legend))])
 
     def page(self, line: str, origin: Mapping[str, str]) -> str:
-        """Return the report as a page; ``origin`` names the predictions and the round."""
-        return rendered("score.html.j2", report=self, line=line, origin=origin, legend=LEGEND, alone=ALONE)
+        """Return the report in Markdown, the line to cite first; ``origin`` names the predictions and the round."""
+        kinds, ranking = (
+            markdown_table([[text.replace("|", r"\|") for text in row] for row in rows], headings)
+            for rows, headings in ((self.kinds, KINDS), (self.ranking, RANKING))
+        )
+        legend, facts = ("\n".join(f"- {name}: {text}" for name, text in of.items()) for of in (LEGEND, origin))
+        return "\n\n".join([line, kinds, ranking if self.compared else ALONE, legend, facts]) + "\n"
 
 
 def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
@@ -103,12 +107,11 @@ def round_report(name: str, scored: Mapping[str, pd.DataFrame]) -> RoundReport:
 
     shown = [_kind_row(kind, places([kind]).get(name), rows[rows["kind"] == kind]) for kind in kinds]
     every, exact = places(kinds), places([kind for kind in kinds if kind not in DISTURBED]).get(name)
-    marks = ["level" if label == name else "" for label in every]
-    ranking = Grid(RANKING, [_ranking_row(place) for place in every.values()], marks)
+    ranking = [_ranking_row(place) for place in every.values()]
     sentences = _sentences(summarise_rows(rows))
     if exact and exact.too_good:
         sentences.append(f"Errors are {below([name])}.")
-    by_kind = Grid(KINDS, [*shown, _kind_row("all", every.get(name), rows)])
+    by_kind = [*shown, _kind_row("all", every.get(name), rows)]
     return RoundReport(name, _answer(name, every), sentences, by_kind, ranking)
 
 

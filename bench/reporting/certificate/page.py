@@ -20,7 +20,6 @@ from bench.reporting.answer import (
     values_table,
 )
 from bench.reporting.certificate.pictures import pictures
-from bench.reporting.certificate.template import rendered
 from bench.reporting.rounding import number, readable
 from bench.scoring.statistics import wilson_interval
 
@@ -30,8 +29,13 @@ MARKS = {"primary": "level", "off": "off"}
 
 def page(shown: Mapping[str, Any]) -> str:
     """Return the page of a certificate's contents, of :func:`bench.reporting.certificate.contents.contents`."""
-    return rendered(
-        "certificate.html.j2",
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    templates = Environment(
+        loader=PackageLoader("bench.reporting.certificate", "."), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    text = templates.get_template("certificate.html.j2").render(
         shown=shown,
         meaning=MEANING,
         silent=_silent(shown["methods"]),
@@ -48,6 +52,7 @@ def page(shown: Mapping[str, Any]) -> str:
         what_if=_what_if(shown["what_if"]),
         facts=_facts(shown),
     )
+    return f"{text}\n"
 
 
 def _classes(classes: Sequence[Mapping[str, Any]]) -> Grid:

@@ -13,10 +13,11 @@ import numpy as np
 
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
-from bench.reporting.page.charts import forest, scenario_data
+from bench.reporting.page.charts import scenario_data
 from bench.reporting.page.reading import ScenarioPanel
-from bench.reporting.page.words import USUAL_DB, decibels, heading, number, seconds, system_words
+from bench.reporting.page.words import USUAL_DB, decibels, heading, system_words
 from bench.reporting.ranking import first_tier, median_time
+from bench.reporting.rounding import number, time_text
 from bench.scoring.summary import outlier_fits
 from bench.store.stored_cell import unmarked
 
@@ -43,8 +44,6 @@ def data_files(site: Any) -> Iterator[tuple[str, bytes]]:
     yield "data/board.js", called("board", board(site.panels, site.methods))
     for panel in site.panels:
         yield f"scenarios/{panel.slug}.js", called("scenario", {"slug": panel.slug, **scenario_data(panel)})
-    if site.advice:
-        yield "data/home.js", called("draw", {"forest": forest(site.advice[0])})
 
 
 def called(function: str, value: Any) -> bytes:
@@ -80,7 +79,7 @@ def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[d
         column("95 %", lines, interval, lambda ends: f"{number(ends[0])} to {number(ends[1])}"),
         column("Outliers", lines, outlier_share, lambda share: f"{share:g} %"),
         column("Fits ok", lines, fits, lambda counts: f"{counts[1]}/{counts[2]}"),
-        column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), seconds),
+        column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), time_text),
         column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
                lambda place: f"scenarios/{panels[place].slug}.html"),
         *(column(name, list(map(choices, used)), partial(choice_key, name), itemgetter(1), by="Scenario")

@@ -17,13 +17,12 @@ import numpy as np
 import pandas as pd
 
 from bench.errors import InputError
-from bench.reporting.frame import ERROR, Result, group
+from bench.reporting.frame import ERROR, Result
 from bench.reporting.labels import title
 from bench.reporting.page.reading import ScenarioPanel
-from bench.reporting.page.situations import Advice
-from bench.reporting.page.words import decibels, quantity, seconds
+from bench.reporting.page.words import quantity
 from bench.reporting.pictures.responses import samples_of, simulated
-from bench.reporting.ranking import ON_BOUND, fits_of, within_bound
+from bench.reporting.ranking import fits_of
 
 POINTS = 42
 SMOOTH = {"interpolate": "monotone"}
@@ -33,8 +32,6 @@ MOST_SETS = 100
 MOST_FITS = 2
 MOST_ABOVE = 3.0
 """Largest ratio of a drawn fit's error to the smallest one; larger ones would hide the others."""
-LOWEST, HIGHEST = 0.7, 6.0
-"""Range of errors over the bound in the chart of the home page; points outside are clipped."""
 RECORD = {"sample_times", "sample_values", "sample_dof", "dense_times", "true_displacement"}
 UP = "displacement (m)"
 Spec = dict[str, Any]
@@ -50,48 +47,6 @@ def scenario_data(panel: ScenarioPanel) -> dict[str, Any]:
 def packed(errors: np.ndarray) -> str:
     """Encode errors (n,) as half-precision numbers in base 64."""
     return base64.b64encode(errors.astype("<f2").tobytes()).decode()
-
-
-def forest(advice: Advice) -> Spec:
-    """Chart the typical error over the bound by method and noise level, with tier and time."""
-    by_level = group(advice.results, lambda result: result.snr_db)
-    levels = {snr: fits_of(results) for snr, results in by_level.items()}
-    points: list[dict[str, Any]] = []
-    ranked = [row for row in advice.ranking if row.tier]
-    for row in ranked:
-        time = seconds(advice.seconds[row.label])
-        facts = {"method": title(row.label), "tier": row.tier, "text": f"tier {row.tier}, {time}"}
-        for snr, fits in levels.items():
-            if means := [float(np.mean(within_bound(fit))) for fit in fits[row.label]]:
-                points.append({**facts, "SNR (dB)": decibels(snr), "error": math.exp(float(np.mean(means)))})
-    colours = [decibels(snr) for snr in sorted(levels, reverse=True)]
-    scale = {"type": "log", "domain": [LOWEST, HIGHEST], "nice": False}
-    axis = {"values": [1, 1.5, 2, 3, 5], "grid": True}
-    across = {"type": "quantitative", "scale": scale, "axis": axis, "title": "error over the bound (log scale)"}
-    x = {**across, "field": "error"}
-    y = {"field": "method", "type": "nominal", "sort": [title(row.label) for row in ranked], "title": None}
-    ends = {"x": {**x, "aggregate": "min"}, "x2": {"field": "error", "aggregate": "max"}}
-    legend = {"title": "SNR (dB)", "titleOrient": "left", "direction": "horizontal"}
-    shade = {"scheme": {"name": "viridis", "extent": [0.25, 1]}, "domain": colours, "reverse": True}
-    colour = {"field": "SNR (dB)", "type": "ordinal", "scale": shade, "legend": legend}
-    later = {"x": {"datum": LOWEST, "type": "quantitative", "scale": scale}, "x2": {"datum": HIGHEST}}
-    return {
-        "height": {"step": 19},
-        "data": inline(points),
-        "encoding": {"y": y},
-        "layer": [
-            {"transform": [{"filter": "datum.tier > 1"}, {"aggregate": [], "groupby": ["method"]}],
-             "mark": {"type": "bar", "style": "region", "height": 18, "aria": False}, "encoding": later},
-            {"data": {"values": [{}]}, "mark": {"type": "rule", "style": "ink", "aria": False},
-             "encoding": {"x": {**across, "datum": ON_BOUND}, "y": None}},
-            {"mark": {"type": "rule", "style": "quiet", "clip": True, "aria": False}, "encoding": ends},
-            {"mark": {"type": "point", "filled": True, "size": 62, "opacity": 1, "clip": True, "tooltip": True},
-             "encoding": {"x": x, "color": colour, "tooltip": tips("method", "SNR (dB)", "error")}},
-            {"transform": [{"aggregate": [], "groupby": ["method", "text"]}],
-             "mark": {"type": "text", "align": "left", "dx": 6},
-             "encoding": {"text": {"field": "text"}, "x": {"value": "width"}}},
-        ],
-    }  # fmt: skip
 
 
 def inline(rows: Any) -> Spec:

@@ -11,7 +11,7 @@ from bench.errors import InputError
 from bench.reporting.frame import ERROR
 from bench.reporting.labels import card_of
 from bench.reporting.page.reading import ScenarioPanel
-from bench.reporting.page.words import USUAL_DB, decibels, number, percent, quantity
+from bench.reporting.page.words import USUAL_DB, decibels, percent, quantity
 from bench.reporting.ranking import Ranked
 from bench.reporting.tables.pooling import pooled_quantities
 from bench.store.stored_cell import unmarked
@@ -45,8 +45,8 @@ def bound(panels: Sequence[ScenarioPanel]) -> str:
     medians = {name: float(np.median(values)) for name, values in bounds.items()}
     if not np.isfinite(list(medians.values())).all():
         return ""
-    few = ", ".join(f"{name} {number(value, 2)} %" for name, value in medians.items())
-    many = f"{len(medians)} quantities, {between(list(medians.values()), lambda value: number(value, 2))} %"
+    few = ", ".join(f"{name} {value:.2g} %" for name, value in medians.items())
+    many = f"{len(medians)} quantities, {between(list(medians.values()), '{:.2g}'.format)} %"
     return f"{few if len(medians) <= FEW else many} at {decibels(level)} dB" if medians else ""
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from bench.reporting import rounding
 from bench.reporting.page import home, words
 
 
@@ -37,6 +38,6 @@ def _templates() -> Any:
         loader=PackageLoader("bench.reporting.page"), autoescape=True, undefined=StrictUndefined, finalize=escaped,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    functions = {**vars(words), **vars(home)}
+    functions = {**vars(rounding), **vars(home), **vars(words)}
     templates.filters |= {name: function for name, function in functions.items() if callable(function)}
     return templates

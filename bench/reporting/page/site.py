@@ -276,12 +276,10 @@ def pictures(folder: Path) -> list[dict[str, Any]]:
 
 
 def trust_values(site: Site) -> dict[str, Any]:
-    """Return the values of "Can I trust this?": provenance, stale and missing cells, and failed fits."""
+    """Return the values of "Can I trust this?": stale cells, and failed fits."""
     cells, shown = origin.cells_of(site.reading.stored), [result for panel in site.panels for result in panel.results]
     return {
-        "cells": cells, "commits": origin.commits_here(cells), "hidden": site.reading.hidden,
-        "stale": origin.counted(cells, "changed"), "experiments": origin.experiments(cells),
-        "origins": {name: origin.counted(cells, name) for name in ("commit", "machine", "packages")},
+        "cells": cells, "hidden": site.reading.hidden, "stale": origin.counted(cells, "changed"),
         "failures": origin.not_ok(shown, unsupported=False),
         "unsupported": origin.not_ok(shown, unsupported=True),
     }  # fmt: skip

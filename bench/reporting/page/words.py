@@ -12,7 +12,7 @@ from scipy.stats import beta
 from bench.config.experiment import Experiment
 from bench.reporting.frame import ERROR, Result
 from bench.reporting.ranking import Ranked
-from bench.reporting.rounding import readable
+from bench.reporting.rounding import number, readable
 
 USUAL_DB = 20.0
 """SNR (dB) that is shown first, or the nearest available one."""
@@ -36,26 +36,9 @@ def heading(metric: str) -> str:
     return f"{quantity(metric)} ({'m' if metric == 'rmse' else '%'})"
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Format a number with significant digits; a dash for NaN, ``failed`` for infinity."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "failed"
-    plain = value == 0 or 1e-3 <= abs(value) < 1000
-    return f"{value:.{digits}g}" if plain else f"{value:.{digits - 1}e}"
-
-
 def percent(share: float) -> str:
     """Format a share in percent with two digits."""
     return "–" if math.isnan(share) else "100\u00a0%" if share >= 0.995 else f"{100 * share:.2g}\u00a0%"
-
-
-def seconds(value: float) -> str:
-    """Format a time with its unit."""
-    if math.isnan(value):
-        return "–"
-    return f"{1000 * value:.2g} ms" if value < 0.1 else f"{value:.2g} s" if value < 100 else f"{value:.0f} s"
 
 
 def decibels(snr_db: float) -> str:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from bench.reporting.frame import Line, group
-from bench.reporting.rounding import answered, excess_text, number, percent, readable
-from bench.reporting.tables.render import Panel, Rows, each, files, measured
+from bench.reporting.rounding import answered, excess_text, number, percent
+from bench.reporting.tables.render import Panel, each, files, measured, scenario_sections
 
 COLUMNS = (
     "scenario", "method", "quantity", "excess", "rms_pct", "coverage_pct", "outliers_pct", "right_pct", "wall_ms", "ok",
@@ -29,27 +29,10 @@ excess."""
 
 
 def modal_table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> Mapping[str, str]:
-    """Return the files of the table by name.
-
-    Args:
-        lines: One per scenario, method and quantity; a method without scores on a scenario has a line with a message.
-        described: Descriptions of the scenarios, by name.
-        command: Command that regenerates the table.
-    """
-    parts: list[str | Rows] = [HEAD]
-    captioned: list[tuple[str, Rows]] = []
-    for scenario, sentence in described.items():
-        here = [line for line in lines if line["scenario"] == scenario]
-        scored = in_order([line for line in here if "quantity" in line])
-        rows = SHOWN.rows(scored)
-        captioned += [(f"The modal track: {readable(scenario)}", rows)] if any(rows) else []
-        parts += [f"## {readable(scenario)}", sentence, rows, in_words(scored)]
-        refused = group([line for line in here if "quantity" not in line], lambda line: line["message"])
-        parts += [
-            f"Not applicable: {', '.join(line['method'] for line in members)}: {message}."
-            for message, members in refused.items()
-        ]
-    return files("table12", [*parts, f"Regenerate: `{command}`"], lines, COLUMNS, latex=captioned)
+    """Return the files of the table by name, from the arguments of :func:`scenario_sections`."""
+    sections, shown = scenario_sections(lines, described, SHOWN, in_order, in_words)
+    captioned = [(f"The modal track: {scenario}", rows) for scenario, rows in shown]
+    return files("table12", [HEAD, *sections, f"Regenerate: `{command}`"], lines, COLUMNS, latex=captioned)
 
 
 def larger_excess(lines: Sequence[Line]) -> float:

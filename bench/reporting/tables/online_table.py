@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
 from bench.reporting.frame import Line, group
-from bench.reporting.rounding import answered, excess_text, number, percent, readable
-from bench.reporting.tables.render import MISSING, Panel, Rows, Texts, each, files, measured
+from bench.reporting.rounding import answered, excess_text, number, percent
+from bench.reporting.tables.render import MISSING, Panel, Rows, Texts, each, files, measured, scenario_sections
 
 BEHIND = {f"excess_after_{low}_{high}": f"after {low}-{high}" for low, high in AFTER}
 """Headings of the columns of the excess after a step."""
@@ -54,28 +54,12 @@ def tracked(facts: Line, scores: Mapping[str, Score]) -> list[Line]:
 
 
 def table(lines: Sequence[Line], described: Mapping[str, str], command: str) -> Mapping[str, str]:
-    """Return the files of the table by name.
-
-    Args:
-        lines: One per scenario, method and quantity; a method without scores on a scenario has a line with a message.
-        described: Descriptions of the scenarios, by name.
-        command: Command that regenerates the table.
-    """
-    parts: list[str | Rows] = [HEAD]
-    scored = [line for line in lines if "quantity" in line]
-    for scenario, sentence in described.items():
-        shown = [line for line in scored if line["scenario"] == scenario]
-        parts += [f"## {readable(scenario)}", sentence]
-        parts += [SHOWN.rows(in_order(shown))] if {line["method"] for line in shown} - {BOUND} else []
-        others = [line for line in lines if line["scenario"] == scenario and "quantity" not in line]
-        refused = group(others, lambda line: line["message"])
-        parts += [
-            f"Not applicable: {', '.join(line['title'] for line in members)}: {message}."
-            for message, members in refused.items()
-        ]
-    curve = false_alarms(scored)
-    parts += ["## Delay against false alarms", CURVE, curve] if any(curve) else []
-    return files("table10", [*parts, f"Regenerate: `{command}`"], ({**EMPTY, **line} for line in lines), COLUMNS)
+    """Return the files of the table by name, from the arguments of :func:`scenario_sections`."""
+    sections, _ = scenario_sections(lines, described, SHOWN, in_order)
+    curve = false_alarms(line for line in lines if "quantity" in line)
+    curves: list[str | Rows] = ["## Delay against false alarms", CURVE, curve] if any(curve) else []
+    parts = [HEAD, *sections, *curves, f"Regenerate: `{command}`"]
+    return files("table10", parts, ({**EMPTY, **line} for line in lines), COLUMNS)
 
 
 def in_order(lines: Sequence[Line]) -> list[Line]:

@@ -152,6 +152,34 @@ def files(
     return {**by_name, f"{name}.tex": latex_tables(latex)} if latex else by_name
 
 
+def scenario_sections(
+    lines: Sequence[Line], described: Mapping[str, str], panel: Panel, order: Callable[[list[Line]], list[Line]],
+    summary: Callable[[Sequence[Line]], str] = lambda scored: "",
+) -> tuple[list[str | Rows], list[tuple[str, Rows]]]:  # fmt: skip
+    """Return the sections of a track's table, one per scenario, and the rows of each by the scenario's name.
+
+    Args:
+        lines: One per scenario, method and quantity; a method without scores on a scenario has a line with a message.
+        described: Descriptions of the scenarios, by name.
+        panel: The panel of each scenario.
+        order: Sorts the lines of a scenario.
+        summary: Returns a sentence below the panel.
+    """
+    parts: list[str | Rows] = []
+    shown: list[tuple[str, Rows]] = []
+    for scenario, sentence in described.items():
+        here = [line for line in lines if line["scenario"] == scenario]
+        scored = order([line for line in here if "quantity" in line])
+        rows = panel.rows(scored)
+        shown += [(readable(scenario), rows)] if any(rows) else []
+        parts += [f"## {readable(scenario)}", sentence, rows, summary(scored)]
+        refused = group([line for line in here if "quantity" not in line], lambda line: line["message"])
+        for message, members in refused.items():
+            names = ", ".join(line.get("title", line["method"]) for line in members)
+            parts.append(f"Not applicable: {names}: {message}.")
+    return parts, shown
+
+
 def failure_notes(results: Iterable[Result]) -> str:
     """List the failed fits with their counts and messages, as Markdown; empty if none failed."""
     distinct = list(dict.fromkeys(results))

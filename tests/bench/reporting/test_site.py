@@ -25,8 +25,9 @@ from bench.reporting.page import board, charts, home, origin
 from bench.reporting.page.reading import StoreReading
 from bench.reporting.page.site import Site
 from bench.reporting.page.situations import Advice, advice
-from bench.reporting.page.words import at_most, seconds, slug, slugs
+from bench.reporting.page.words import at_most, slug, slugs
 from bench.reporting.pictures import png
+from bench.reporting.rounding import time_text
 from bench.store.store import Store
 from bench.store.stored_cell import StoredCell
 from bench.store.version import settings_version
@@ -43,8 +44,7 @@ Cells = Callable[..., Store]
 @pytest.fixture(autouse=True)
 def without_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
     """No configuration is composed: these stores hold what no experiment describes."""
-    for module in ("reading", "origin"):
-        monkeypatch.setattr(f"bench.reporting.page.{module}.table_experiments", list)
+    monkeypatch.setattr("bench.reporting.page.reading.table_experiments", list)
 
 
 @pytest.fixture
@@ -161,7 +161,7 @@ def test_what_is_advised_is_a_whole_tier_with_what_it_loses(cells: Cells) -> Non
     slow = replace(slow, rows=tuple(replace(row, cpu_s=0.5) for row in slow.rows))
     found = ranked(slow, stored("ls"), stored("sindy", gross=10))
     assert {row.label for row in found.first_tier} == {"ls", "mcmc"}
-    assert (found.fastest.label, seconds(found.seconds["ls"])) == ("ls", "10 ms")
+    assert (found.fastest.label, time_text(found.seconds["ls"])) == ("ls", "10 ms")
     wild = found.ranking[-1]
     assert (wild.label, wild.tier, wild.lost, wild.fits) == ("sindy", 2, 10, 40)
     assert binom.cdf(10, 40, at_most(wild)) == pytest.approx(0.05, abs=1e-6)
@@ -214,26 +214,13 @@ def test_data_that_a_method_cannot_take_are_no_failure() -> None:
     assert origin.not_ok(results, unsupported=True) == [expected]
 
 
-def test_stale_results_are_counted_and_commits_looked_up() -> None:
+def test_stale_results_are_counted() -> None:
     version = settings_version("mcmc", "sdof", {}).as_json()
     today = replace(stored("mcmc"), version=version)
     cells = origin.cells_of([Result.of_stored(cell) for cell in (stored("ls"), today)])
     (stale,) = origin.counted(cells, "changed")
     assert (stale["cells"], stale["fits"]) == (1, 40)
     assert stale["changed"].startswith("method version not stated, today ")
-    assert [one["cells"] for one in origin.counted(cells, "commit")] == [2]
-    assert origin.commits_here(cells) in (None, 0)
-
-
-def test_what_is_missing_of_an_experiment_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Table 3 with a single cell of its own stored, as its configuration describes it."""
-    from bench.config.experiment import Experiment
-
-    monkeypatch.setattr(origin, "table_experiments", lambda: ["table3", "table4"])
-    identities = {cell.identity for cell in Experiment("table3").cells()}
-    cells = origin.cells_of([Result.of_stored(replace(stored("ls"), identity=min(identities)))])
-    expected = {"experiment": "table3", "cells": len(identities), "missing": len(identities) - 1, "stale": 1}
-    assert expected in origin.experiments(cells)
 
 
 def test_what_the_data_do_not_tell_is_said_and_when_it_was_computed(cells: Cells) -> None:

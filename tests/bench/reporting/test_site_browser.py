@@ -15,7 +15,7 @@ from scipy.stats import binom
 from sites import filled, made, stored
 
 from bench.reporting.frame import Result
-from bench.reporting.page import origin, reading
+from bench.reporting.page import reading
 from bench.reporting.ranking import fits_of
 
 pytestmark = pytest.mark.skipif(not PROGRAM, reason="no Chromium here")
@@ -39,7 +39,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reading, "table_experiments", lambda: ["table3"])
         patch.setattr(reading, "questions", lambda name: keys)
-        patch.setattr(origin, "table_experiments", list)
         return made(store)
 
 
@@ -71,7 +70,7 @@ def visit(browser: Browser, site: Path, address: str) -> None:
     """Open a page, and wait for its charts and tables."""
     path, mark, rest = address.partition("#")
     browser.visit(f"{(site / path).as_uri()}{mark}{rest}")
-    drawn = "!document.querySelector('#forest') || document.querySelector('#forest svg.marks')"
+    drawn = "!document.querySelector('#spread') || document.querySelector('#spread svg.marks')"
     browser.wait(f"(!document.querySelector('#board') || document.querySelector('#board td')) && ({drawn})")
 
 
@@ -155,26 +154,12 @@ def test_the_interval_of_a_median_covers_what_it_says(n: int, browser: Browser, 
     assert 0.95 <= 1 - 2 * binom.cdf(k - 1, n, 0.5) <= 0.99
 
 
-def test_what_is_shown_can_be_taken(browser: Browser, site: Path) -> None:
-    visit(browser, site, "leaderboard.html#Initial state=unknown&Method=SINDy&Error of=k/m (%25)")
-    browser.run("window.saved = {}; bench.save = (name, text) => { saved[name.split('.').pop()] = text; }")
-    browser.run("document.querySelector('.dt-buttons .buttons-collection').click()")
-    browser.wait("document.querySelectorAll('.dt-button-collection button').length === 4")
-    browser.run("document.querySelectorAll('.dt-button-collection button').forEach((one) => one.click())")
-    files = browser.run("saved")
-    lines = json.loads(files["json"])
-    assert [(line["Error of"], line["Fits ok"]) for line in lines] == [("k/m (%)", "37/40")] * 2
-    assert [line["Median"] for line in lines] == column(browser, "Median")
-    head, rule, *rows = files["md"].splitlines()
-    assert head.count("|") == rule.count("|") == rows[0].count("|")
-    assert "k/m (\\%)" in files["tex"]
-    assert "$\\times$ bound" in files["tex"]
-
-
-def test_a_chart_can_be_taken_as_svg_and_png(browser: Browser, site: Path) -> None:
-    visit(browser, site, "index.html")
-    links = "Array.from(document.querySelectorAll('#forest .vega-actions a'), (link) => link.textContent)"
+def test_a_chart_can_be_taken_as_svg_and_png_and_a_table_as_csv(browser: Browser, site: Path) -> None:
+    visit(browser, site, SCENARIO)
+    browser.wait("document.querySelector('#record .vega-actions a, #spread .vega-actions a')")
+    links = "Array.from(document.querySelectorAll('#spread .vega-actions a'), (link) => link.textContent)"
     assert browser.run(links) == ["Save as SVG", "Save as PNG"]
+    assert browser.run("document.querySelector('.buttons-csv').textContent") == "CSV"
 
 
 def test_the_keyboard_reaches_content_and_sorts(browser: Browser, site: Path) -> None:

@@ -7,26 +7,6 @@ const SERIES = { // M. Okabe, K. Ito, 2008: distinct under colour vision deficie
 };
 const SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"; // a name; nothing is loaded from there
 
-// Formats of exported tables by file ending, from lines of texts, the headings first.
-const FORMATS = {
-  json: ([head, ...rows]) => {
-    const record = (row) => Object.fromEntries(head.map((name, i) => [name, row[i]]));
-    return JSON.stringify(rows.map(record), null, 1);
-  },
-  md: ([head, ...rows]) => {
-    const line = (cells) => `| ${cells.map((cell) => cell.replaceAll("|", "\\|")).join(" | ")} |`;
-    return [head, head.map(() => "---"), ...rows].map(line).join("\n");
-  },
-  tex: (lines) => {
-    const marks = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}", "×": "$\\times$" };
-    const text = (cell) => cell.replace(/[\\&%$#_{}~^×]/g, (mark) => marks[mark] || `\\${mark}`);
-    const [head, ...rows] = lines.map((row) => `${row.map(text).join(" & ")} \\\\`);
-    const begin = `\\begin{tabular}{${"l".repeat(lines[0].length)}}`;
-    return [begin, "\\hline", head, "\\hline", ...rows, "\\hline", "\\end{tabular}"].join("\n");
-  },
-};
-const TITLES = { json: "JSON", md: "Markdown", tex: "LaTeX" };
-
 // Sort key: the number that a cell begins with, such as "0.38 ×0.97", "3/4" or "12 ms" (in seconds); other cells come last.
 const LEADING = /^[*×><≤≥\s]*([-−+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?)( ms\b| µs\b)?/i;
 const UNITS = { " ms": 1e-3, " µs": 1e-6 };
@@ -61,33 +41,20 @@ window.bench = {
     this.draw(charts);
   },
 
-  save(name, text) {
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([text]));
-    link.download = name;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  },
-
   // Makes an element a DataTable; small screens show the heading before each cell, exports contain the visible rows.
   table(element, more = {}) {
     const name = document.evaluate(HEADING, element, null, XPathResult.STRING_TYPE).stringValue.trim();
     const heads = more.columns ?? Array.from(element.rows[0].cells, (cell) => ({ title: cell.textContent }));
     const file = name.toLowerCase().replace(/[^a-z0-9]+/g, "-") || "table";
     const exportOptions = { columns: ":visible", orthogonal: "export" };
-    const button = (kind) => ({ text: TITLES[kind], action: (event, table) => {
-      const { header, body } = table.buttons.exportData(exportOptions);
-      this.save(`${file}.${kind}`, `${FORMATS[kind]([header, ...body])}\n`);
-    } });
     const csv = { extend: "csv", text: "CSV", filename: file, title: null, exportOptions };
-    const files = { extend: "collection", text: "Export", buttons: [csv, ...Object.keys(TITLES).map(button)] };
     const rows = element.tBodies[0]?.rows.length ?? Infinity;
     const [some, long] = [rows > 12, rows > 60];
     element.classList.add("cards");
     const table = new DataTable(element, {
       order: [], autoWidth: false, paging: long, pageLength: 50, info: long, searching: some,
       layout: {
-        topStart: { buttons: [files, ...(more.buttons ?? [])] }, topEnd: some && !more.data ? "search" : null,
+        topStart: { buttons: [csv, ...(more.buttons ?? [])] }, topEnd: some && !more.data ? "search" : null,
         bottomStart: long ? "info" : null, bottomEnd: long ? "paging" : null,
       },
       createdRow: (row, data, place, cells) => cells.forEach((cell, i) => { cell.dataset.label = heads[i].title; }),
