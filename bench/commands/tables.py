@@ -72,9 +72,7 @@ def figures(
     store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     out: Out = FIGURES,
-    svg: Annotated[
-        Path | None, "folder of the figures as SVG, and of the interactive specifications of charts [none]"
-    ] = None,
+    svg: Annotated[Path | None, "folder of the figures as SVG [none]"] = None,
 ) -> int:
     """Draw the figures as PNG files with captions; figures without cells are left out."""
     from bench.reporting.whole_file import check_folder

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ from bench.store.stored_cell import unmarked
 STANDINGS = ("tied", "worse", "reference", "failed")
 """Values of the column "Standing", in the order in which it is sorted."""
 BY_SCENARIO = ("System", "SNR", "Initial state", "Data")
-"""Columns with the same value in all lines of a scenario."""
+"""Columns of the scenario."""
 HIDDEN = ("Bound", *BY_SCENARIO)
 """Columns that are hidden by default."""
 
@@ -67,7 +66,7 @@ def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[d
         for result in panel.results
         if metric in result.summary and result.status is not Status.UNSUPPORTED
     ]
-    used = [panels[i] for i in sorted({line.place for line in lines})]
+    chosen = [choices(panel) for panel in panels]
     return [
         column("Method", lines, lambda line: (line.result.title, line.result.label), itemgetter(0),
                lambda value: f"methods/{methods[unmarked(value[1])]}.html"),
@@ -82,7 +81,7 @@ def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[d
         column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), time_text),
         column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
                lambda place: f"scenarios/{panels[place].slug}.html"),
-        *(column(name, list(map(choices, used)), partial(choice_key, name), itemgetter(1), by="Scenario")
+        *(column(name, lines, lambda line, of=name: choice_key(of, chosen[line.place]), itemgetter(1))
           for name in BY_SCENARIO),
     ]  # fmt: skip
 
@@ -93,25 +92,23 @@ def choice_key(name: str, chosen: Mapping[str, str]) -> tuple[float, str]:
 
 
 def column(
-    name: str, items: Sequence[Any], value: Callable[[Any], Any], text: Callable[[Any], str] = str, link: Any = None,
-    by: str = "",
+    name: str, lines: Sequence[Line], value: Callable[[Any], Any], text: Callable[[Any], str] = str, link: Any = None
 ) -> dict[str, Any]:  # fmt: skip
     """Return a column: its distinct texts in sorted order, and an index into them per line.
 
     Args:
         name: Title of the column.
-        items: One item per line, or per text of the column ``by``.
-        value: Sort key of an item; None comes last.
+        lines: The lines.
+        value: Sort key of a line; None comes last.
         text: Text of a sort key.
         link: Address of a sort key, if the texts are links.
-        by: Column whose texts the items belong to.
     """
-    values = [value(item) for item in items]
+    values = [value(line) for line in lines]
     order = sorted(set(values), key=lambda key: (key is None, key))
     places = {key: i for i, key in enumerate(order)}
     links = {"links": [link(key) for key in order]} if link else {}
     texts = ["–" if key is None else text(key) for key in order]
-    return {"title": name, "values": texts, "by": by, **links, "codes": [places[key] for key in values]}
+    return {"title": name, "values": texts, **links, "codes": [places[key] for key in values]}
 
 
 def first_choice(panels: Sequence[ScenarioPanel]) -> dict[str, str]:

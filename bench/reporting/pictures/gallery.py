@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
@@ -111,8 +110,3 @@ def replicates(cells: Iterable[Result]) -> str:
     """Return how many replicates cells have, for captions."""
     numbers = sorted({cell.n for cell in cells})
     return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
-
-
-def in_lines(name: str, letters: int) -> str:
-    """Return a name in lines of so many letters at most."""
-    return textwrap.fill(name, letters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from textwrap import fill
 from typing import Any
 
 import altair as alt
@@ -19,7 +20,7 @@ from bench.entrants.registry import load_method
 from bench.reporting.atlas import NEAR, RARE, near
 from bench.reporting.frame import Result
 from bench.reporting.labels import in_order, title
-from bench.reporting.pictures.gallery import METRICS, Arrays, C, Gallery, K, in_lines, replicates, where
+from bench.reporting.pictures.gallery import METRICS, Arrays, C, Gallery, K, replicates, where
 from bench.reporting.pictures.responses import samples_of
 from bench.reporting.pictures.style import ONE, Nothing, Picture, layered, logarithmic, table
 from bench.reporting.pictures.theme import SERIES
@@ -60,7 +61,7 @@ def draw_scatter(gallery: Gallery) -> Picture:
     for cell in sorted(cells, key=lambda cell: gallery.ordered(cells).index(title(cell.label))):
         errors = 100.0 * (np.stack([cell.successful(f"{name}_ratio") for name in (K, C)], axis=1) - 1.0)
         outside = np.any(abs(errors) > reach, axis=1)
-        name = in_lines(title(cell.label), 15) + (f"\n{outside.sum()} outside" if any(outside) else "")
+        name = fill(title(cell.label), 15) + (f"\n{outside.sum()} outside" if any(outside) else "")
         place = np.where(outside, "beyond the edge", "on the panel")
         parts.append(pd.DataFrame(errors, columns=["k/m", "c/m"]).assign(method=name, place=place))
     frame = table(pd.concat(parts))

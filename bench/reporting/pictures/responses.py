@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
 import altair as alt
@@ -18,7 +19,7 @@ from bench.online.scenario import Stream
 from bench.reporting.frame import Result
 from bench.reporting.labels import counterparts, title
 from bench.reporting.paper import own_method
-from bench.reporting.pictures.gallery import Arrays, Gallery, in_lines, replicates, where
+from bench.reporting.pictures.gallery import Arrays, Gallery, replicates, where
 from bench.reporting.pictures.style import ONE, Nothing, Picture, layered, table
 from bench.reporting.pictures.theme import HALF
 from bench.reporting.rounding import readable
@@ -136,7 +137,7 @@ def draw_reconstruction(gallery: Gallery) -> Picture:
     shown = {entry[0].label: entry for entry in (first, drawn[len(drawn) // 2], drawn[-1])}
     dof, parts = int(first[1]["sample_dof"][0]), []
     for cell, arrays, curve in shown.values():
-        name = f"{in_lines(title(cell.label), 30)}\nRMSE {MILLI * cell.first('rmse'):.3g} mm"
+        name = f"{fill(title(cell.label), 30)}\nRMSE {MILLI * cell.first('rmse'):.3g} mm"
         true = arrays["true_displacement"][dof]
         parts += [curves(name, arrays["dense_times"], true=true, estimate=curve[dof]), samples(name, arrays, dof)]
     far = sum(cell.first("rmse") > cell.sigma[0] for cell, *_ in drawn if cell.sigma)
@@ -163,7 +164,7 @@ def draw_band(gallery: Gallery) -> Picture:
     recorded = gallery.recorded(gallery.scene(gallery.main), "displacement_sd", "displacement")
     parts, shares = [], []
     for cell, arrays in recorded:
-        inside, name = cell.successful("band_inside_95"), in_lines(title(cell.label), 30)
+        inside, name = cell.successful("band_inside_95"), fill(title(cell.label), 30)
         if inside.size:
             shares.append(100.0 * float(inside.mean()))
             name += f"\n{shares[-1]:.0f} % inside (n = {inside.size})"
@@ -248,6 +249,6 @@ def track_lines(track: ShownTrack) -> pd.DataFrame:
     low, high = np.nanquantile(ends, [0.005, 0.995])
     room = 0.1 * (high - low)
     quantity = track.quantity.replace("_over_", "/")
-    name = f"{in_lines(readable(track.scenario), 26)}\n{quantity}, {track.nearest} {excess:.2f}"
+    name = f"{fill(readable(track.scenario), 26)}\n{quantity}, {track.nearest} {excess:.2f}"
     kept = {column: np.clip(values, low - room, high + room) for column, values in lines.items()}
     return curves(name, times, true=true, **kept)

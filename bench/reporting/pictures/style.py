@@ -1,4 +1,4 @@
-"""One style for every picture: a chart of Altair's in; a PNG file, an SVG file and an interactive specification out.
+"""One style for every picture: a chart of Altair's in; a PNG file and an SVG file out.
 
 A length of 1 is a point (1/72 inch), so that no letter is below 7 points. Rows or panels name the methods; colours tell
 what is drawn of each.
@@ -6,7 +6,6 @@ what is drawn of each.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass
@@ -84,11 +83,11 @@ def logarithmic(low: float, high: float) -> tuple[alt.Scale, alt.Axis]:
     return scale, alt.Axis(values=ticks, format="~g", grid=True)
 
 
-def specification(chart: Any, width: float = FULL, dark: bool = False) -> dict[str, Any]:
+def specification(chart: Any, width: float = FULL) -> dict[str, Any]:
     """Return the chart as Vega-Lite, in our style, its panels as wide as makes the whole picture ``width`` wide."""
     register_font()
     with alt.data_transformers.enable("default", max_rows=None):
-        spec = chart.properties(padding=2).to_dict() | {"config": theme(dark)}
+        spec = chart.properties(padding=2).to_dict() | {"config": theme()}
     # the whole is nearly a constant (names, spaces) and a multiple of the panels' widths: the secant method
     last, factor = 1.5, 2.0
     before, whole = (drawn_width(_scaled(spec, own)) for own in (last, factor))
@@ -120,13 +119,11 @@ def drawn_width(spec: dict[str, Any]) -> float:
 
 
 def save(picture: Picture, folder: Path, svg: Path | None = None) -> list[Path]:
-    """Write the PNG file; into a further folder, where one is given, SVG and the interactive specification."""
+    """Write the PNG file, and into a further folder, where one is given, the SVG file."""
     spec = specification(picture.chart, picture.width)
     paths = [folder / f"{picture.name}.png"]
     write(paths[0], packed(vl_convert.vegalite_to_png(spec, ppi=RESOLUTION), picture.caption), folder)
     if svg is not None:
-        text = json.dumps(spec | {"description": picture.caption}, ensure_ascii=False, separators=(",", ":"))
-        for suffix, content in (("svg", vl_convert.vegalite_to_svg(spec)), ("vl.json", text)):
-            paths.append(svg / f"{picture.name}.{suffix}")
-            write(paths[-1], content, svg, "svg")
+        paths.append(svg / f"{picture.name}.svg")
+        write(paths[-1], vl_convert.vegalite_to_svg(spec), svg, "svg")
     return paths

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from bench.online.score import AFTER, LEVELS, SCORED_FROM, Score
 from bench.reporting.frame import Line, group
-from bench.reporting.rounding import answered, excess_text, number, percent
+from bench.reporting.rounding import answered, excess_text, number, percent, readable
 from bench.reporting.tables.render import MISSING, Panel, Rows, Texts, each, files, measured, scenario_sections
 
 BEHIND = {f"excess_after_{low}_{high}": f"after {low}-{high}" for low, high in AFTER}

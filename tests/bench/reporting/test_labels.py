@@ -14,7 +14,6 @@ from bench.config.choices import choices
 from bench.entrants.registry import load_method, registered
 from bench.reporting import labels
 from bench.reporting.labels import cards, counterparts, in_order, information_used, title
-from bench.reporting.paper import paper_number, printed
 
 BENCH = sorted(path for path in (REPOSITORY / "bench").rglob("*.py") if path.name != "sentences.py")
 """But for the conclusions of the documents, which are about methods by name."""
@@ -59,9 +58,3 @@ def test_a_card_without_a_title_is_called_by_its_name(monkeypatch: pytest.Monkey
         assert counterparts("ls") == []
     finally:
         cards.cache_clear()
-
-
-def test_each_method_of_the_paper_has_one_of_ours_beside_it() -> None:
-    for number in printed():
-        for label in counterparts(number.method):
-            assert paper_number(number.table, number.row, label, number.metric) == number

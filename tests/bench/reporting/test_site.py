@@ -53,30 +53,14 @@ def cells(tmp_path: Path) -> Cells:
     return partial(filled, tmp_path / "results")
 
 
-@pytest.mark.parametrize("what", ["absent", "empty", "damaged", "argument", "file", "other folder"])
-def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(
-    what: str, cells: Cells, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_damaged_store_is_one_line_and_nothing_is_written(
+    cells: Cells, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    store = cells(*([] if what == "empty" else [stored("ls")]))
-    out = tmp_path / "out"
-    arguments = [f"store={store.folder}", f"out={out}"]
-    if what == "absent":
-        arguments[0] = f"store={tmp_path / 'nowhere'}"
-    if what == "damaged":
-        next(store.folder.glob("*.json")).write_text("{", encoding="utf-8")
-    if what == "argument":
-        arguments.append("stor=x")
-    if what == "file":
-        out.write_text("mine", encoding="utf-8")
-    if what == "other folder":
-        out.mkdir()
-        (out / "mine.txt").write_text("mine", encoding="utf-8")
-    before = sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts)
-    assert main(["report", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("bench: ")
-    assert len(error.splitlines()) == 1 + (what == "damaged")  # the first line announces the work
-    assert sorted(path for path in tmp_path.rglob("*") if "rows" not in path.parts) == before
+    store = cells(stored("ls"))
+    next(store.folder.glob("*.json")).write_text("{", encoding="utf-8")
+    assert main(["report", f"store={store.folder}", f"out={tmp_path / 'out'}"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2  # the first line announces the work
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_site_is_the_same_each_time_and_holds_nothing_of_an_older_one(cells: Cells) -> None:
@@ -182,7 +166,7 @@ def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
     cell = stored("mcmc", 1.5, failed=4)
     panels = panels_of([cell, stored("ls")])
     columns = board.board(panels, {"mcmc": "mcmc", "ls": "ls"})
-    lines = [{own["title"]: own["values"][own["codes"][i]] for own in columns if not own["by"]} for i in range(6)]
+    lines = [{own["title"]: own["values"][own["codes"][i]] for own in columns} for i in range(6)]
     line, other = (line for line in lines if line["Error of"] == "k/m (%)")
     assert (other["Standing"], line["Standing"]) == ("tied", "worse")
     errors = [row.scores["k_over_m_error_pct"] for row in cell.rows[4:]]

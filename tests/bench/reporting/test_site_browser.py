@@ -184,14 +184,6 @@ def test_no_page_is_wider_than_the_screen(width: int, browser: Browser, site: Pa
         assert browser.run("document.documentElement.scrollWidth") <= width, page
 
 
-def test_a_phone_shows_rows_as_cards(browser: Browser, site: Path) -> None:
-    show(browser, 390)
-    visit(browser, site, "leaderboard.html")
-    cell = "document.querySelector('#board tbody td')"
-    assert browser.run(f"getComputedStyle({cell}).display") == "flow-root"
-    assert browser.run(f"getComputedStyle({cell}, '::before').content") == '"Method"'
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("page", PAGES)
 def test_axe_finds_nothing_serious(scheme: str, page: str, browser: Browser, site: Path) -> None:
@@ -203,13 +195,6 @@ def test_axe_finds_nothing_serious(scheme: str, page: str, browser: Browser, sit
     assert [one for one in found if one[0] in ("serious", "critical")] == []
     shade = "getComputedStyle(document.body).backgroundColor.match(/\\d+/g).slice(0, 3).every((part) => part < 128)"
     assert browser.run(shade) == (scheme == "dark")
-
-
-def test_print_leaves_the_controls_out(browser: Browser, site: Path) -> None:
-    visit(browser, site, SCENARIO)
-    show(browser, media="print")
-    assert not browser.run("document.querySelector('header').checkVisibility()")
-    assert browser.run("document.querySelector('article table.cards').checkVisibility()")
 
 
 def test_without_scripts_a_scenario_has_its_table(browser: Browser, site: Path) -> None:

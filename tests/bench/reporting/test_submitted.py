@@ -13,7 +13,6 @@ from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.reporting.frame import experiment_frame, stored_results, submitted_results, with_submitted
 from bench.reporting.labels import in_order, title
-from bench.reporting.page.reading import read
 from bench.reporting.tables.leaderboard import leaderboard
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
@@ -67,15 +66,6 @@ def test_a_method_that_is_not_installed_here_stands_in_the_leaderboard(store: St
     shown = with_submitted(experiment_frame("open", store), submitted_results(store))
     assert re.search(r"\| 1 +\| elsewhere \(submitted\) +\|", leaderboard(shown)["leaderboard.md"])
     assert "elsewhere (submitted): submitted; its verification" in leaderboard(shown)["leaderboard.md"]
-
-
-def test_the_page_reads_it_with_its_mark(store: Store) -> None:
-    """Every cell is on the page, whether its method has all scenarios of a table or not."""
-    keep(store, cells()[:1])
-    (found,) = stored_results(store)
-    assert found.title == title(METHOD) + " (submitted)"
-    (panel,) = read(store).panels
-    assert [result.title for result in panel.methods] == [found.title]
 
 
 def test_it_is_called_and_ordered_as_its_method() -> None:

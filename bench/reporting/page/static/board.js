@@ -9,8 +9,7 @@ bench.board = (columns) => {
   const fields = Array.from(form.elements).filter((field) => field.name);
   const choices = fields.filter((field) => form.contains(field)); // the other fields select the methods to compare
   const at = Object.fromEntries(columns.map(({ title }, i) => [title, i]));
-  const code = ({ codes, by }, line) => codes[by ? code(columns[at[by]], line) : line];
-  const rows = columns[0].codes.map((_, line) => columns.map((column) => code(column, line)));
+  const rows = columns[0].codes.map((_, line) => columns.map(({ codes }) => codes[line]));
   const text = (row, title) => columns[at[title]].values[row[at[title]]];
   const fits = (row) => choices.every(({ name, value, dataset: { limit } }) => value === ""
     || (limit ? leading(text(row, name)) <= Number(value) : text(row, name) === value));
