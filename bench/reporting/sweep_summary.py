@@ -11,15 +11,7 @@ from statistics import median_high
 import numpy as np
 
 from bench.reporting.frame import Line, Result, group
-from bench.reporting.ranking import (
-    LOST,
-    competes,
-    determined_bounds,
-    example_problem,
-    leaders,
-    log_errors,
-    ranked,
-)
+from bench.reporting.ranking import LOST, competes, determined_bounds, example_problem, leaders, log_errors, ranked
 from bench.reporting.rounding import answered, percent, readable, rounded, short_excess, time_text
 from bench.reporting.terminal import table, wrapped
 from bench.reporting.terminal_tables import ERROR, disturbance_of, failures

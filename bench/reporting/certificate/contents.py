@@ -30,11 +30,7 @@ from bench.reporting.rounding import number
 PACKAGES = ("numpy", "scipy", "jax", "casadi", "emcee", "torch")
 WHITE_BAND = (-math.log(0.975), -math.log(0.025))
 """Range of 95 % of the ordinates of a periodogram of white noise over its level, which are exponential."""
-OPENING = {
-    Trust.TRUST: "Trust: no problems were detected",
-    Trust.CAUTION: "Use with caution",
-    Trust.NO: "Do not trust",
-}
+OPENING = {Trust.TRUST: "Trust: no problems were detected", Trust.CAUTION: "Use with caution", Trust.NO: "Do not trust"}
 
 
 def contents(certificate: Certificate, command: str) -> dict[str, Any]:

@@ -129,10 +129,7 @@ def _facts(shown: Mapping[str, Any]) -> dict[str, str]:
     if record["rate"]:
         facts = {"Samples": f"{record['samples']} over {number(record['seconds'])} s"}
         facts["Sampling rate"] = f"{record['rate']:.4g} Hz"
-    facts |= {
-        "Force": "known" if record["forced"] else "none: free vibration",
-        "System": shown["system"],
-    }
+    facts |= {"Force": "known" if record["forced"] else "none: free vibration", "System": shown["system"]}
     facts |= residual_facts(residuals) if residuals else {}
     if prediction:
         fit = prediction["fit_pct"]

@@ -39,19 +39,11 @@ Drawn = tuple[Specification, str]
 
 
 def svg(picture: Specification, ground: str | None = None) -> str:
-    """Draw a picture in light colours, with a style sheet for readers who prefer dark ones."""
+    """Draw a picture with lengths in points, in the font of the reader if DejaVu Sans is missing."""
     import vl_convert
 
-    light, dark = (re.findall(r"#[0-9a-fA-F]{6}", str(theme(dark))) for dark in (False, True))
-    rules = " ".join(
-        f'[{attribute}="{old}"] {{ {attribute}: {new} }}'
-        for old, new in dict(zip(light, dark, strict=True)).items()
-        for attribute in ("fill", "stroke")
-        if old != new
-    )
     drawn = vl_convert.vegalite_to_svg({**picture, "padding": 3, "config": theme() | {"background": ground}})
-    font = "text { font-family: 'DejaVu Sans', sans-serif }"
-    style = f"<style>{font} @media (prefers-color-scheme: dark) {{ {rules} }}</style>"
+    style = "<style>text { font-family: 'DejaVu Sans', sans-serif }</style>"
     in_points = re.sub(r'(width|height)="([\d.]+)"', r'\1="\2pt"', drawn, count=2)
     return in_points.replace(">", f">{style}", 1)
 

@@ -53,8 +53,8 @@ def counted(cells: pd.DataFrame, column: str) -> Lines:
     return groups.sort_values(["cells", column], ascending=[False, True]).to_dict("records")
 
 
-def not_ok(results: Sequence[Result], unsupported: bool) -> Lines:
-    """Count failed fits, or unsupported data, by method and message."""
+def failed_fits(results: Sequence[Result]) -> Lines:
+    """Count failed fits by method, scenario and message; data that a method does not support are no failure."""
     lines = [
         {
             "method": result.title,
@@ -64,11 +64,11 @@ def not_ok(results: Sequence[Result], unsupported: bool) -> Lines:
         }
         for result in results
         for status, message in zip(result.statuses, result.messages, strict=True)
-        if status is not Status.OK and (status is Status.UNSUPPORTED) == unsupported
+        if status not in (Status.OK, Status.UNSUPPORTED)
     ]
     if not lines:
         return []
-    by = ["method", "message"] if unsupported else ["method", "status", "scenario", "message"]
+    by = ["method", "status", "scenario", "message"]
     counts = pd.DataFrame(lines).groupby(by, as_index=False).size().rename(columns={"size": "fits"})
     return counts.sort_values(["fits", *by], ascending=[False, *[True] * len(by)]).to_dict("records")
 

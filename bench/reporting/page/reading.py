@@ -11,15 +11,7 @@ from typing import Any
 
 from bench.config.random_scenarios import drawn_scenarios
 from bench.reporting.family import is_variant
-from bench.reporting.frame import (
-    ERROR,
-    Result,
-    drawn_questions,
-    group,
-    questions,
-    stored_results,
-    table_experiments,
-)
+from bench.reporting.frame import ERROR, Result, drawn_questions, group, questions, stored_results, table_experiments
 from bench.reporting.page.words import (
     decibels,
     disturbed,

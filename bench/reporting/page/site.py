@@ -280,6 +280,5 @@ def trust_values(site: Site) -> dict[str, Any]:
     cells, shown = origin.cells_of(site.reading.stored), [result for panel in site.panels for result in panel.results]
     return {
         "cells": cells, "hidden": site.reading.hidden, "stale": origin.counted(cells, "changed"),
-        "failures": origin.not_ok(shown, unsupported=False),
-        "unsupported": origin.not_ok(shown, unsupported=True),
+        "failures": origin.failed_fits(shown),
     }  # fmt: skip

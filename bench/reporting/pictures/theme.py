@@ -10,23 +10,18 @@ SMALL, NORMAL = 7.0, 7.5
 FONT = "DejaVu Sans"
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
 """M. Okabe, K. Ito, 2008: told apart by those who see colours differently."""
-DARK_SERIES = ("#56B4E9", "#E69F00", "#2FC59A", "#E39BC4", "#F0E442", "#4F8FD9", "#A0A0A0")
-"""The same on black."""
 
 
-def theme(dark: bool = False) -> dict[str, Any]:
+def theme() -> dict[str, Any]:
     """Return the configuration of every picture; its named styles are those of marks that are not a series."""
-    ink, quiet, ground, grid = (
-        ("#e8e8e8", "#a0a0a0", "#1c1c1c", "#3c3c3c") if dark else ("#1a1a1a", "#707070", "#ffffff", "#dddddd")
-    )
-    series = DARK_SERIES if dark else SERIES
+    ink, quiet, ground, grid = "#1a1a1a", "#707070", "#ffffff", "#dddddd"
     letters = {"labelFontSize": SMALL, "titleFontSize": NORMAL, "titleFontWeight": "normal", "labelColor": ink,
                "titleColor": ink}  # fmt: skip
     return {
         "background": ground,
         "font": FONT,
         "view": {"stroke": None},
-        "range": {"category": list(series), "ordinal": [quiet, series[0], ink]},
+        "range": {"category": list(SERIES), "ordinal": [quiet, SERIES[0], ink]},
         "axis": {
             **letters, "domainColor": ink, "tickColor": ink, "gridColor": grid, "gridWidth": 0.5, "domainWidth": 0.6,
             "tickWidth": 0.6, "tickSize": 3, "labelPadding": 2, "titlePadding": 3, "labelLimit": 160,
@@ -41,8 +36,8 @@ def theme(dark: bool = False) -> dict[str, Any]:
         },
         "title": {"fontSize": NORMAL, "fontWeight": "normal", "color": ink, "anchor": "start", "offset": 3},
         "text": {"fontSize": SMALL, "color": ink},
-        "mark": {"color": series[0]},
-        "rule": {"color": series[0]},
+        "mark": {"color": SERIES[0]},
+        "rule": {"color": SERIES[0]},
         "line": {"strokeWidth": 1.1},
         "style": {
             "truth": {"color": ink, "strokeWidth": 0.9},
