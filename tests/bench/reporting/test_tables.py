@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from sites import BOUND
 
 from bench import Status
 from bench.commands.main import main
 from bench.config.experiment import Experiment, expand
-from bench.information.fisher import Bound
-from bench.reporting.frame import ERROR, Frame, Result
+from bench.reporting.frame import ERROR, Frame, Result, computed
 from bench.reporting.paper import paper_number, printed
 from bench.reporting.residuals import coloured, residuals
 from bench.reporting.tables import estimates
@@ -48,11 +48,6 @@ PRINTED = {
     (5, "10", "pinn"): (7.1, 12.9, 8.2, 0.035), (5, "5", "pinn"): (11.8, 18.7, 13.1, 0.056),
 }  # fmt: skip
 KEYS = ("m_error_pct", "c_error_pct", "k_error_pct", "rmse")
-BOUND = Bound(
-    ("m", "c", "k"), {"m": 0.02, "c": 0.04, "k": 0.02, "k_over_m": 0.005, "c_over_m": 0.035},
-    {"m": False, "c": False, "k": False, "k_over_m": True, "c_over_m": True},
-    {"m": 0.999, "c": 0.25, "k": 0.95, "k_over_m": 0.001, "c_over_m": 0.001}, 0.0107, 0.006, (),
-)  # fmt: skip
 SIZES = dict(zip(estimates.HEADINGS, (0.5, 3.5, 0.0107, 1.6, 3.0, 1.6), strict=True))
 
 
@@ -328,9 +323,8 @@ def test_a_table_says_on_which_days_it_was_computed() -> None:
         replace(one, stored=one.stored and replace(one.stored, provenance={"started": day}))
         for one, day in zip(made, days, strict=True)
     ]
-    assert written(SYSTEMS, "forced", dated)[0].splitlines()[-1].startswith("Computed 2025-12-01 to 2026-01-31. Regen")
-    assert written(SYSTEMS, "forced", dated[:1])[0].splitlines()[-1].startswith("Computed 2026-01-31. Regen")
-    assert written(SYSTEMS, "forced", dated[2:])[0].splitlines()[-1].startswith("Regenerate: `")
+    assert computed(dated) == "Computed 2025-12-01 to 2026-01-31. "
+    assert (computed(dated[:1]), computed(dated[2:])) == ("Computed 2026-01-31. ", "")
 
 
 # ---- the command

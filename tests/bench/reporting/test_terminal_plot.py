@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import io
-import itertools
-import math
 import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bench.records.response import ChannelResiduals, ChannelResponse, Response
 from bench.records.verdict import Trust
-from bench.reporting.terminal_plot import plotted, round_numbers, wanted
+from bench.reporting.terminal_plot import plotted, wanted
 
 
 def output(monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8", width: int = 60) -> None:
@@ -101,17 +97,3 @@ def test_colour_and_plot_are_for_terminals_that_support_them(monkeypatch: pytest
     assert [wanted(plot, sys.stdout) for plot in ("auto", "always", "never")] == [True, True, False]
     monkeypatch.setenv("NO_COLOR", "1")
     assert "\x1b" not in plotted(drawn)
-
-
-@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
-def test_ticks_are_round_numbers_at_even_distances_within_the_axis(low: float, span: float) -> None:
-    high = low + span
-    if not high - low > 1e-9 * max(abs(low), abs(high)):
-        return
-    marks = round_numbers(low, high)
-    assert 1 <= len(marks) <= 7
-    room = 1e-6 * (high - low)
-    assert low - room <= marks[0] <= marks[-1] <= high + room
-    for left, right in itertools.pairwise(marks):
-        mantissa = (right - left) / 10.0 ** math.floor(math.log10(right - left) + 1e-6)
-        assert min(abs(mantissa - step) for step in (1.0, 2.0, 5.0)) < 1e-3

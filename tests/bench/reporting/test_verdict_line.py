@@ -5,18 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 from scipy import stats
 
-from bench import Estimate, Normal, Status
-from bench.information.fisher import compute_bound
+from bench import Status
 from bench.reporting.verdict import GOOD as NO_FAULT
 from bench.reporting.verdict import verdict
-from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.scoring.score import score
-from bench.scoring.summary import summarise
 from bench.store.stored_cell import StoredCell
 
 
@@ -68,22 +63,6 @@ def test_errors_too_small_to_be_chance_are_never_called_good(n: int) -> None:
             summary["bound"] = bound
         assert (verdict(stored) == NO_FAULT) == (not fault)
         assert verdict(stored).startswith("accuracy: below the bound by more than chance allows (k/m)") == fault
-
-
-def test_a_method_that_knows_the_truth_is_flagged_and_a_method_at_the_bound_is_not(reference: Scenario) -> None:
-    """Summaries of real scores: 20 fits that scatter by the bound, and 20 that were given the truth to 5e-11 %."""
-    (problem, truth), bound = reference.replicates(0, 1)[0], compute_bound(reference)
-    rng = np.random.default_rng(1)
-    for width, text in ((1.0, AT_BOUND), (1e-9, "accuracy: below the bound by more than chance allows (k/m, c/m")):
-        sds = np.array([width * bound.relative_sd[name] for name in ("k_over_m", "c_over_m")])
-        groups = truth.parameters["k"] / truth.parameters["m"], truth.parameters["c"] / truth.parameters["m"]
-        means = np.array(groups) * (1.0 + sds * rng.standard_normal((20, 2)))
-        rows = []
-        for i, mean in enumerate(means):
-            distribution = Normal(("k_over_m", "c_over_m"), mean, np.diag((sds * groups) ** 2), log=False)
-            rows.append(Row(i, Status.OK, scores=score(Estimate(problem.system, groups=distribution), problem, truth)))
-        summary = summarise(rows, bound)
-        assert verdict(StoredCell("0" * 20, {}, rows, summary, {}, bound.identifiable, 0.0)).startswith(text)
 
 
 def test_fits_without_an_estimate_are_counted_and_few_fits_give_no_verdict() -> None:
