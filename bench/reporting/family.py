@@ -41,11 +41,6 @@ def has_choices(method: str) -> bool:
     return card is not None and bool(card.choices)
 
 
-def any_stored(frame: Frame) -> bool:
-    """Return whether any cell of a family is stored."""
-    return any(result.stored and has_choices(result.method) for result in frame)
-
-
 def is_variant(result: Result) -> bool:
     """Return whether a result is a variant of a family, which only the table and the figure of the family show."""
     return has_choices(result.method) and result.label != result.method

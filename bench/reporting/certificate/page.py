@@ -20,6 +20,7 @@ from bench.reporting.answer import (
     values_table,
 )
 from bench.reporting.certificate.pictures import pictures
+from bench.reporting.frame import group
 from bench.reporting.rounding import number, readable
 from bench.scoring.statistics import wilson_interval
 
@@ -88,11 +89,9 @@ def _methods(shown: Mapping[str, Any]) -> Grid:
 
 def _silent(methods: Sequence[Mapping[str, Any]]) -> list[str]:
     """List the reasons of methods without stated values, with the methods of each."""
-    reasons: dict[str, list[str]] = {}
-    for method in (method for method in methods if not method["values"]):
-        reason = next(iter(method["reasons"]), method["message"] or method["status"])
-        reasons.setdefault(reason, []).append(method["method"])
-    return [f"{', '.join(names)}: {reason}" for reason, names in reasons.items()]
+    silent = [method for method in methods if not method["values"]]
+    reasons = group(silent, lambda method: next(iter(method["reasons"]), method["message"] or method["status"]))
+    return [f"{', '.join(method['method'] for method in same)}: {reason}" for reason, same in reasons.items()]
 
 
 def _replicas(shown: Mapping[str, Any]) -> Grid:

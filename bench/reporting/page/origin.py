@@ -27,12 +27,10 @@ def cells_of(results: Sequence[Result]) -> pd.DataFrame:
 
 
 def _facts(cell: StoredCell) -> dict[str, Any]:
-    facts = cell.provenance
     return {
-        "identity": cell.identity,
         "fits": len(cell.columns),
         "hours": float(np.nansum(cell.columns.numbers("cpu_s"))) / 3600.0,
-        "started": str(facts.get("started") or "")[:16].replace("T", " "),
+        "started": str(cell.provenance.get("started") or "")[:16].replace("T", " "),
         "changed": changed(cell),
     }
 
@@ -46,11 +44,12 @@ def changed(cell: StoredCell) -> str:
         return "not installed here"
 
 
-def counted(cells: pd.DataFrame, column: str) -> Lines:
-    """Count cells and fits by the values of a column, the most frequent first; empty values are left out."""
-    groups = cells[cells[column] != ""].groupby(column, as_index=False)
-    groups = groups.agg(cells=("fits", "size"), fits=("fits", "sum"))
-    return groups.sort_values(["cells", column], ascending=[False, True]).to_dict("records")
+def stale(cells: pd.DataFrame) -> Lines:
+    """Count cells and fits by the version that has changed, the most frequent first."""
+    groups = (
+        cells[cells.changed != ""].groupby("changed", as_index=False).agg(cells=("fits", "size"), fits=("fits", "sum"))
+    )
+    return groups.sort_values(["cells", "changed"], ascending=[False, True]).to_dict("records")
 
 
 def failed_fits(results: Sequence[Result]) -> Lines:

@@ -279,6 +279,6 @@ def trust_values(site: Site) -> dict[str, Any]:
     """Return the values of "Can I trust this?": stale cells, and failed fits."""
     cells, shown = origin.cells_of(site.reading.stored), [result for panel in site.panels for result in panel.results]
     return {
-        "cells": cells, "hidden": site.reading.hidden, "stale": origin.counted(cells, "changed"),
+        "cells": cells, "hidden": site.reading.hidden, "stale": origin.stale(cells),
         "failures": origin.failed_fits(shown),
     }  # fmt: skip

@@ -16,14 +16,14 @@ import pandas as pd
 from bench.config.experiment import Experiment
 from bench.entrants.reference import REFERENCES
 from bench.reporting.family import PLACE, Section, family_of
-from bench.reporting.frame import Result, experiment_frame, group, table_experiments
+from bench.reporting.frame import Result, experiment_frame, group, share, table_experiments
 from bench.reporting.labels import title
 from bench.reporting.pictures.gallery import METRICS, MOTION, C, Gallery, K, replicates, where
 from bench.reporting.pictures.style import Nothing, Picture, layered, logarithmic, table
 from bench.reporting.tables.family import NEAR as ORACLE
 from bench.reporting.tables.family import oracle_seconds
 from bench.reporting.tables.pooling import root_mean_square
-from bench.scoring.statistics import counts, middle_95, wilson_interval
+from bench.scoring.statistics import counts, middle_95
 from bench.scoring.traces import MOMENTS
 
 NEAR = 1.25
@@ -200,8 +200,7 @@ def coverage(cell: Result, quantity: str, level: int) -> tuple[float, float, flo
     if quantity == MOTION:
         inside = cell.successful(f"band_inside_{level}")
         return (float(inside.mean()) if inside.size else math.nan,) * 3
-    hits = np.abs(cell.successful(f"{quantity}_pit") - 0.5) <= level / 200.0 + 1e-12
-    return (float(hits.mean()), *wilson_interval(int(hits.sum()), hits.size)) if hits.size else (math.nan,) * 3
+    return share(np.abs(cell.successful(f"{quantity}_pit") - 0.5) <= level / 200.0 + 1e-12)
 
 
 def error_axis(every: pd.DataFrame, name: str) -> Across:

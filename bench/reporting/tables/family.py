@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from bench.entrants.registry import load_method
-from bench.reporting.family import PLACE, Family, Place, Section, Variant, any_stored, family_of
+from bench.reporting.family import PLACE, Family, Place, Section, Variant, family_of, has_choices
 from bench.reporting.frame import ERROR, Frame, Line, Result, group
 from bench.reporting.labels import cards
 from bench.reporting.rounding import answered, excess_text, number, percent
@@ -159,7 +157,7 @@ TRAINING = {
 
 def family_table(frame: Frame) -> Mapping[str, str]:
     """Return the files of the table by name; none if no cell of the family is stored."""
-    if not any_stored(frame):
+    if not any(result.stored and has_choices(result.method) for result in frame):
         return {}
     family = family_of(frame)
     notes = failure_notes(replace(cell, label=v.title) for v in family.variants for cell in v.cells.values())
@@ -337,17 +335,8 @@ def _sources(family: Family) -> str:
 
 
 def _versions(package: str, users: Iterable[Variant]) -> str:
-    """Return a package with the version that computed the stored cells, else with the installed version."""
+    """Return a package with the version that computed the stored cells, if they state one."""
     stored = [cell.stored.provenance.get("packages", {}) for v in users for cell in v.cells.values() if cell.stored]
     names = (package, package.replace("-", "_"))
     versions = {str(packages[name]).partition("+")[0] for packages in stored for name in names if name in packages}
-    return f"{package} {', '.join(sorted(versions)) or _installed(package)}"
-
-
-@cache
-def _installed(package: str) -> str:
-    """Return the installed version of a package, given the name of its distribution or of its module."""
-    for name in (package, *packages_distributions().get(package, ())):
-        with suppress(PackageNotFoundError):
-            return version(name).partition("+")[0]
-    return "not installed here"
+    return f"{package} {', '.join(sorted(versions))}".strip()

@@ -198,7 +198,7 @@ def test_stale_results_are_counted() -> None:
     version = settings_version("mcmc", "sdof", {}).as_json()
     today = replace(stored("mcmc"), version=version)
     cells = origin.cells_of([Result.of_stored(cell) for cell in (stored("ls"), today)])
-    (stale,) = origin.counted(cells, "changed")
+    (stale,) = origin.stale(cells)
     assert (stale["cells"], stale["fits"]) == (1, 40)
     assert stale["changed"].startswith("method version not stated, today ")
 
