@@ -88,11 +88,10 @@ class PlanRequest:
         self, rows: Sequence[Row], decays: Sequence[Decay], times: Sequence[np.ndarray | None] = ()
     ) -> None:
         """Add the share of simulated decays, sampled at ``times`` if given, that reach the requested error."""
-
-        def simulation(decay: Decay, sampled: np.ndarray | None) -> Simulation:
-            return partial(simulate_decays, self.likely, decay, self.quantity, times=sampled)
-
-        tests = [simulation(*test) for test in zip(decays, times or [None] * len(decays), strict=True)]
+        tests: list[Simulation] = [
+            partial(simulate_decays, self.likely, decay, self.quantity, times=sampled)
+            for decay, sampled in zip(decays, times or [None] * len(decays), strict=True)
+        ]
         self.simulate(rows, "simulated, %", tests, lambda errors: f"{100 * share_within(errors, self.error):.1f}")
 
 
@@ -248,11 +247,10 @@ def forces_page(request: PlanRequest, test: ForcedTest, size: float, energy: flo
         }
         for name, force in errors_by_force.items()
     ]  # fmt: skip
-
-    def simulation(force: np.ndarray) -> Simulation:
-        return partial(simulate_forced_tests, request.likely, test, force, quantity)
-
-    tests = [simulation(force.force) for force in errors_by_force.values()]
+    tests: list[Simulation] = [
+        partial(simulate_forced_tests, request.likely, test, force.force, quantity)
+        for force in errors_by_force.values()
+    ]
     request.simulate(rows, "counted, %", tests, lambda errors: percent(robust_deviation(errors)))
     notes = [
         f"Each force has the energy {energy:g} N² s and is measured with the motion, which starts from rest (not given "

@@ -25,13 +25,12 @@ from bench.records.problem import Measured, read_measured
 from bench.records.reading import of_arrays
 from bench.records.replicas import ReplicaCoverage
 from bench.records.request import Request, request_of
-from bench.records.response import MOST_DRAWN, response_of, thinned
+from bench.records.response import MOST_DRAWN, thinned
 from bench.records.verdict import Trust
 from bench.records.workers import Workers
 from bench.reporting.answer import answer, quantity_text
 from bench.reporting.certificate.contents import contents
 from bench.reporting.certificate.page import page
-from bench.reporting.certificate.pictures import fit_picture
 from bench.reporting.pictures.style import theme
 from bench.reporting.rounding import rounded
 
@@ -122,14 +121,6 @@ def luminance(colour: str) -> float:
     """Relative luminance of #rrggbb (WCAG 2.2)."""
     parts = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     return float(np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
-
-
-def test_the_picture_of_a_fit_and_of_a_record_without_one(made: Certificate) -> None:
-    response = response_of(made.primary)
-    for shown, said in ((response, "output_error: "), (replace(response, fit=None), "output_error")):
-        drawing = fit_picture(shown)
-        assert said in drawing
-        assert ("residual (m)" in drawing) == (shown.fit is not None)
 
 
 def test_the_fit_is_in_the_units_of_the_record(shown: Mapping[str, Any]) -> None:

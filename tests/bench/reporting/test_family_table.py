@@ -6,25 +6,23 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from stored import BOUND, fill, fill_family, trained
+from stored import BOUND, trained
 
 from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.entrants.registry import default_settings, load_method
 from bench.errors import InputError
 from bench.reporting.family import Family, family_of
-from bench.reporting.frame import Frame, Result, experiment_frame
-from bench.reporting.tables.family import TRAINING, arrival, arrived, family_table, oracle_seconds
+from bench.reporting.frame import Frame, Result
+from bench.reporting.tables.family import arrival, arrived, family_table, oracle_seconds
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
-from bench.store.store import Store
 from bench.store.stored_cell import StoredCell
 
 FAMILY = "pinn_family"
@@ -185,12 +183,6 @@ def test_as_good_as_the_oracle_is_for_good(place: Scenario, off: Any, expected: 
     assert oracle_seconds(cell(place, trained(2, off), LM, FAMILY), cell(place, rows, None, "oracle")) == expected
 
 
-def test_a_method_without_a_training_has_its_time_alone(place: Scenario) -> None:
-    own = cell(place, [Row(0, Status.OK, scores={"k_over_m_error_pct": 0.5}, cpu_s=2.0)], None, "oracle")
-    values = {name: quantity.value(own, None, None) for name, quantity in TRAINING.items()}
-    assert {name: value for name, value in values.items() if value == value} == {"fit_s": 2.0}
-
-
 def test_what_failed_and_what_is_missing_is_said(place: Scenario) -> None:
     rows = [*trained(1, lambda t: 0.5), Row(1, Status.DIVERGED, "it went away")]
     missing = cell(place, None, {"optimizer": "muon"}, FAMILY)
@@ -201,37 +193,3 @@ def test_what_failed_and_what_is_missing_is_said(place: Scenario) -> None:
     assert "- 1 × SOAP: diverged, it went away" in files[f"{FAMILY}.md"]
     lines = [one for one in csv.DictReader(io.StringIO(files[f"{FAMILY}.csv"])) if one["row"] == "Muon"]
     assert {(one["n"], one["value"]) for one in lines} == {("0", "")}
-
-
-# ---- the picture
-
-
-@pytest.fixture
-def full(tmp_path: Path) -> Store:
-    """Every cell of the experiment at 20 dB with the start known."""
-    store = Store(tmp_path / "rows")
-    store.prepare()
-    fill_family(store)
-    return store
-
-
-def test_the_picture_shows_when_a_training_is_good_and_how_good_it_ends(full: Store) -> None:
-    pytest.importorskip("vl_convert")
-    from bench.reporting.family import PLACE
-    from bench.reporting.pictures.gallery import Gallery
-    from bench.reporting.pictures.rows import draw_family, trainings
-
-    stored = experiment_frame("pinn", full)
-    section = family_of(stored).section("optimizer", 0)
-    assert section is not None
-    oracle = next(result for result in stored if result.method == "oracle" and result.stored)
-    shown = trainings(section, oracle).set_index("method")
-    base = next(row.stored_cell(PLACE) for row in section.rows if row.base)
-    assert base is not None
-    assert shown.loc["Levenberg-Marquardt", "slowest"] == base.scores("training_s").max()
-    assert shown.loc["Levenberg-Marquardt", "excess"] == pytest.approx(base.scores("k_over_m_error_pct")[0] / 0.5)
-    assert shown.loc["Levenberg-Marquardt", "seconds"] == oracle_seconds(base, oracle)
-    fill(full, ["shooting"])
-    gallery = Gallery(full)
-    assert draw_family(gallery).name == FAMILY
-    assert not [one.label for one in gallery.cells if one.method == FAMILY]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import math
 import re
@@ -12,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
 
-import numpy as np
 import pytest
 from conftest import REPOSITORY, Python
 from scipy.stats import binom
@@ -21,7 +19,7 @@ from sites import Page, filled, made, panels_of, stored, text_of
 from bench.commands.main import main
 from bench.contract.estimate import Status
 from bench.reporting.frame import Result
-from bench.reporting.page import board, charts, home, origin
+from bench.reporting.page import board, home, origin
 from bench.reporting.page.reading import StoreReading
 from bench.reporting.page.site import Site
 from bench.reporting.page.situations import Advice, advice
@@ -178,13 +176,6 @@ def test_the_board_shows_the_errors_whose_ratio_to_the_bound_it_shows() -> None:
     assert excesses == sorted(excesses)
 
 
-def test_errors_survive_their_packing() -> None:
-    """Half-precision numbers have 11 digits of two."""
-    errors = np.geomspace(0.1, 10, 999)
-    back = np.frombuffer(base64.b64decode(charts.packed(errors)), "<f2").astype(float)
-    assert back == pytest.approx(errors, rel=2**-10)
-
-
 # ---- what can be trusted
 
 
@@ -210,12 +201,6 @@ def test_what_the_data_do_not_tell_is_said_and_when_it_was_computed(cells: Cells
     assert "Computed 2026-01-01. Reproduce with" in text_of(site / "methods" / "ls.html")
     said = said[said.index("Identifiability") :]
     assert re.search(r"m no 100 % c no 25 % k no 95 % k/m yes 0.1 % c/m yes 0.1 %", said)
-
-
-def test_a_store_of_failures_says_so(cells: Cells) -> None:
-    site = made(cells(stored("ls", failed=40, message="no luck"), stored("mcmc", failed=40, message="none either")))
-    assert "no luck" in text_of(site / "trust.html")
-    assert "0/40" in text_of(site / "scenarios" / "sdof-20db-start-unknown.html")
 
 
 def test_a_submitted_method_says_how_it_was_verified(cells: Cells, monkeypatch: pytest.MonkeyPatch) -> None:

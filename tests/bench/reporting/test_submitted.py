@@ -12,7 +12,7 @@ from stored import BOUND, scored
 from bench.commands.main import main
 from bench.config.experiment import Experiment
 from bench.reporting.frame import experiment_frame, stored_results, submitted_results, with_submitted
-from bench.reporting.labels import in_order, title
+from bench.reporting.labels import title
 from bench.reporting.tables.leaderboard import leaderboard
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell
@@ -66,13 +66,6 @@ def test_a_method_that_is_not_installed_here_stands_in_the_leaderboard(store: St
     shown = with_submitted(experiment_frame("open", store), submitted_results(store))
     assert re.search(r"\| 1 +\| elsewhere \(submitted\) +\|", leaderboard(shown)["leaderboard.md"])
     assert "elsewhere (submitted): submitted; its verification" in leaderboard(shown)["leaderboard.md"]
-
-
-def test_it_is_called_and_ordered_as_its_method() -> None:
-    assert title("ls (submitted)") == f"{title('ls')} (submitted)"
-    assert title("unheard_of (submitted)") == "unheard_of (submitted)"
-    known = in_order(["ls", "rls", "prior"])
-    assert in_order([f"{label} (submitted)" for label in known]) == [f"{label} (submitted)" for label in known]
 
 
 def test_a_store_may_state_anything_of_a_verification(store: Store) -> None:

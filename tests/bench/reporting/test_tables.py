@@ -22,7 +22,7 @@ from bench.reporting.frame import ERROR, Frame, Result, computed
 from bench.reporting.paper import paper_number, printed
 from bench.reporting.residuals import coloured, residuals
 from bench.reporting.tables import estimates
-from bench.reporting.tables.pooling import identified, modal_scores, pooled_coverage, pooled_excess
+from bench.reporting.tables.pooling import identified, pooled_coverage, pooled_excess
 from bench.reporting.tables.systems import SYSTEMS, describe, system_lines
 from bench.reporting.tables.tidy import tidy_frame
 from bench.scenario.disturbance import Disturbance
@@ -275,18 +275,6 @@ def test_parameters_from_ratios_and_from_groups() -> None:
     assert {name: own[0] for name, own in found.items()} == {name: 2.0 * true[name] for name in system.names}
     assert (found["m1"][1], found["k2"][1]) == (1.0, pytest.approx(true["k2"] / true["m1"]))
     assert all(math.isnan(own[2]) for own in found.values())
-
-
-def test_modes_of_the_true_parameters_agree_with_themselves() -> None:
-    """Every parameter 21 % high: same modes. Springs alone 21 % high: frequencies 10 % high, the undamped law."""
-    chain = cell_of("system=chain2")
-    names = chain.scenario.make_system().names
-    for springs, error in ((names, 0.0), ([name for name in names if name[0] == "k"], 10.0)):
-        errors = {name: [21.0 * (name in springs)] for name in names}
-        found = modal_scores(result(errors, dict.fromkeys(names, 1.0), cell=chain))
-        assert found["frequencies_error_pct"] == pytest.approx([error], rel=0.01, abs=1e-9)
-        assert found["least_mac"] > 0.99
-    assert not modal_scores(result({"m": [21.0]}, {"m": 1.0}, cell=cell_of("system=duffing")))
 
 
 def test_the_record_is_described_in_numbers() -> None:
