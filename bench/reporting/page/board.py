@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -81,14 +82,14 @@ def board(panels: Sequence[ScenarioPanel], methods: Mapping[str, str]) -> list[d
         column("Time per fit", lines, lambda line: short(median_time([line.result]), 2), time_text),
         column("Scenario", lines, lambda line: line.place, lambda place: panels[place].title,
                lambda place: f"scenarios/{panels[place].slug}.html"),
-        *(column(name, lines, lambda line, of=name: choice_key(of, chosen[line.place]), itemgetter(1))
-          for name in BY_SCENARIO),
+        *(column(name, lines, partial(choice_key, chosen, name), itemgetter(1)) for name in BY_SCENARIO),
     ]  # fmt: skip
 
 
-def choice_key(name: str, chosen: Mapping[str, str]) -> tuple[float, str]:
-    """Return the sort key of a scenario in a column: signal-to-noise ratios are numbers, the rest are texts."""
-    return float(chosen[name].split()[0]) if name == "SNR" else 0.0, chosen[name]
+def choice_key(chosen: Sequence[Mapping[str, str]], name: str, line: Line) -> tuple[float, str]:
+    """Return the sort key of a line in a column of the scenario: noise levels are numbers, the rest are texts."""
+    text = chosen[line.place][name]
+    return float(text.split()[0]) if name == "SNR" else 0.0, text
 
 
 def column(
