@@ -16,11 +16,10 @@ import numpy as np
 from bench.contract.modal import FreeDecays
 from bench.records.modal import ModalFinding, modal_response
 from bench.records.response import Response, thinned
-from bench.reporting.pictures.theme import FULL, HALF, SERIES, theme
+from bench.reporting.pictures.theme import FULL, HALF, INK, QUIET, SERIES, THEME
 from bench.reporting.rounding import readable
 
 BLUE, ORANGE, _, PURPLE = SERIES[:4]
-INK, QUIET = (theme()["style"][name]["color"] for name in ("truth", "quiet"))
 AGREEMENT = {"primary": INK, "agrees": BLUE, "tied": QUIET, "off": ORANGE, "-": QUIET}
 ROOM = 34.0
 """Width of an axis with its labels, equal for aligned panels."""
@@ -38,11 +37,11 @@ Drawn = tuple[Specification, str]
 """A picture and its caption."""
 
 
-def svg(picture: Specification, ground: str | None = None) -> str:
+def svg(picture: Specification) -> str:
     """Draw a picture with lengths in points, in the font of the reader if DejaVu Sans is missing."""
     import vl_convert
 
-    drawn = vl_convert.vegalite_to_svg({**picture, "padding": 3, "config": theme() | {"background": ground}})
+    drawn = vl_convert.vegalite_to_svg({**picture, "padding": 3, "config": THEME})
     style = "<style>text { font-family: 'DejaVu Sans', sans-serif }</style>"
     in_points = re.sub(r'(width|height)="([\d.]+)"', r'\1="\2pt"', drawn, count=2)
     return in_points.replace(">", f">{style}", 1)
@@ -50,7 +49,7 @@ def svg(picture: Specification, ground: str | None = None) -> str:
 
 def fit_picture(response: Response) -> str:
     """Draw samples, fitted response and residuals as the content of an SVG file."""
-    return svg(_fit_over_time(response), theme()["background"])
+    return svg(_fit_over_time(response))
 
 
 def _fit_over_time(response: Response) -> Specification:
@@ -67,7 +66,7 @@ def modes_picture(finding: ModalFinding) -> str:
     response, spectra = modal_response(finding), spectra_of_modes(finding)
     panels = [] if response is None else [_fit_over_time(response)]
     panels += [_modes_over_frequency(spectra, FULL)] if spectra else []
-    return svg({"vconcat": panels, "resolve": {"scale": {"color": "independent"}}}, theme()["background"])
+    return svg({"vconcat": panels, "resolve": {"scale": {"color": "independent"}}})
 
 
 def spectra_of_modes(finding: ModalFinding) -> dict[str, Any] | None:

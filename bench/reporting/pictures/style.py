@@ -18,7 +18,7 @@ import pandas as pd
 import vl_convert
 
 from bench.reporting.pictures.png import RESOLUTION, packed
-from bench.reporting.pictures.theme import FULL, theme
+from bench.reporting.pictures.theme import FULL, THEME
 from bench.reporting.whole_file import write
 
 ONE = alt.InlineData([{}])
@@ -87,7 +87,7 @@ def specification(chart: Any, width: float = FULL) -> dict[str, Any]:
     """Return the chart as Vega-Lite, in our style, its panels as wide as makes the whole picture ``width`` wide."""
     register_font()
     with alt.data_transformers.enable("default", max_rows=None):
-        spec = chart.properties(padding=2).to_dict() | {"config": theme()}
+        spec = chart.properties(padding=2).to_dict() | {"config": THEME}
     # the whole is nearly a constant (names, spaces) and a multiple of the panels' widths: the secant method
     last, factor = 1.5, 2.0
     before, whole = (drawn_width(_scaled(spec, own)) for own in (last, factor))

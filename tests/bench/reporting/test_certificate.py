@@ -31,7 +31,7 @@ from bench.records.workers import Workers
 from bench.reporting.answer import answer, quantity_text
 from bench.reporting.certificate.contents import contents
 from bench.reporting.certificate.page import page
-from bench.reporting.pictures.style import theme
+from bench.reporting.pictures.theme import INK
 from bench.reporting.rounding import rounded
 
 RATE, DECAY = 6.0, 0.2
@@ -102,7 +102,7 @@ def test_the_pictures_are_drawings_in_the_one_style(text: str) -> None:
     assert len(drawings) == 3
     for drawing in drawings:
         assert ElementTree.fromstring(drawing).tag == "{http://www.w3.org/2000/svg}svg"
-        assert f'fill="{theme()["text"]["color"]}"' in drawing
+        assert f'fill="{INK}"' in drawing
         assert "NaN" not in drawing
 
 

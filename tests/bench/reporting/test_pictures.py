@@ -63,7 +63,7 @@ from bench.reporting.pictures.responses import (
 )  # fmt: skip
 from bench.reporting.pictures.rows import coverage, draw_coverage, draw_time, excess_interval
 from bench.reporting.pictures.style import Nothing, Picture, specification
-from bench.reporting.pictures.theme import theme
+from bench.reporting.pictures.theme import INK
 
 MOST_BYTES = 150_000
 COVARIANCE = np.array([[SD_K**2, CORRELATION * SD_K * SD_C], [CORRELATION * SD_K * SD_C, SD_C**2]])
@@ -378,7 +378,7 @@ def test_a_picture_can_be_read_at_its_size(name: str, full: Callable[[str], Pict
     assert abs(scene["width"] - picture.width) <= 8.0
     texts = list(texts_of(scene["scenegraph"], *scene["origin"]))
     assert min(size for _, size, _, _ in texts) >= 7.0
-    assert {colour for *_, colour in texts} <= {theme()["text"]["color"]}
+    assert {colour for *_, colour in texts} <= {INK}
     assert any("(" in text for text, *_ in texts) or name == "failures"  # every axis has a unit
     for text, _, (left, _, right, _), _ in texts:
         assert left > -2.0, text
