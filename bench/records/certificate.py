@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from bench.config.schema import Job
@@ -18,7 +17,7 @@ from bench.engine.progress import OnProgress, RunState
 from bench.entrants.reference import REFERENCES
 from bench.errors import InputError
 from bench.isolation.processes import Died
-from bench.records.classes import NAME, best_class, class_fit, compare_classes
+from bench.records.classes import best_class, compare_classes
 from bench.records.finding import Finding
 from bench.records.identification import assess, identify
 from bench.records.intervals import StatedInterval
@@ -97,11 +96,6 @@ def certify(
         auto = request.system == AUTO
         measured = best_class(measured, comparison) if auto else replace(measured, comparison=comparison)
         answer, findings = _answers(request, measured, workers, on_progress)
-        if answer[0].estimate.status is not Status.OK and comparison is not None and auto:
-            with suppress(Died):  # the failed estimate remains
-                by_class = workers.submit(CLASSES_SECONDS, _class_answer, answer[0], comparison.chosen, measured)
-                if (class_answer := by_class.result()) is not None:
-                    answer, findings = class_answer, [answer[0], *findings]
         primary = with_reasons(answer[0], findings, missing)
         drawn = _replicas(primary, request.job, replicas, workers, on_progress, say, missing)
     _, prediction, changes = answer
@@ -159,10 +153,7 @@ def _answers(
 
 def primary_answer(job: Job, measured: Measured) -> Answer:
     """Identify the records with the primary method; raises InputError."""
-    return _with_consequences(identify(job, measured))
-
-
-def _with_consequences(finding: Finding) -> Answer:
+    finding = identify(job, measured)
     prediction = None if finding.fit is None else predict_held_out(finding.fit)
     return finding, prediction, () if finding.trust is Trust.NO else what_if(finding)
 
@@ -171,16 +162,6 @@ def other_answer(job: Job, measured: Measured) -> Answer:
     """Identify the records, decimated if long, with a method that checks the primary one; raises InputError."""
     factor = min(spare_factor(measured.problem), measured.problem.n // OTHERS_SAMPLES)
     return identify(job, with_fewer_samples(measured, factor, job) if factor > 1 else measured), None, ()
-
-
-def _class_answer(failed: Finding, chosen: ModelClass, measured: Measured) -> Answer | None:
-    """Return the fit of the selected model class, in place of a failed estimate; None if that fit fails as well."""
-    estimate = class_fit(chosen, measured.problem) if len(measured.problem.records) == 1 else None
-    if estimate is None:
-        return None
-    finding = assess(NAME, measured, estimate)
-    text = f"{failed.method} gave no estimate: {failed.estimate.message}; values are those of the model class's fit"
-    return _with_consequences(replace(finding, reasons=(*finding.reasons, Reason(Trust.CAUTION, text))))
 
 
 # ------------------------------------------------------------------------------------------------ agreement
@@ -256,8 +237,6 @@ def _replicas(
         missing["replicas"] = "not requested (twins=0)"
     elif primary.trust is Trust.NO or primary.fit is None:
         missing["replicas"] = "the estimate is not trusted"
-    elif primary.method != job.label:
-        missing["replicas"] = f"the estimate is by {primary.method}, not by the method"
     if "replicas" in missing:
         return ()
     announced = False

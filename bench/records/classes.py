@@ -12,17 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.contract.estimate import Cost, Estimate
 from bench.contract.problem import Problem
-from bench.likelihood.compiled_model import compiled_output_error
-from bench.likelihood.output_error import estimate_at
 from bench.records.colour import criterion_error
 from bench.records.general_law import COEFFICIENTS, ClassFits, LawFitter, excerpt
 from bench.records.intervals import HALF
-from bench.records.linearised_fit import at_theta
 from bench.records.models import TIED, ClassComparison, ModelClass, smoothing_velocity, unit_over_mass
-from bench.records.problem import Measured, of_system, with_system
-from bench.systems import LENGTH, MEASURED
+from bench.records.problem import Measured, with_system
 from bench.systems.sums import Sum
 
 SPRINGS = {"viscous": ("k",), "cubic": ("k", "k3"), "pendulum": ("pendulum",)}
@@ -38,8 +33,6 @@ STRONG = 6.0
 Assoc. 90:773, 1995, section 3.2)."""
 DESCRIBES = 0.3
 """Ratio of residuals to signal below which a class is taken to describe a record."""
-NAME = "least squares of the class"
-ITERATIONS = 30
 
 
 def compare_classes(measured: Measured) -> ClassComparison | None:
@@ -87,31 +80,6 @@ def best_class(measured: Measured, comparison: ClassComparison | None) -> Measur
     ]
     measured = with_system(measured, chosen.system)
     return replace(measured, notes=(*measured.notes, note, *zeros), comparison=comparison)
-
-
-def class_fit(model_class: ModelClass, problem: Problem) -> Estimate | None:
-    """Fit a class to all samples of a record by least squares, starting at its parameters; None if the fit diverges."""
-    problem = of_system(problem, model_class.system)
-    units = problem.natural_units()
-    model = compiled_output_error(problem.expressed_in(units))
-    of_mass = units.of(problem.system.parameters[0].dimension)
-    mass = model_class.parameters.get("m", of_mass)
-    guess = {"m": mass / of_mass}
-    for p in problem.system.parameters[1:]:
-        guess[p.name] = model_class.parameters[p.name] / units.of(p.dimension)
-        guess[p.name] *= of_mass if p.dimension.mass and "m" not in model_class.parameters else 1.0
-    theta = np.zeros(model.size)
-    theta[: len(model.free)] = np.log([guess[name] for name in model.free])
-    if model.unknown_starts:
-        place = slice(len(model.free), len(model.free) + 2)
-        theta[place] = model_class.start[0] / units.of(LENGTH), model_class.start[1] / units.of(MEASURED["velocity"])
-    with np.errstate(all="ignore"):
-        theta = model.settle(theta[None], iterations=ITERATIONS)[0]
-        fit = at_theta(model, theta)
-    if fit is None or fit.white is None:
-        return None
-    estimate = estimate_at(model, theta, fit.white, fit.used, Cost())
-    return estimate.expressed_in(units.inverse)
 
 
 def _candidates(forced: bool, angle: bool) -> dict[str, np.ndarray]:
@@ -205,6 +173,4 @@ def _model_class(
     limits = [fit.limits_in_si(case) for fit in fits]
     zero = {key: max(limit[key] for limit in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
     criterion, error, score, rms = figures
-    cut, (x, v) = fits[0].excerpt, fits[0].starts[case]
-    start = float(x) * cut.size, float(v) * cut.size * cut.rate
-    return ModelClass(name, system, parameters, start, criterion, error, score, rms, zero)
+    return ModelClass(name, system, parameters, criterion, error, score, rms, zero)

@@ -199,14 +199,9 @@ def with_fewer_samples(measured: Measured, factor: int, job: Job) -> Measured:
 
 
 def with_system(measured: Measured, system: Sum) -> Measured:
-    """Return the records with another system."""
-    return replace(measured, problem=of_system(measured.problem, system))
-
-
-def of_system(problem: Problem, system: Sum) -> Problem:
-    """Return a problem with another system; offsets are estimated only if they are identifiable."""
+    """Return the records with another system; offsets are estimated only if they are identifiable."""
     records = tuple(
         replace(r, channels=tuple(replace(c, offset=c.offset and system.offset_identifiable) for c in r.channels))
-        for r in problem.records
+        for r in measured.problem.records
     )
-    return replace(problem, system=system, records=records)
+    return replace(measured, problem=replace(measured.problem, system=system, records=records))

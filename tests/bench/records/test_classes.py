@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from bench.config.overrides import overrides_of
 from bench.contract.problem import Channel, Problem, Record
 from bench.likelihood.output_error import OutputError
-from bench.records.classes import best_class, class_fit, compare_classes, needless_terms
+from bench.records.classes import best_class, compare_classes, needless_terms
 from bench.records.identification import identify
 from bench.records.linearised_fit import at_theta
 from bench.records.models import ClassComparison
@@ -202,26 +202,6 @@ def test_a_driven_axis_has_friction_and_no_spring() -> None:
     assert "spring" not in model.system.terms
     assert model.parameters["m"] == pytest.approx(1.0, rel=0.03)
     assert model.parameters["mu"] == pytest.approx(3.0, rel=0.05)
-
-
-@pytest.mark.parametrize("cycles", [10.0, 60.0])
-def test_a_class_is_fitted_to_the_whole_record(cycles: float) -> None:
-    """The comparison uses windows of a long record or the whole of a short one; parameters are in SI units."""
-    times = np.arange(round(20 * cycles)) / 20.0
-
-    def law(t, y):  # type: ignore[no-untyped-def]
-        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * (y[0] + 0.5 * y[0] ** 3)]
-
-    x = solve_ivp(law, (0.0, times[-1]), [1.0, 0.0], t_eval=times, rtol=1e-9, atol=1e-11).y[0]
-    record = records("auto", noisy(x, 40.0, 3, t=times))
-    estimate = class_fit(compared(record).chosen, record.problem)
-    assert estimate is not None
-    for name, value in {"k_over_m": OMEGA**2, "c_over_m": 2 * ZETA * OMEGA, "k3_over_m": 0.5 * OMEGA**2}.items():
-        marginal = estimate.marginal(estimate.system.quantity(name))
-        assert marginal is not None
-        low, high = marginal.interval(0.999)
-        assert low < value < high
-        assert high - low < 0.2 * value
 
 
 def test_the_absence_of_classes_for_two_masses_is_reported() -> None:

@@ -17,7 +17,6 @@ import pytest
 from bench.records import certificate as gathering
 from bench.records import classes
 from bench.records.certificate import Certificate, _comparison, agreement_of, certify, with_reasons
-from bench.records.classes import NAME
 from bench.records.intervals import StatedInterval
 from bench.records.models import ClassComparison
 from bench.records.prediction import held_out_fit
@@ -68,20 +67,6 @@ def shown(made: Certificate) -> Mapping[str, Any]:
 @pytest.fixture(scope="module")
 def text(shown: Mapping[str, Any]) -> str:
     return page(shown)
-
-
-def test_where_the_primary_method_finds_nothing_the_fit_of_the_class_stands(compared: ClassComparison) -> None:
-    """Only where the system was chosen; which method found nothing, and why, is said."""
-    failed = ("era",)  # it cannot estimate the sensor's offset
-    chosen = certify(*asked("auto", failed), 0)
-    assert [one.method for one in chosen.findings] == [NAME, "era"]
-    assert {"k_over_m", "c_over_m"} <= set(chosen.primary.intervals)
-    own = chosen.primary.intervals["k_over_m"]
-    assert own.low < RATE**2 + DECAY**2 < own.high
-    assert any("era gave no estimate: it cannot estimate" in reason.text for reason in chosen.primary.reasons)
-    assert NAME in page(contents(chosen, "certify"))
-    named = certify(*asked("sdof", failed), 0)
-    assert [one.method for one in named.findings] == ["era"]
 
 
 def test_the_page_needs_nothing_else_and_states_the_contents(text: str, shown: Mapping[str, Any]) -> None:
