@@ -26,7 +26,6 @@ from bench.records.reading.headings import column_of
 from bench.records.reading.times import rebuilt as clock_of
 from bench.records.reading.units import unit_of
 
-SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "data"
 DEGREE = math.pi / 180
 T = [0.0, 0.5, 1.0, 2.5]
 X = [1.0, -2.25, 3.5, 0.125]
@@ -759,11 +758,6 @@ def test_matlab_variables_by_name(tmp_path: Path) -> None:
         assert part in str(error.value)
 
 
-def test_matlab_names_may_contain_units(tmp_path: Path) -> None:
-    scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_mm": X, "fs": 2.0})
-    check(read(tmp_path / "r.mat"), {"x": ([1e-3 * x for x in X], "m")})
-
-
 def test_numpy_files(tmp_path: Path) -> None:
     np.savez(tmp_path / "r.npz", t_s=T, theta_deg=X, note="swing")
     check(read(tmp_path / "r.npz"), {"x": ([DEGREE * x for x in X], "rad")})
@@ -933,144 +927,3 @@ def test_tdms(tmp_path: Path) -> None:
     assert (a.role, a.unit) == ("a", "m/s²")
     np.testing.assert_allclose(a.values, 9.80665 * np.arange(200.0))
     np.testing.assert_allclose(a.times, GRID, atol=1e-12)
-
-
-# random bytes
-
-STARTS = [
-    b"", b"\x1f\x8b", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"PAR1", b"MATLAB 5.0 MAT-file", b"TDSm",
-    b"\x89HDF\r\n\x1a\n", b"    -1\n    58\n", b"\xff\xfe", b"\xef\xbb\xbf", b"t [s],x [m]\n0,1\n1,2\n2,3\n",
-]  # fmt: skip
-
-
-def refusal(path: Path, **options: Any) -> str:
-    """Return the error message of a file; "" if it can be read."""
-    try:
-        read(path, **options)
-    except InputError as error:
-        return str(error)
-    return ""
-
-
-@pytest.mark.parametrize("start", STARTS)
-def test_random_bytes_raise_no_other_exception(start: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_this_process(monkeypatch)
-    rng = np.random.default_rng(len(start))
-    cells = np.frombuffer(b'0123456789.,;\t\n -eE"x[s]#', np.uint8)
-    for n in (1, 7, 64, 300, 3000):
-        for noise in (rng.choice(cells, n), rng.integers(0, 256, n, np.uint8)):
-            for name in ("r.csv", "r.mat"):
-                path = write(tmp_path, start + noise.tobytes(), name=name)
-                assert "\n" not in refusal(path, columns={"t": 0, "x": 1}, units={"t": "s"})
-
-
-def test_files_with_a_changed_byte_raise_no_other_exception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_this_process(monkeypatch)
-    np.savez_compressed(tmp_path / "r.npz", t_s=T, x_m=X)
-    scipy.io.savemat(tmp_path / "r.mat", {"t_s": T, "x_m": X}, do_compression=True)
-    pq.write_table(pa.table({"t_s": T, "x_m": X}), tmp_path / "r.parquet")
-    rng = np.random.default_rng(0)
-    for name in ("r.npz", "r.mat", "r.parquet"):
-        whole = (tmp_path / name).read_bytes()
-        assert refusal(tmp_path / name) == ""
-        for place in rng.integers(0, len(whole), 60).tolist():
-            changed = whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :]
-            assert "\n" not in refusal(write(tmp_path, changed, name=f"bad{name[1:]}"))
-
-
-# real records, if available
-
-real = pytest.mark.skipif(not SHARED.exists(), reason="the real records are not available")
-
-
-@real
-def test_a_tracked_sphere() -> None:
-    recording = read(SHARED / "sphere_in_water" / "sphere_in_water.csv", start=1.2)
-    x = recording.signals[0]
-    assert (x.unit, x.role) == ("m", "x")
-    assert x.values[0] == pytest.approx(0.172877)
-    np.testing.assert_allclose(np.diff(x.times), 1 / 119.944, rtol=1e-5)
-
-
-@real
-def test_a_pendulum_with_units_in_its_names() -> None:
-    x = read(SHARED / "multiarm_single_pendulum" / "free_decay_theta_100hz.csv").signals[0]
-    assert (x.unit, x.times.size, x.values[0]) == ("rad", 5501, -1.6184289)
-    assert x.times[-1] == pytest.approx(55.0)
-
-
-@real
-def test_a_furuta_pendulum() -> None:
-    path = SHARED / "furuta_free_swing" / "pendulum_free_swing_data_03.txt"
-    x = read(path, columns={"x": 0}, units={"x": "deg"}, rate=1000).signals[0]
-    assert x.times.size == 5000
-    assert x.values[0] == pytest.approx(-45.27 * DEGREE)
-    with pytest.raises(InputError, match="columns=x:0 rate="):
-        read(path)
-
-
-@real
-def test_air_track_gliders() -> None:
-    path = SHARED / "schmidt_lipson_airtrack" / "real_double_linear_h_1.txt"
-    columns = {"t": 1, "x1": 2, "x2": 3}
-    recording = read(path, columns=columns, units={"t": "s", "x1": "units", "x2": "units"}, end=16.2)
-    assert [(signal.dof, signal.unit, signal.values[0]) for signal in recording.signals] == [
-        (0, "units", 0.0),
-        (1, "units", -143.0),
-    ]
-    np.testing.assert_allclose(np.diff(recording.signals[0].times), 1 / 29.96, rtol=1e-4)
-    with pytest.raises(InputError, match="columns="):
-        read(path)
-
-
-@real
-def test_a_pendulum_with_dropped_frames() -> None:
-    path = SHARED / "schmidt_lipson_pendulum" / "real_pend_h_1.txt"
-    recording = read(path, columns={"t": 1, "x": 2}, units={"t": "s", "x": "rad"})
-    assert recording.notes[-1].startswith("10 gaps in time, in which 12 samples")
-    assert recording.signals[0].times[5] == pytest.approx(1.0)
-
-
-@real
-def test_a_beam_from_labview() -> None:
-    path = SHARED / "dropbear_slow" / "ten_steps.txt"
-    a = read(path, columns={"t": "Time", "a": 1}).signals[0]
-    assert (a.unit, a.values.size, a.values[0]) == ("Voltage (unscaled)", 70000, 6.71387e-2)
-    assert a.times[-1] == pytest.approx(13.9998)
-
-
-@real
-def test_the_silverbox() -> None:
-    path = SHARED / "silverbox" / "SNLS80mV.csv.gz"
-    options = {"columns": {"x": "V2", "f": "V1"}, "units": {"x": "V", "f": "V"}, "rate": 1e7 / 2**14}
-    x, f = read(path, **options).signals
-    assert (x.values.size, x.values[0], f.values[0]) == (131072, 0.0093978, 0.0057756)
-
-
-@real
-def test_a_driven_axis_in_matlab() -> None:
-    path = SHARED / "emps" / "DATA_EMPS.mat"
-    raw = scipy.io.loadmat(path)
-    options = {"columns": {"t": "t", "x": "qm", "f": "vir"}, "units": {"t": "s", "x": "m", "f": "V"}}
-    x, f = read(path, **options).signals
-    np.testing.assert_array_equal(x.values, raw["qm"][:, 0])
-    np.testing.assert_array_equal(f.values, raw["vir"][:, 0])
-    with pytest.raises(InputError, match=r"variables gtau .*, qm \(24841,\)"):
-        read(path)
-
-
-@real
-@pytest.mark.parametrize("name", ["Sample_UFF58_ascii.uff", "Sample_UFF58b_bin.uff"])
-def test_universal_samples(name: str) -> None:
-    pytest.importorskip("pyuff")
-    x = read(SHARED / "uff58" / name, columns={"x": 0}).signals[0]
-    assert (x.unit, x.values.size) == ("Pa", 79292)
-    assert x.values[0] == pytest.approx(-1.47553e-2, abs=1e-7)
-    assert x.times[1] == pytest.approx(1.52588e-5)
-
-
-@real
-def test_certified_data() -> None:
-    x = read(SHARED / "nist_mgh17" / "MGH17.dat", columns={"x": 0, "t": 1}, units={"t": "s", "x": "m"}).signals[0]
-    np.testing.assert_allclose(x.values[:3], [0.844, 0.908, 0.932])
-    np.testing.assert_allclose(x.times, 10 * np.arange(33))
