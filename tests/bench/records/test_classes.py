@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -46,22 +48,22 @@ def with_friction() -> np.ndarray:
     return x
 
 
-def integrated(spring, amplitude: float, zeta: float = ZETA) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """Return the free decay of ``x'' = -2 zeta OMEGA x' - spring(x)`` from rest."""
+def integrated(force: Callable[[float, float], float], amplitude: float) -> np.ndarray:
+    """Return the free decay of ``x'' = -2 ZETA OMEGA x' - force(x, x')`` from rest."""
 
-    def law(t, y):  # type: ignore[no-untyped-def]
-        return [y[1], -2 * zeta * OMEGA * y[1] - spring(y[0])]
+    def law(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], -2 * ZETA * OMEGA * y[1] - force(*y)]
 
-    return solve_ivp(law, (0.0, T[-1]), [amplitude, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
+    return solve_ivp(law, (0.0, T[-1]), [amplitude, 0.0], t_eval=T, rtol=1e-9, atol=1e-11, max_step=0.01).y[0]
 
 
 def duffing() -> np.ndarray:
-    return integrated(lambda x: OMEGA**2 * (x + 0.5 * x**3), 1.0)
+    return integrated(lambda x, v: OMEGA**2 * (x + 0.5 * x**3), 1.0)
 
 
-def pendulum() -> np.ndarray:
+def pendulum(friction: float = 0.0) -> np.ndarray:
     """Return the angle of a pendulum released at 1.6 rad."""
-    return integrated(lambda x: OMEGA**2 * np.sin(x), 1.6)
+    return integrated(lambda x, v: OMEGA**2 * np.sin(x) + friction * np.tanh(v / 1e-3), 1.6)
 
 
 KINDS = {"displacement": ("x", "m"), "velocity": ("v", "m/s"), "acceleration": ("a", "m/s²")}
@@ -163,11 +165,7 @@ def test_a_pendulum_of_large_swings_is_chosen_by_its_angle(db: float) -> None:
 
 
 def test_friction_joins_a_pendulum() -> None:
-    def law(t, y):  # type: ignore[no-untyped-def]
-        return [y[1], -2 * ZETA * OMEGA * y[1] - OMEGA**2 * np.sin(y[0]) - FRICTION * np.tanh(y[1] / 1e-3)]
-
-    x = solve_ivp(law, (0.0, T[-1]), [1.6, 0.0], t_eval=T, rtol=1e-9, atol=1e-11, max_step=0.01).y[0]
-    assert chosen(measured(x, 40.0, 0, "rad")) == ("viscous", "pendulum", "coulomb")
+    assert chosen(measured(pendulum(FRICTION), 40.0, 0, "rad")) == ("viscous", "pendulum", "coulomb")
 
 
 def test_friction_is_selected_from_windows_of_a_long_record() -> None:
@@ -215,17 +213,30 @@ def test_the_absence_of_classes_for_two_masses_is_reported() -> None:
     assert "system=sdof is used" in selected.notes[-1]
 
 
+def drag() -> np.ndarray:
+    """Return a motion with drag alone, which decreases with the amplitude, while the effect of friction increases."""
+    return integrated(lambda x, v: OMEGA**2 * x + 0.1 * abs(v) * v - 2 * ZETA * OMEGA * v, 1.0)
+
+
 def test_terms_with_a_negative_estimate_are_needless() -> None:
     """The friction of a sum is needless for quadratic damping, but not for a record with friction."""
-
-    def law(t, y):  # type: ignore[no-untyped-def]
-        return [y[1], -(OMEGA**2) * y[0] - 0.1 * abs(y[1]) * y[1]]
-
-    x = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
-    limits = needless_terms(records("sdof+coulomb", noisy(x, 37.0, 0)))
+    limits = needless_terms(records("sdof+coulomb", noisy(drag(), 37.0, 0)))
     assert list(limits) == ["mu"]
     assert 0.0 < limits["mu"] < 0.1 * OMEGA**2
     assert needless_terms(records("sdof+coulomb", noisy(with_friction(), 40.0, 0))) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["shooting", "output_error"])
+def test_needless_friction_has_a_limit_with_any_method(method: str) -> None:
+    request = request_of(overrides_of({"method": method, "data": "simulated"}) | {"system": ["sdof+coulomb"]})
+    recording = Recording((noisy(drag(), 37.0, 0),), (), "simulated", "")
+    finding = identify(request.jobs[0], read_measured(request, (recording,)))
+    mu = finding.intervals["mu_over_m"]
+    assert (mu.low, mu.limit) == (0.0, "at most")
+    assert mu.value < 1e-3
+    assert 0.0 < mu.high < 0.1 * OMEGA**2
+    assert finding.intervals["k_over_m"].low < OMEGA**2 < finding.intervals["k_over_m"].high
 
 
 @pytest.mark.parametrize("more", [0.0, 0.2])
@@ -249,23 +260,3 @@ def test_the_held_out_fit_equals_a_direct_computation(more: float) -> None:
     late = x[~early]
     direct = 100 * (1 - np.linalg.norm(late - closed(q)[~early]) / np.linalg.norm(late - np.mean(late)))
     assert held_out_fit(fit) == pytest.approx(direct, abs=0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["shooting", "output_error"])
-def test_needless_friction_has_a_limit_with_any_method(method: str) -> None:
-    """The mass has quadratic damping, which decreases with the amplitude, while that of friction increases."""
-
-    def law(t, y):  # type: ignore[no-untyped-def]
-        return [y[1], -(OMEGA**2) * y[0] - 0.1 * abs(y[1]) * y[1]]
-
-    x = solve_ivp(law, (0.0, T[-1]), [1.0, 0.0], t_eval=T, rtol=1e-9, atol=1e-11).y[0]
-    x = x + 0.01 * np.random.default_rng(0).standard_normal(x.size)
-    recording = Recording((Signal("x", "displacement", 0, x, "m", T),), (), "simulated", "")
-    request = request_of(overrides_of({"method": method, "data": "simulated"}) | {"system": ["sdof+coulomb"]})
-    finding = identify(request.jobs[0], read_measured(request, (recording,)))
-    mu = finding.intervals["mu_over_m"]
-    assert (mu.low, mu.limit) == (0.0, "at most")
-    assert mu.value < 1e-3
-    assert 0.0 < mu.high < 0.1 * OMEGA**2
-    assert finding.intervals["k_over_m"].low < OMEGA**2 < finding.intervals["k_over_m"].high

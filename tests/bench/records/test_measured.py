@@ -73,7 +73,7 @@ def refusal(arguments: list[str], capsys: Capture) -> str:
     ("more", "part"),
     [
         (["method=oracle"], "method=oracle: it needs the true values"),
-        pytest.param(
+        (
             ["method=ls", "prior=nominal"],
             "bench: nominal={}: a prior on a measured record needs nominal values: nominal.m=",
         ),
@@ -102,18 +102,18 @@ def test_fields_that_do_not_apply_to_a_record_are_rejected(
 @pytest.mark.parametrize(
     ("more", "part"),
     [
-        pytest.param(["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, "),
-        pytest.param(["system=sdof+coulomb+coulomb"], "coulomb is repeated"),
-        pytest.param(["system=sdof+pendulum"], "these terms exclude each other"),
-        pytest.param(["fixed.m=0"], "fixed.m=0.0: a positive mass"),
+        (["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, "),
+        (["system=sdof+coulomb+coulomb"], "coulomb is repeated"),
+        (["system=sdof+pendulum"], "these terms exclude each other"),
+        (["fixed.m=0"], "fixed.m=0.0: a positive mass"),
         (["fixed.q=1"], "q"),
-        pytest.param(["fixed.k=9"], "only ratios to the mass are identifiable; add a force or a prior"),
-        pytest.param(
+        (["fixed.k=9"], "only ratios to the mass are identifiable; add a force or a prior"),
+        (
             ["fixed.m=1", "prior=nominal", "nominal.m=1", "nominal.c=1", "nominal.k=9"],
             "the mass is determined by the force or the prior",
         ),
-        pytest.param(["system=auto", "fixed.l=1"], "not supported with system=auto"),
-        pytest.param(["system=sdof+coulomb", "system.samples=20"], "omit system.<field>"),
+        (["system=auto", "fixed.l=1"], "not supported with system=auto"),
+        (["system=sdof+coulomb", "system.samples=20"], "omit system.<field>"),
     ],
 )
 def test_invalid_sums_and_known_values_are_rejected(
@@ -391,28 +391,6 @@ def test_a_part_of_a_record_is_chosen_on_its_own_clock(tmp_path: Path, capsys: C
 
 
 # sums
-
-
-def friction(folder: Path) -> tuple[Path, float]:
-    """Write a free decay from 1 m with friction, in closed form between turning points; return the path and mu/m."""
-    omega, zeta, shift = 2 * np.pi, 0.01, 0.01
-    damped, x, start, side = omega * np.sqrt(1 - zeta**2), np.zeros_like(LONG), 1.0, 1.0
-    half = np.pi / damped
-    for i in range(int(8.0 / half) + 1):
-        part = (i * half <= LONG) & ((i + 1) * half > LONG)
-        t = LONG[part] - i * half
-        shape = np.exp(-zeta * omega * t) * (np.cos(damped * t) + zeta * omega / damped * np.sin(damped * t))
-        x[part] = side * shift + (start - side * shift) * shape
-        start, side = side * shift - (start - side * shift) * np.exp(-zeta * omega * half), -side
-    return written(folder / "r.csv", "t [s],x [m]", LONG, x + noise(0.003, 1)), shift * omega**2
-
-
-@pytest.mark.slow
-def test_a_sum_on_the_command_line_finds_friction(tmp_path: Path, capsys: Capture) -> None:
-    path, truth = friction(tmp_path)
-    (result,) = answers(["method=output_error", "system=sdof+coulomb", f"data={path}"], capsys)
-    mu = (result["estimates"] or result["withdrawn"])["mu_over_m"]
-    assert mu["value"] == pytest.approx(truth, rel=0.1)
 
 
 @pytest.mark.slow

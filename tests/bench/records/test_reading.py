@@ -289,34 +289,26 @@ def test_a_single_column_needs_a_rate_and_a_unit(tmp_path: Path) -> None:
 
 # times
 
-
-def test_stamps_rounded_to_milliseconds_are_replaced(tmp_path: Path) -> None:
-    true = 0.467 + np.arange(757) / 119.944
-    recording = read(write(tmp_path, "t [s],x [mm]\n" + "".join(f"{t:.3f},{i}\n" for i, t in enumerate(true))))
-    np.testing.assert_allclose(recording.signals[0].times, true - true[0], atol=1e-4)
-    assert "rounded to 0.001 s: times are replaced by even ones at 119.9" in recording.notes[0]
-
-
-@pytest.mark.parametrize("decimals", [1, 2])
-def test_repeated_stamps_are_replaced(decimals: int, tmp_path: Path) -> None:
-    true = np.arange(900) / (300 if decimals == 2 else 30)
-    lines = [f"{t:.{decimals}f},{math.sin(7 * t):.6f}" for t in true]
-    recording = read(write(tmp_path, "t [s],x [mm]\n" + "\n".join(lines)))
-    x = recording.signals[0]
-    assert x.times.size == 900
-    np.testing.assert_allclose(np.diff(x.times), true[1], rtol=1e-3)
-    rate = "300" if decimals == 2 else "30"
-    assert f"of 900 time stamps are repeated: times are replaced by even ones at {rate}" in recording.notes[0]
+LATE = np.where(np.arange(870) % 51 == 40, np.arange(-1, 869), np.arange(870)) / 30
+ROUNDED: dict[str, tuple[np.ndarray, float, float, str]] = {
+    "milliseconds": (np.round(0.467 + np.arange(757) / 119.944, 3), 1.0, 119.944, "stamps are rounded to 0.001 s"),
+    "tenths": (np.round(np.arange(900) / 30, 1), 1.0, 30.0, "of 900 time stamps are repeated"),
+    "hundredths": (np.round(np.arange(900) / 300, 2), 1.0, 300.0, "of 900 time stamps are repeated"),
+    "occasionally late": (np.round(LATE, 3), 1.0, 30.0, "17 of 870 time stamps are repeated"),
+    "since 1970": (1.7e12 + np.round(np.arange(500) / 0.12), 1e-3, 120.0, "stamps are rounded to 0.001 s"),
+    "32 bits": (np.float32(1000 + np.arange(5000) / 2000).astype(float), 1.0, 2000.0, "stamps are rounded to"),
+    "three digits": (np.array([float(f"{i / 29.97:.3g}") for i in range(900)]), 1.0, 29.97, "stamps are rounded to"),
+}
+"""Stamps, their unit (s), the true sampling rate (Hz), and part of the note."""
 
 
-def test_occasionally_late_stamps_are_corrected() -> None:
-    true = np.arange(870) / 30
-    stamps = np.round(true, 3)
-    late = np.arange(40, 860, 51)
-    stamps[late] = stamps[late - 1]
-    times, notes = rebuilt(stamps, 1.0)
-    np.testing.assert_allclose(times, true, atol=1e-3)
-    assert notes == ["17 of 870 time stamps are repeated: times are replaced by even ones at 30 Hz"]
+@pytest.mark.parametrize("case", ROUNDED)
+def test_rounded_stamps_are_replaced_by_even_ones(case: str) -> None:
+    stamps, unit, rate, part = ROUNDED[case]
+    times, (note,) = rebuilt(stamps, unit)
+    np.testing.assert_allclose(times - times[0], np.arange(stamps.size) / rate, rtol=1e-3, atol=1e-6)
+    assert part in note
+    assert f"times are replaced by even ones at {rate:.4g}" in note
 
 
 def test_dropped_frames_remain_a_gap(tmp_path: Path) -> None:
@@ -344,21 +336,6 @@ def test_even_sampling_is_preserved() -> None:
         assert notes == []
 
 
-def test_stamps_since_1970_are_replaced() -> None:
-    true = np.arange(500) / 120
-    stamps = 1_700_000_000_000 + np.round(1000 * true)
-    times, notes = rebuilt(stamps, 1e-3)
-    np.testing.assert_allclose(times - times[0], true, atol=1e-4)
-    assert notes == ["time stamps are rounded to 0.001 s: times are replaced by even ones at 120 Hz"]
-
-
-def test_times_of_32_bits_are_replaced() -> None:
-    true = 1000 + np.arange(5000) / 2000
-    times, notes = rebuilt(true.astype(np.float32).astype(float), 1.0)
-    np.testing.assert_allclose(times, true, atol=1e-5)
-    assert len(notes) == 1
-
-
 def test_a_part_is_selected_on_the_clock_of_the_record(tmp_path: Path) -> None:
     path = write(tmp_path, "t [ms],x [mm]\n" + "".join(f"{t},{t}\n" for t in range(1000, 1100)))
     x = read(path, start=1.01, end=1.05).signals[0]
@@ -379,14 +356,6 @@ def test_the_rate_of_whole_seconds_has_its_uncertainty(rate: float, phase: float
     assert abs(error) < 2 * recording.rate_error
     assert 1 / n / 6 < recording.rate_error < 1 / n
     assert "known to" in recording.notes[0]
-
-
-def test_stamps_of_three_significant_digits_are_replaced(tmp_path: Path) -> None:
-    true = np.arange(900) * 1001 / 30000
-    lines = "".join(f"{t:.3g},{math.sin(7 * t):.6f}\n" for t in true)
-    recording = read(write(tmp_path, "t [s],x [mm]\n" + lines))
-    np.testing.assert_allclose(recording.signals[0].times, true, atol=1e-3)
-    assert 0 < recording.rate_error < 1e-4
 
 
 def test_two_distinct_stamps_do_not_determine_the_rate(tmp_path: Path) -> None:
@@ -499,25 +468,17 @@ def test_runs_in_one_file_are_separate_records(case: str, tmp_path: Path) -> Non
 
 REJECTED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "an empty file": ("", {}, "the file is empty"),
-    "blank lines alone": ("\n\n \n", {}, "the file is empty"),
     "a header alone": (HEAD, {}, "no rows of numbers"),
-    "prose": ("Dear all,\nplease find attached\n", {}, "no rows of numbers"),
     "a binary file": (bytes(range(256)) * 4, {}, "unknown binary format"),
-    "a picture": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00", {}, "unknown binary format"),
     "a damaged gzip": (b"\x1f\x8b\x08\x00abc", {}, "gzip file is damaged"),
     "a damaged zip": (b"PK\x03\x04abc", {}, "damaged"),
     "a damaged Parquet": (b"PAR1abcPAR1", {}, "damaged"),
     "a damaged npy": (b"\x93NUMPY\x01\x00abc", {}, "damaged"),
     "MATLAB 7.3": (b"MATLAB 7.3 MAT-file" + bytes(200), {}, "save it with save(…, '-v7')"),
     "no units": ("t,x\n" + rows(), {}, "add units=t:s,x:mm"),
-    "no unit of time": (
-        "time,x [mm]\n" + rows(),
-        {},
-        "the unit of t (column 0 'time') is unknown; add units=t:s",
-    ),
+    "no unit of time": ("time,x [mm]\n" + rows(), {}, "the unit of t (column 0 'time') is unknown; add units=t:s"),
     "no unit of x": ("t [s],displacement\n" + rows(), {}, "add units=x:mm"),
     "no header": (rows(), {}, "add e.g. columns=t:0,x:1"),
-    "no header, and units only": (rows(), {"units": {"t": "s", "x": "m"}}, "add e.g. columns=t:0,x:1"),
     "named without units": (rows(), {"columns": {"t": 0, "x": 1}}, "add units=t:s,x:mm"),
     "no time": ("x [mm],f [N]\n" + rows(), {}, "add rate= (Hz)"),
     "named without a time": ("t [s],x [mm]\n" + rows(), {"columns": {"x": 1}}, "add rate= (Hz), or t:"),
@@ -547,11 +508,6 @@ REJECTED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         {"columns": {"t": 0, "f": 1}},
         "measures velocity, not force; use the role v",
     ),
-    "g as a displacement": (
-        "t [s],Accel (g)\n" + rows(),
-        {"columns": {"t": 0, "x": 1}, "units": {"x": "mm"}},
-        "measures acceleration",
-    ),
     "a velocity in mm": (
         "t [s],y\n" + rows(),
         {"columns": {"t": 0, "v": 1}, "units": {"v": "mm"}},
@@ -580,7 +536,6 @@ REJECTED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         "numbers several records",
     ),
     "unsorted times": (HEAD + rows(times=[0.0, 2.0, 1.0, 3.0]), {}, "row 4: time decreases from 2 to 1; sort the rows"),
-    "a clock that wraps": (HEAD + rows(times=[8.0, 9.0, 0.0, 1.0]), {}, "time decreases from 9 to 0"),
     "one time for all": (HEAD + rows(times=[1.0] * 4), {}, "row 3: time 1 occurs repeatedly"),
     "stamps that no rate explains": (
         HEAD + "0,1\n0.1,2\n0.5,3\n0.5,4\n3.1,5\n3.2,6\n9,7\n",
@@ -588,18 +543,7 @@ REJECTED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         "replace the time by rate=",
     ),
     "a word in a row": (HEAD + "0,1\n1,2\n2,two\n3,3\n4,4\n5,5\n6,6\n", {}, "row 4: 2 numbers are needed"),
-    "a short row": (
-        HEAD + "0.5,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n7.5,7\n",
-        {},
-        "row 5: 2 numbers are needed, not 3",
-    ),
-    "a short row of whole numbers": (HEAD + "0,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n", {}, "row 5: 2 numbers are needed"),
-    "a bad row near the top": (HEAD + "0.5,1\n1,2\n2,2x\n3,3\n4,4\n5,5\n", {}, "row 4"),
-    "a row without quotes": (
-        HEAD + '"0,5","1,5"\n"1,5","2,5"\n"2,5","3,5"\n3,5,4,5\n',
-        {},
-        "row 5: 2 numbers are needed",
-    ),
+    "a short row": (HEAD + "0.5,1\n1,2\n2,3\n3\n4,4\n5,5\n6,6\n7.5,7\n", {}, "row 5: 2 numbers are needed, not 3"),
     "two tables": (HEAD + rows() + "\nsecond\n" + HEAD + rows(), {}, "correct or delete this row"),
     "two samples": (HEAD + "0,1\n1,2\n", {}, "2 samples of x; at least 3"),
     "nothing but missing values": (
@@ -608,7 +552,6 @@ REJECTED: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         "a column of displacement, velocity or acceleration is needed",
     ),
     "thousands": ("t [s];x [mm]\n1;1,234\n2;2,345\n3;3,456\n", {}, "the comma of 1,234 is ambiguous"),
-    "thousands in quotes": ('t [s],x [mm]\n1,"1,234.5"\n2,"2,345.5"\n3,"3,456.5"\n', {}, "x"),
     "a force alone": ("t [s],f [N]\n" + rows(), {}, "a column of displacement, velocity or acceleration is needed"),
     "one column with decimal commas": ("x [mm]\n0,5\n1,5\n-1,25\n", {"rate": 10}, "half as many with decimal commas"),
     "commas that separate and divide": (

@@ -149,11 +149,6 @@ def test_sets_are_complete(name: str) -> None:
     assert all(20 < task.measured().problem.records[0].channels[0].n <= 1001 for task in every)
 
 
-def test_packaged_records_are_small() -> None:
-    folder = measured_set("mgh17").paths(None)[0].parents[1]
-    assert sum(path.stat().st_size for path in folder.rglob("*")) < 500_000
-
-
 def test_an_unknown_set_is_rejected() -> None:
     with pytest.raises(InputError, match="known sets: airtrack"):
         measured_set("nowhere")
