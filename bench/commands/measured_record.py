@@ -72,11 +72,10 @@ def _modes(request: ModalRequest, plot: bool, picture: bool) -> Shown:
     from bench.face.identification import identified_modes
     from bench.records.modal import find_modes, modal_response
     from bench.records.modal_data import read_modal
-    from bench.records.response import BEST_FIRST
     from bench.reporting.certificate.pictures import modes_picture
 
     findings = [finding for record in read_modal(request) for finding in find_modes(request, record)]
-    best = min(findings, key=lambda finding: BEST_FIRST.index(finding.trust))
+    best = min(findings, key=lambda finding: finding.trust.severity)
     drawn = modes_picture(best) if picture else ""
     return [identified_modes(finding) for finding in findings], modal_response(best) if plot else None, drawn
 

@@ -173,4 +173,6 @@ def _model_class(
     limits = [fit.limits_in_si(case) for fit in fits]
     zero = {key: max(limit[key] for limit in limits) for key in limits[0] if not free[COEFFICIENTS.index(key)]}
     criterion, error, score, rms = figures
-    return ModelClass(name, system, parameters, criterion, error, score, rms, zero)
+    cut, (x, v) = fits[0].excerpt, fits[0].starts[case]
+    start = float(x) * cut.size, float(v) * cut.size * cut.rate
+    return ModelClass(name, system, parameters, start, criterion, error, score, rms, zero)

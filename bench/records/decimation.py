@@ -65,15 +65,10 @@ def _decimated(signal: Signal, factor: int, path: str) -> tuple[Signal, str]:
     values = resample_poly(signal.values - mean, 1, factor) + mean
     inner = slice(REACH, (n - 1) // factor + 1 - REACH)
     kept = replace(signal, times=signal.times[::factor][inner], values=values[inner])
-    removed = 100.0 * _power_above(signal.values - mean, PASSED / factor)
+    power = np.abs(np.fft.rfft(signal.values - mean)) ** 2
+    above = float(np.sum(power[int(PASSED / factor * (power.size - 1)) + 1 :]))
+    removed = 100.0 * above / (float(np.sum(power)) or 1.0)
     return kept, (
         f"{signal.role}: low-pass filtered and decimated by {factor} from {n} to {kept.values.size} samples; "
         f"{removed:.2g} % of its power was above the passband of {passed:.4g} Hz"
     )
-
-
-def _power_above(values: np.ndarray, part: float) -> float:
-    """Return the share of the power of values (n,) of zero mean above a fraction of the Nyquist frequency."""
-    power = np.abs(np.fft.rfft(values)) ** 2
-    total = float(np.sum(power))
-    return float(np.sum(power[int(part * (power.size - 1)) + 1 :])) / total if total > 0 else 0.0

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bench.contract.problem import Channel, Problem
+from bench.contract.problem import Problem
 from bench.likelihood.autoregression import even_times
-from bench.records.colour import autocorrelation
 from bench.records.dominant_frequency import dominant_frequency
 from bench.records.intervals import StatedInterval
 from bench.records.linearised_fit import LinearisedFit
@@ -88,7 +87,10 @@ def diagnose(
     if fit is None:
         return (Reason(Trust.NO, "the response of the estimate is not finite"),), ()
     line_reasons, modes = _lines(fit, problem)
-    reasons = [*line_reasons, *_fit_reasons(fit), *([] if len(modes) > 1 else start_up(*_channels(fit)))]
+    reasons = [*line_reasons, *_fit_reasons(fit)]
+    if len(modes) < 2:
+        residuals, values = (fit.residuals[rows] for rows in fit.channels), (c.values for _, c in fit.model.channels)
+        reasons += start_up(residuals, values)
     if sine := steady_sine(problem, part_of_signal(fit)):
         reasons.insert(0, Reason(Trust.NO, sine))
     if verdict(reasons) is not Trust.NO:  # further properties of a rejected fit are meaningless
@@ -299,18 +301,14 @@ def steady_sine(problem: Problem, left: float | None = None) -> str:
     response, rest = _sine(channel.times, channel.values, frequency)
     if np.std(rest_of_force) > PURE_SINE * np.std(force.values):
         return ""
-    moving = line(channel.times, rest, channel.values)[1] > 0 if left is None else _over(rest, channel) > SETTLED * left
-    if moving:
+    share = float(np.std(rest) / (np.std(channel.values) or 1.0))
+    if line(channel.times, rest, channel.values)[1] > 0 if left is None else share > SETTLED * left:
         return ""
     ratio = response / push
     return (
         f"the record is a steady-state response to a sine of {frequency:.4g} Hz, {abs(ratio):.4g} {channel.unit}/N at "
         f"{np.degrees(np.angle(ratio)):.3g}°: m, c and k are not identifiable; record the transient or more frequencies"
     )
-
-
-def _over(rest: np.ndarray, channel: Channel) -> float:
-    return float(np.std(rest) / (np.std(channel.values) or 1.0))
 
 
 def _sine(times: np.ndarray, values: np.ndarray, frequency: float) -> tuple[complex, np.ndarray]:
@@ -325,11 +323,6 @@ def growth_of(signals: Iterable[np.ndarray]) -> float:
     """Return the ratio of the standard deviations of the last and first third, the largest of several signals."""
     thirds = [[float(np.std(third)) for third in np.array_split(values, 3)] for values in signals]
     return max((last / (first or 1.0) for first, _, last in thirds), default=0.0)
-
-
-def _channels(fit: LinearisedFit) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return the residuals and the samples of each channel."""
-    return [fit.residuals[rows] for rows in fit.channels], [channel.values for _, channel in fit.model.channels]
 
 
 def start_up(residuals: Iterable[np.ndarray], values: Iterable[np.ndarray]) -> list[Reason]:
@@ -394,11 +387,6 @@ def whiteness_level(fit: LinearisedFit) -> float:
             kept = rows[:2000]  # the test simulates white noise of this length
             levels.append(float(whiteness(fit.residuals[kept][None], fit.slopes[kept])[0]))
     return min(levels)
-
-
-def lag_one(fit: LinearisedFit) -> float:
-    """Compute the autocorrelation of the first channel's residuals at lag 1."""
-    return float(autocorrelation(fit.residuals[fit.channels[0]], 1)[1])
 
 
 def natural_frequency(fit: LinearisedFit) -> float | None:

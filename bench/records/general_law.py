@@ -170,6 +170,7 @@ class ClassFits:
         excerpt: The fitted samples.
         free: Mask of the coefficients that remain in each class, shape (C, 9).
         coefficients: Estimates, shape (C, 9).
+        starts: Displacement and velocity at time 0, shape (C, 2).
         residuals: Residuals over the standard deviation of the samples, shape (C, n).
         log_likelihoods: Log-likelihoods of the samples with coloured noise, without the first ones; shape (C, n').
         unknowns: Number of estimated parameters including those of the noise, shape (C,).
@@ -180,6 +181,7 @@ class ClassFits:
     excerpt: Excerpt
     free: np.ndarray
     coefficients: np.ndarray
+    starts: np.ndarray
     residuals: np.ndarray
     log_likelihoods: np.ndarray
     unknowns: np.ndarray
@@ -333,6 +335,7 @@ class LawFitter:
             self.excerpt,
             self.free,
             theta[:, : self.law],
+            theta[:, self.law : self.law + 2],
             np.nan_to_num(left[:, weight > 0], nan=np.inf) / self._signal,
             np.array(logs),
             self.open.sum(axis=1) + np.array([sum(noise.order for noise in row) for row in noises]),

@@ -213,7 +213,7 @@ class ModalFinding:
     @property
     def rank(self) -> tuple[int, float]:
         """Sort key of results of a record, the best first."""
-        return list(Trust).index(self.trust), max(self.unexplained, default=math.inf)
+        return self.trust.severity, max(self.unexplained, default=math.inf)
 
     @cached_property
     def modes(self) -> tuple[ShapedMode, ...]:

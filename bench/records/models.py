@@ -37,6 +37,7 @@ class ModelClass:
         name: Display name.
         system: Sum of its terms, without damping terms whose estimate was negative.
         parameters: Values in SI units, over the mass if no force determines it; means over the records.
+        start: Displacement and velocity at time 0 of the first record.
         criterion: Difference of the information criterion to that of the best class.
         criterion_error: Standard error of this difference.
         score: Evidence against the class including the penalty for additional terms; the lowest score is selected.
@@ -48,6 +49,7 @@ class ModelClass:
     name: str
     system: Sum
     parameters: Mapping[str, float]
+    start: tuple[float, float]
     criterion: float
     criterion_error: float
     score: float

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.likelihood.compiled_model import compiled_output_error
-from bench.records.diagnostics import lag_one, part_of_signal, whiteness_level
+from bench.records.colour import autocorrelation
+from bench.records.diagnostics import part_of_signal, whiteness_level
 from bench.records.dominant_frequency import dominant_frequency
 from bench.records.finding import Finding
 from bench.records.problem import Measured
@@ -18,7 +19,6 @@ A_CYCLE, FEWEST, MOST = 32, 1000, 20_000
 """Points of the fitted response per cycle; least and largest number of points of the curve."""
 MOST_DRAWN = 800
 """Largest number of points of a curve after thinning."""
-BEST_FIRST = (Trust.TRUST, Trust.CAUTION, Trust.NO)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Response:
 
 def best_of(findings: Sequence[Finding]) -> Finding:
     """Return the finding with the best verdict, or of several the one with the smallest residuals."""
-    return min(findings, key=lambda finding: (BEST_FIRST.index(finding.trust), _left(finding)))
+    return min(findings, key=lambda finding: (finding.trust.severity, _left(finding)))
 
 
 def _left(finding: Finding) -> float:
@@ -111,7 +111,7 @@ def residuals_of(finding: Finding) -> ChannelResiduals | None:
         values=values,
         rms=float(np.sqrt(np.mean(values**2))),
         part_of_signal=part_of_signal(fit),
-        lag1_autocorrelation=lag_one(fit),
+        lag1_autocorrelation=float(autocorrelation(fit.residuals[fit.channels[0]], 1)[1]),
         whiteness=whiteness_level(fit),
         offset=finding.channel_size / size * float(fit.model.offsets(fit.theta)[0]),
         unit=unit,

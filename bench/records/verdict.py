@@ -14,6 +14,11 @@ class Trust(StrEnum):
     CAUTION = "use with caution"
     NO = "do not trust"
 
+    @property
+    def severity(self) -> int:
+        """Position in the order from best to worst."""
+        return list(Trust).index(self)
+
 
 @dataclass(frozen=True)
 class Reason:
@@ -25,4 +30,4 @@ class Reason:
 
 def verdict(reasons: Sequence[Reason]) -> Trust:
     """Return the most severe verdict of the reasons; ``TRUST`` if there are none."""
-    return max((reason.verdict for reason in reasons), key=list(Trust).index, default=Trust.TRUST)
+    return max((reason.verdict for reason in reasons), key=lambda trust: trust.severity, default=Trust.TRUST)

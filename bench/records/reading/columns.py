@@ -10,7 +10,6 @@ import numpy as np
 from bench.errors import InputError
 from bench.records.reading.headings import Column
 from bench.records.reading.table import ReadOptions, Table, slot
-from bench.records.reading.times import increments_summed
 from bench.records.reading.units import KNOWN, LETTERS, MEASURED_BY, unit_of
 
 LETTER_OF: dict[str, str] = {quantity: letter for letter, quantity in LETTERS.items()}
@@ -142,17 +141,6 @@ class Columns:
             raise self.error(which, listing=True)
         return times[0] if times else None
 
-    def _likely_time(self) -> int | None:
-        """Return the increasing column (or column of increments) with the most uniform steps, for an example."""
-        steps = {}
-        for i in self.usable:
-            grows = np.diff(self[i].values)
-            if grows.size < 2:
-                continue
-            if np.all(grows > 0) or increments_summed(self[i].values, self[i].header) is not None:
-                steps[i] = grows if np.all(grows > 0) else self[i].values[1:]
-        return min(steps, key=lambda i: float(np.std(steps[i]) / np.mean(steps[i])), default=None)
-
     def _group(self, letter: str, usable: Sequence[int]) -> list[int]:
         """Return the columns of a quantity, by their unit, or by their name if they have no unit.
 
@@ -197,10 +185,7 @@ class Columns:
                 raise self.error(f"{remedy}, or keep the unit with {self.example(time, i, letter)}")
         remedy = "a column of displacement, velocity or acceleration is needed"
         if usable:
-            clock = time if time is not None else self._likely_time()
-            others = self.others(clock) if clock is not None else []
-            liveliest = max(others, key=lambda i: float(np.nanstd(self[i].values)), default=None)
-            example = self.example(clock, liveliest)
+            example = self.example(time)
             remedy = f"no column has a unit that determines its quantity; add e.g. {example} units=t:ms,x:mm"
         raise self.error(remedy, listing=True)
 

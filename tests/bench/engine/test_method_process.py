@@ -125,7 +125,7 @@ def test_pickles_are_rebuilt_from_pipes_alone() -> None:
                 places.add(path.relative_to(REPOSITORY / "bench").as_posix())
     assert places <= {
         "conformance/candidate.py", "conformance/method_checks.py", "conformance/process.py",
-        "conformance/system_checks.py", "records/fit.py", "records/workers.py",
+        "conformance/system_checks.py", "records/identification.py", "records/workers.py",
         "engine/pool.py", "engine/cells.py", "engine/method_process.py", "engine/scoring_process.py", "engine/wire.py",
     }  # fmt: skip
     assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in places)

@@ -42,7 +42,7 @@ def test_tied_classes_are_weighted_by_their_scores() -> None:
     def model(text: str, c: float, score: float, told_apart: bool = False) -> ModelClass:
         system = sum_from(text)
         parameters = {name: {"k": 9.0, "c": c}.get(name, 0.1) for name in system.names if name != "m"}
-        return ModelClass(text, system, parameters, 0.0, 0.0, score, 0.1, {}, told_apart)
+        return ModelClass(text, system, parameters, (1.0, 0.0), 0.0, 0.0, score, 0.1, {}, told_apart)
 
     other = model("sdof+coulomb", 0.2, 2 * np.log(3.0))
     classes = ClassComparison([model("sdof", 0.3, 0.0), other, model("sdof+quadratic", 0.5, 40.0, True)])

@@ -29,7 +29,7 @@ from bench.contract.problem import Hold
 from bench.engine.pool import Limits
 from bench.entrants.registry import make_method, missing_package, registered
 from bench.isolation.machine import single_threaded
-from bench.records.fit import fit_alone
+from bench.records.identification import fit_alone
 from bench.reporting.tables.render import markdown_table
 from bench.scoring.combination import combine_with_prior
 from bench.scoring.score import point_parameters
