@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from bench.errors import InputError
-from bench.records.reading.grid import Cell, LineAbove, RowShape, TableRow, bounds_of, make_table, row_of, shape_of
+from bench.records.reading.grid import Cell, LineAbove, TableRow, bounds_of, make_table, row_of, shape_of
 from bench.records.reading.table import PREAMBLE, Table, check_size
 
 COMMENTS = ("#", "%", "!", "//")
@@ -75,8 +75,6 @@ def read_text(data: bytes, source: object) -> Table:
     form = format_of(body)
     rows = [form.row(*line) for line in body]
     shape = shape_of(rows)
-    if form.separator is None and shape.n < len(rows):
-        rows, shape = _fixed_width(body, form, rows, shape)
     first, last = bounds_of(rows, shape, source)
     above = _above(lines[: rows[first].line - 1], form)
     table = make_table(rows, shape, (first, last), above, source)
@@ -131,23 +129,6 @@ def format_of(body: Lines) -> Format:
     good = [form for form, shape in possible.items() if shape.n and shape.n >= 0.9 * most]
     best = min(good, key=lambda form: (shapes[form].kinds.count("w"), -shapes[form].kinds.count("n")), default=BLANKS)
     return best if len(shapes[best].kinds) > 1 else BLANKS
-
-
-def _fixed_width(body: Lines, form: Format, rows: list[TableRow], shape: RowShape) -> tuple[list[TableRow], RowShape]:
-    """Return rows cut at fixed positions, where no line has a character, if more rows then have equal shapes."""
-    numeric = [line for (_, line), row in zip(body, rows, strict=True) if "w" not in row.kinds]
-    used = {i for line in numeric for match in re.finditer(r"\S+", line) for i in range(*match.span())}
-    ruler = "".join("x" if i in used else " " for i in range(max(used, default=0) + 1))
-    cuts = [match.span() for match in re.finditer("x+", ruler)]
-    widest = max((len(row.cells) for row in rows if "w" not in row.kinds), default=0)
-    if len(cuts) != widest or any("\t" in line for line in numeric):
-        return rows, shape
-    cut = [
-        row if "w" in row.kinds else row_of(i, [line[a:b] for a, b in cuts], form.decimal)
-        for (i, line), row in zip(body, rows, strict=True)
-    ]
-    longer = shape_of(cut)
-    return (cut, longer) if longer.n > shape.n else (rows, shape)
 
 
 def _above(lines: Sequence[str], form: Format) -> Iterator[LineAbove]:

@@ -83,13 +83,6 @@ def test_the_autocovariance_of_a_first_order_is_its_closed_form(rho: float) -> N
     np.testing.assert_allclose(covariances, 0.3 * rho ** np.arange(500) / (1 - rho**2), rtol=1e-6, atol=1e-9)
 
 
-def test_whitening_undoes_the_filter() -> None:
-    errors = np.random.default_rng(3).standard_normal(200)
-    values = lfilter([2.0], [1.0, -1.2, 0.5], errors)
-    whitened = Autoregression(np.array([1.2, -0.5]), 4.0).whiten(values)
-    np.testing.assert_allclose(whitened[2:], errors[2:], atol=1e-9)
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 40])
 def test_whitened_values_have_the_likelihood_of_the_dense_covariance(n: int) -> None:
     """It equals ``r' S⁻¹ r`` with the full Toeplitz matrix, including the first values."""
@@ -145,14 +138,6 @@ def test_the_spectrum_of_residuals_is_unbiased() -> None:
     left = noise - noise @ basis @ basis.T
     spectrum = np.mean([local_spectrum(residuals, slopes, 1024) for residuals in left], axis=0)
     np.testing.assert_allclose(spectrum, 4.0, rtol=0.06)
-
-
-def test_both_covariances_agree_for_white_noise() -> None:
-    _, at, _ = fitted(MOTION + 0.02 * np.random.default_rng(5).standard_normal(300))
-    assert at.noises[0] is not None
-    assert at.noises[0].order == 0
-    assert at.coloured is not None
-    np.testing.assert_allclose(at.coloured, at.white, rtol=1e-6)
 
 
 # parts
@@ -317,16 +302,6 @@ def test_the_interval_for_white_noise_is_that_of_least_squares() -> None:
 
 
 @pytest.mark.slow
-def test_white_noise_hardly_ever_widens_an_interval() -> None:
-    """The order of the noise is 0 in most of 100 records, as the test for colour has a level of a few per cent."""
-    widths = np.array([
-        [i.colour for i in fitted(MOTION + 0.05 * np.random.default_rng(s).standard_normal(300))[2].values()]
-        for s in range(100)
-    ])  # fmt: skip
-    assert np.sum(np.any(np.abs(widths - 1.0) > 0.05, axis=1)) <= 8
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "records", "record", "white"),
     [
@@ -415,8 +390,3 @@ def test_the_error_of_a_difference_of_criteria_is_its_standard_deviation_over_re
         logs = [log_likelihoods(autoregression(residuals, 3), residuals) for residuals in (first, second)]
         errors.append(criterion_error(*logs))
     assert np.median(errors) == pytest.approx(np.std(differences), rel=0.25)
-
-
-def test_the_criterion_of_a_fit_does_not_differ_from_itself() -> None:
-    logs = np.random.default_rng(1).standard_normal(100)
-    assert criterion_error(logs, logs) == 0.0

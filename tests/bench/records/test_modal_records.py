@@ -103,11 +103,6 @@ def test_a_missing_mode_is_reported_and_noise_is_not_trusted(capsys: pytest.Capt
     assert answer(capsys, "data=noise.csv", "modes=1", status=1)["trust"] == "do not trust"
 
 
-def test_modes_are_suggested_for_a_record_with_a_second_mode(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["data=one.csv", "method=matrix_pencil", "format=json"])
-    assert any("add modes=2" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
-
-
 def test_a_push_before_the_free_motion_is_excluded() -> None:
     """The motion is pushed for half a second, and then a free decay; from= specifies its beginning."""
     free, pushed = T >= 0.5, np.sin(np.pi * np.minimum(T, 0.5) / 0.5) * np.sin(2 * np.pi * 17.0 * T**1.2)

@@ -30,7 +30,6 @@ from bench.records.replicas import (
     miss,
     rounding_step,
     true_values,
-    widened,
     widening_of,
 )
 from bench.records.request import request_of
@@ -207,10 +206,6 @@ def test_only_significant_differences_are_corrected() -> None:
         assert corrected is not None
         ratio = math.log(corrected[1] / interval.value) / math.log(interval.record_high / interval.value)
         assert ratio == pytest.approx(factor, rel=0.12)
-
-
-def test_an_interval_that_includes_zero_is_widened_on_the_linear_scale() -> None:
-    assert widened(1.0, -1.0, 2.0, 2.0) == (-3.0, 3.0)
 
 
 def test_the_requested_number_of_replicas_is_fitted() -> None:

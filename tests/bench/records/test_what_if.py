@@ -119,8 +119,3 @@ def test_a_short_record_is_doubled() -> None:
     estimate = make_method("output_error", {}).identify(problem, np.random.default_rng(0))
     quick = assess("output_error", Measured((), problem, ()), estimate)
     assert what_if(quick)[0].change == "another 0.01 s"
-
-
-def test_without_a_fit_nothing_is_predicted() -> None:
-    finding = fitted(np.arange(100) / 10.0)
-    assert what_if(replace(finding, fit=None)) == ()
