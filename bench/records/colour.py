@@ -72,10 +72,8 @@ def criterion_error(first: np.ndarray, second: np.ndarray) -> float:
     return 2.0 * float(np.sqrt(max(variance, 0.0)))
 
 
-def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:
-    """Compute the autocorrelation at lags 0 to ``lags`` of residuals (n,) at even times."""
+def autocorrelation(residuals: np.ndarray) -> float:
+    """Compute the autocorrelation at lag 1 of residuals (n,) at even times; 0 if they are constant."""
     centred = residuals - np.mean(residuals)
     total = float(centred @ centred)
-    if total == 0:
-        return np.append(1.0, np.zeros(lags))
-    return np.array([centred[k:] @ centred[: centred.size - k] / total for k in range(lags + 1)])
+    return float(centred[1:] @ centred[:-1] / total) if total > 0 else 0.0

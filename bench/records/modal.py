@@ -513,19 +513,19 @@ def _parameters(mode: Mode, quantile: float, record: ModalRecord) -> tuple[Modal
     return () if by.note else tuple(ModalParameter(name, value, quantile * sd, u) for name, value, sd, u in triples)
 
 
-def residuals_of_modes(finding: ModalFinding, i: int = 0) -> ChannelResiduals | None:
-    """Return the residuals of channel ``i`` of a free decay; None for other records and without modes."""
+def residuals_of_modes(finding: ModalFinding) -> ChannelResiduals | None:
+    """Return the residuals of the first channel of a free decay; None for other records and without modes."""
     data, modes = finding.record.data, finding.estimate.modes
     if not (isinstance(data, FreeDecays) and modes):
         return None
-    rest = _left(data, modes)[0][i]
+    rest = _left(data, modes)[0][0]
     offset, rms = float(np.mean(rest)), float(np.std(rest))
     kept = data.times[:2000] - data.times[0]  # the test simulates white noise of this length
     waves = np.exp(np.multiply.outer(kept, [mode.pole for mode in modes]))
     slopes = np.column_stack([waves.real, waves.imag, kept[:, None] * waves.real, kept[:, None] * waves.imag])
     level = float(whiteness(rest[None, : kept.size] - offset, np.column_stack([slopes, np.ones(kept.size)]))[0])
-    part, lag = rms / (float(np.std(data.values[i])) or 1.0), float(autocorrelation(rest - offset, 1)[1])
-    return ChannelResiduals(rest - offset, rms, part, lag, level, offset, finding.record.units[i])
+    part, lag = rms / (float(np.std(data.values[0])) or 1.0), autocorrelation(rest - offset)
+    return ChannelResiduals(rest - offset, rms, part, lag, level, offset, finding.record.units[0])
 
 
 def modal_response(finding: ModalFinding) -> Response | None:

@@ -111,7 +111,7 @@ def residuals_of(finding: Finding) -> ChannelResiduals | None:
         values=values,
         rms=float(np.sqrt(np.mean(values**2))),
         part_of_signal=part_of_signal(fit),
-        lag1_autocorrelation=float(autocorrelation(fit.residuals[fit.channels[0]], 1)[1]),
+        lag1_autocorrelation=autocorrelation(fit.residuals[fit.channels[0]]),
         whiteness=whiteness_level(fit),
         offset=finding.channel_size / size * float(fit.model.offsets(fit.theta)[0]),
         unit=unit,
