@@ -110,7 +110,8 @@ def _compared(measured: Measured, wanted: Mapping[str, np.ndarray], fits: Sequen
     terms = [int(np.sum(coefficients)) for coefficients in wanted.values()]
     kept: list[int] = []
     for case in sorted(range(len(names)), key=lambda i: terms[i]):
-        if not any(np.array_equal(free[case], free[other]) for other in kept):
+        repeated = any(np.array_equal(free[case], free[other]) for other in kept)
+        if np.any(free[case, 1:]) and not repeated:  # a class whose damping was negative may have no terms left
             kept.append(case)
     rms = np.array(
         [np.sqrt(np.mean(np.concatenate([fit.residuals[i] for fit in fits]) ** 2)) for i in range(len(names))]

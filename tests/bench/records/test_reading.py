@@ -287,7 +287,7 @@ ROUNDED: dict[str, tuple[np.ndarray, float, float, str]] = {
     "occasionally late": (np.round(LATE, 3), 1.0, 30.0, "17 of 870 time stamps are repeated"),
     "since 1970": (1.7e12 + np.round(np.arange(500) / 0.12), 1e-3, 120.0, "stamps are rounded to 0.001 s"),
     "32 bits": (np.float32(1000 + np.arange(5000) / 2000).astype(float), 1.0, 2000.0, "stamps are rounded to"),
-    "three digits": (np.array([float(f"{i / 29.97:.3g}") for i in range(900)]), 1.0, 29.97, "stamps are rounded to"),
+    "three digits": (np.array([float(f"{i / 29.97:.3g}") for i in range(900)]), 1.0, 29.97, "399 of 900 time stamps"),
 }
 """Stamps, their unit (s), the true sampling rate (Hz), and part of the note."""
 
