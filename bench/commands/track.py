@@ -119,7 +119,8 @@ def track(
     if resume and state is None:
         raise InputError("resume", "true", "with state=<file>")
     kept = read(file("state", state, "a state file of this command")) if resume and state else {}
-    source = lines_of(opened(from_), follow)
+    stream = opened(from_)
+    source = lines_of(stream, follow)
     above, lines = head_of(source, FEW if kept or rate else ENOUGH)
     roles = ["t", *(f"{s.measures[0] if s.measures != 'displacement' else 'x'}{s.dof + 1}" for s in measured)]
     form = form_of(above, lines, [*roles, *(f"f{dof + 1}" for dof in driven[0])], options)
@@ -143,6 +144,8 @@ def track(
     session = Session(identifier, tracker, intake, filtered, alarm, state, save_every, displays)
     with Output(out, path, tracker.samples if resume else None) as output:
         session.follow(output)
+    if from_ != "-":
+        stream.close()
     return 0
 
 
