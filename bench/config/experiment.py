@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from bench.config.choices import GROUPS, check_choice, choices, default_choices
-from bench.config.composition import Part, composed, content_of, part_of
+from bench.config.composition import content_of
 from bench.config.declaration import written
 from bench.config.fields import GROUPS as COMPOSED
 from bench.config.fields import SWEPT
@@ -129,30 +129,20 @@ def _product(sweep: Overrides, experiment: Mapping[str, Any], explicit: frozense
         remedy = f"{number} cells in all, at most {MOST_CELLS}; sweep over less at a time"
         raise InputError(widest, f"{len(sweep[widest])} values", remedy)
     combinations = [dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values())]
-    parts = [{group: _part(group, chosen) for group in COMPOSED} for chosen in combinations]
-    contents = composed([part for by_group in parts for part in by_group.values()])
-    return [
-        _job(chosen, {group: contents[part] for group, part in by_group.items()}, experiment, explicit)
-        for chosen, by_group in zip(combinations, parts, strict=True)
-    ]
+    return [_job(chosen, experiment, explicit) for chosen in combinations]
 
 
-def _part(group: str, chosen: Mapping[str, Any]) -> Part:
+def _group(group: str, chosen: Mapping[str, Any]) -> dict[str, Any]:
     below = {k.removeprefix(f"{group}."): value for k, value in chosen.items() if k.startswith(f"{group}.")}
-    return part_of(group, chosen.get(group, default_choices()[group]), below)
+    return content_of(group, chosen.get(group, default_choices()[group]), below)
 
 
-def _job(
-    chosen: Mapping[str, Any],
-    groups: dict[str, Any],
-    experiment: Mapping[str, Any],
-    explicit: frozenset[str],
-) -> Job:
+def _job(chosen: Mapping[str, Any], experiment: Mapping[str, Any], explicit: frozenset[str]) -> Job:
     """Return the job of one combination of values, which take precedence over the fields of its experiment."""
+    groups = {group: _group(group, chosen) for group in COMPOSED}
     if "prior" not in chosen and "default_prior" in groups["system"]:
         check_choice("prior", groups["system"]["default_prior"])
-        prior = _part("prior", {**chosen, "prior": groups["system"]["default_prior"]})
-        groups["prior"] = composed([prior])[prior]
+        groups["prior"] = _group("prior", {**chosen, "prior": groups["system"]["default_prior"]})
     values = {k: v for k, v in experiment.items() if k not in EXPERIMENT_FIELDS} | groups
     by_method = experiment.get("replicates_by_method", {})
     if chosen["method"] in by_method and "replicates" not in explicit:

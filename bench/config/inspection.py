@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any
 from unittest.mock import patch
 
 from bench.config.choices import check_choice, default_choices, name_for_hydra
-from bench.config.composition import content_of, literal
+from bench.config.composition import content_of
 from bench.config.declaration import written
-from bench.config.overrides import DELETED, Overrides
-from bench.config.sources import hydra_ready, register_plugins
+from bench.config.overrides import DELETED, Overrides, literal
+from bench.config.sources import register_plugins
 from bench.errors import InputError
 
 PROGRAM = "vibration-bench"
@@ -34,16 +33,6 @@ def hydra_overrides(overrides: Overrides) -> list[str]:
         prior = content_of("system", overrides.get("system", [default_choices()["system"]])[0]).get("default_prior")
         lines += [f"prior={prior}"] if prior else []
     return lines
-
-
-def compose_cell(overrides: Overrides) -> dict[str, Any]:
-    """Return the configuration that Hydra composes for one cell; raises InputError."""
-    from hydra import compose
-    from omegaconf import OmegaConf
-
-    lines = hydra_overrides(overrides)
-    with hydra_ready():
-        return OmegaConf.to_container(compose("config", lines), resolve=True)  # type: ignore[return-value]
 
 
 def ask_hydra(options: Sequence[str], words: Sequence[str]) -> int:

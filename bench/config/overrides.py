@@ -6,6 +6,7 @@ Command lines use Hydra's override grammar.
 from __future__ import annotations
 
 import itertools
+import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,6 +29,8 @@ NONE: Mapping[str, str | None] = {"prior": "none", "disturbance": "none", "exper
 UNITS = {"snr": "dB", "rate": "Hz"}
 """Units that may follow the value of a field: ``snr=20dB``."""
 
+WORDS = ("null", "true", "false", "nan", "inf")
+"""Words that Hydra reads as text only in quotes."""
 Overrides = Mapping[str, list[Any]]
 """Values by field, such as ``snr`` or ``method.width``; several values are swept over."""
 
@@ -168,6 +171,21 @@ def values_of(field: str, text: str) -> list[Any]:
     if not values:
         raise InputError(field, text, "matches no value")
     return [_without_unit(field, item.text if isinstance(item, QuotedString) else item) for item in values]
+
+
+def literal(value: Any) -> str:
+    """Return a value in Hydra's override grammar."""
+    if isinstance(value, list | tuple):
+        return f"[{','.join(map(literal, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{key}:{literal(item)}' for key, item in value.items())}}}"
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if not isinstance(value, str) or (value.isidentifier() and value.lower() not in WORDS):
+        return str(value)
+    from hydra.core.override_parser.types import Quote, QuotedString
+
+    return QuotedString(value, Quote.single).with_quotes()
 
 
 def _without_unit(field: str, value: Any) -> Any:

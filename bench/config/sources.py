@@ -6,12 +6,7 @@ files of the user, and the fields of a run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-from hydra import initialize_config_module
 from hydra.core.config_search_path import ConfigSearchPath
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
@@ -62,16 +57,3 @@ def register_plugins() -> None:
     """Register both plugins with Hydra."""
     for plugin in (BenchSource, BenchSearchPath):
         Plugins.instance().register(plugin)
-
-
-@contextmanager
-def hydra_ready() -> Iterator[None]:
-    """Initialise Hydra on ``conf``; an outer initialisation by the calling program is restored at the end."""
-    register_plugins()
-    outer = GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_module("conf", version_base="1.3", job_name="bench"):
-            yield
-    finally:
-        GlobalHydra.instance().hydra = outer

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config.composition import literal
+from bench.config.overrides import literal
 from bench.contract.estimate import Status
 from bench.engine.pool import Limits
 from bench.errors import InputError
