@@ -135,7 +135,6 @@ design want=mass:5% frequency=2 damping=0.02 noise=0.5mm | want=mass:5%         
 design $DECAY samples=20                          | duration=                        | describe the test
 design $TEST atlas=good.csv                       | atlas=good.csv                   | experiment=atlas
 identifiability measured=[9]                      | measured=                        |
-status watch=5                                    | watch=                           | name the sweep
 tables what=clams                                 | what=clams                       | did you mean claims
 run method=ls data=nowhere.csv                    | data=nowhere.csv                 | cannot be read
 identify method=ls data=nowhere.csv               | data=nowhere.csv                 | cannot be read

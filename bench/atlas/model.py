@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 
 from bench.atlas.point import FreeDecay
-from bench.errors import InputError
 from bench.isolation.machine import single_threaded
 
 QUANTILES = (0.1, 0.5, 0.9)
@@ -141,16 +140,10 @@ def cross_validate(frame: pd.DataFrame, quantity: str) -> CrossValidation:
 
 @cache
 def ensembles() -> Any:
-    """Return the module ``sklearn.ensemble``, restricted to one thread, which is faster for small trees.
-
-    Raises:
-        InputError: scikit-learn is not installed.
-    """
+    """Return the module ``sklearn.ensemble``, restricted to one thread, which is faster for small trees."""
     single_threaded()
-    try:
-        from sklearn import ensemble  # slow to import
-    except ModuleNotFoundError as error:
-        raise InputError("package", error.name, "not installed; pip install 'vibration-bench[atlas]'") from None
+    from sklearn import ensemble  # slow to import
+
     return ensemble
 
 

@@ -48,7 +48,7 @@ def atlas(
     check_of_hydra(launcher)
     blocks = {name: atlas_blocks(name, method, points, test) for name in part or part_names(test)}
     if not dry_run:
-        _check_packages()
+        _import_packages()
     work = Work(store, out, Limits(workers or usable_cores()), fit, dry_run, tuple(launcher))
     if not work.complete([block for of_part in blocks.values() for block in of_part], "fit"):
         return 0
@@ -57,15 +57,12 @@ def atlas(
     return 0
 
 
-def _check_packages() -> None:
-    """Raise InputError, before the work, for a package without which the atlas cannot be written."""
+def _import_packages() -> None:
+    """Import what the atlas is written with, so that a missing package is reported before the work."""
     from bench.atlas.model import ensembles
+    from bench.reporting.pictures import maps as _  # noqa: F401
 
     ensembles()
-    try:
-        from bench.reporting.pictures import maps  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None
 
 
 def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: str) -> None:

@@ -12,8 +12,11 @@ from contextlib import suppress
 from bench.errors import InputError, line_of
 from bench.isolation.signals import Ended, raise_on_signals, restore_interrupts
 
-OPTIONAL = {"jax": "jax"}
-"""Packages that are imported where they are needed, each with the extra that installs it."""
+OPTIONAL = {
+    "jax": "jax", "sklearn": "atlas", **dict.fromkeys(("altair", "contourpy", "matplotlib", "PIL"), "figures"),
+    **dict.fromkeys(("arviz", "libsbml", "nbformat"), "exchange"),
+}  # fmt: skip
+"""Extras by the packages that they install, which commands import where they need them."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -44,10 +47,11 @@ def guarded(name: str, body: Callable[[], int], interrupted: str = "interrupted"
             print(f"{name}: {interrupted}", file=sys.stderr)
         return ended.status
     except ModuleNotFoundError as error:
-        if error.name not in OPTIONAL:
+        package = str(error.name).partition(".")[0]
+        if package not in OPTIONAL:
             raise
-        remedy = f"missing: pip install 'vibration-bench[{OPTIONAL[error.name]}]'"
-        return _refused(name, InputError("package", error.name, remedy))
+        remedy = f"missing: pip install 'vibration-bench[{OPTIONAL[package]}]'"
+        return _refused(name, InputError("package", package, remedy))
     except BrokenPipeError:
         _drop_output()
         return 141

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import Others, Parsed
-from bench.errors import InputError
 
 SCENARIO = ("system", "snr", "initial_state", "prior", "seed")
 
@@ -44,7 +43,8 @@ def identifiability(
     channels = measured or simulated.measured_dofs
     check_dofs(simulated.make_system(), channels)
     if profile:
-        check_packages()
+        from bench.reporting.pictures import style as _  # noqa: F401 - a missing package is reported before the work
+
         check_folder(out)
     structure = structure_of(simulated, channels)
     fisher = information(simulated, job.config.seed, channels)
@@ -53,11 +53,3 @@ def identifiability(
         table, paths = profile_intervals(simulated, channels, structure, fisher, job.config.seed, out)
         print(f"\n{table}", *paths, sep="\n")
     return 0
-
-
-def check_packages() -> None:
-    """Raise InputError, before any work, if the packages of pictures are missing."""
-    try:
-        from bench.reporting.pictures import style  # noqa: F401
-    except ImportError as error:
-        raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,9 +88,5 @@ def _picture(config: Config) -> Path | None:
     path = Path(config.picture)
     if path.suffix.lower() != ".svg":
         raise InputError("picture", config.picture, "a file whose name ends in .svg")
-    if find_spec("altair") is None or find_spec("vl_convert") is None:
-        raise InputError(
-            "picture", config.picture, "needs altair and vl-convert: pip install 'vibration-bench[report]'"
-        )
     check_file(path, "picture")
     return path

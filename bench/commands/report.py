@@ -9,7 +9,6 @@ from typing import Annotated
 from bench.commands.declaration import folder
 from bench.commands.log import LOG
 from bench.commands.stores import DEFAULT, ArchiveFolder, StoreFolder, named_store
-from bench.errors import InputError
 
 RESULTS = Path("results")
 
@@ -24,17 +23,14 @@ def report(
 
     The same store and results give the same bytes.
     """
-    try:
-        from bench.reporting.page.folder import check_folder, results_files, write_site
-        from bench.reporting.page.site import site_files
+    from bench.reporting.page.folder import check_folder, results_files, write_site
+    from bench.reporting.page.site import site_files
 
-        opened = named_store(store, archive, filled=True)
-        if results != RESULTS:  # an installed package has no folder of results
-            folder("results", results)
-        check_folder(out)
-        LOG.info("building the site, which takes about a minute for the published results")
-        write_site(out, chain(site_files(opened, results), results_files(results)))
-    except ImportError as error:
-        raise InputError("package", error.name, "missing: pip install 'vibration-bench[report]'") from None
+    opened = named_store(store, archive, filled=True)
+    if results != RESULTS:  # an installed package has no folder of results
+        folder("results", results)
+    check_folder(out)
+    LOG.info("building the site, which takes about a minute for the published results")
+    write_site(out, chain(site_files(opened, results), results_files(results)))
     print(out / "index.html")
     return 0

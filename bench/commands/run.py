@@ -25,8 +25,6 @@ fields (defaults in brackets):
   experiment     a sweep: {experiments}
   hydra/launcher [local] ray, submitit_slurm (extras ray, slurm), with
                  cells_per_job= and hydra.launcher.<option>=
-  hydra.run.dir, hydra.sweep.dir, hydra.verbose
-                 folder of the store, of one cell and of a sweep; log of Hydra
 
 options; the syntax of overrides is Hydra's, without its folders for runs:
   -m, --multirun   a sweep             --cfg job    print the configuration
@@ -60,7 +58,7 @@ def run(options: Options, early: bool = False) -> int:
             print(*offered)
             return 0
         return ask_hydra(options.shown, options.words)
-    from bench.config.hydra_fields import apply_hydra_fields, check_of_hydra, is_of_hydra
+    from bench.config.hydra_fields import check_of_hydra, is_of_hydra
     from bench.config.overrides import read_overrides
 
     of_hydra = [text for text in options.words if is_of_hydra(text)]
@@ -78,18 +76,16 @@ def run(options: Options, early: bool = False) -> int:
         start_server()
     from bench.config.experiment import sweep  # takes half a second: a mistyped name is reported before
 
-    overrides = apply_hydra_fields(of_hydra, overrides)
     if any(value is not None for value in overrides.get("data", [])):
         from bench.commands.measured_record import identify_records
 
         return identify_records(overrides)
     jobs = sweep(overrides, multirun="multirun" in options.flags)
-    launcher = [text for text in of_hydra if "launcher" in text.partition("=")[0]]
-    if "cells_per_job" in overrides and not launcher:
+    if "cells_per_job" in overrides and not of_hydra:
         raise InputError(
             "cells_per_job", overrides["cells_per_job"][0], "give it with hydra/launcher=, whose jobs have this many"
         )
-    return _run(jobs, launcher)
+    return _run(jobs, of_hydra)
 
 
 def _usage() -> str:

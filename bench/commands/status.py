@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated
 
-from bench.commands.declaration import Others, Within
+from bench.commands.declaration import Others
 from bench.commands.log import verbose
 from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
-from bench.commands.watch import follow
 from bench.config.overrides import settable
 from bench.contract.estimate import Status
 from bench.engine.plan import CellState, cell_state, plan, read_retry
@@ -84,7 +83,6 @@ def status(
     sweep: Annotated[Sequence[str], Others(settable), "experiment=, method=, ... as for python -m bench -m: a sweep"],
     store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
-    watch: Annotated[float | None, Within(ge=0.1, le=3600), "interval (s): watch a running sweep"] = None,
     cell: Annotated[CellIdentity | None, "show this cell, with its tracebacks"] = None,
 ) -> int:
     """Show what is stored, failed, stale and missing, and why.
@@ -97,14 +95,10 @@ def status(
         print(cell_table(stored_as_cell(stored), stored))
         print(opened.location(stored.identity), stored.tracebacks, sep="\n")
         return 0
-    if watch and not sweep:
-        raise InputError("watch", watch, "name the sweep: experiment=<name>, or its fields")
     cells = _sweep(sweep) if sweep else None  # first, so that a misspelt field is reported before a missing store
     opened = named_store(store, archive)
     if cells is None:
         print(store_page(opened))
-    elif watch:
-        follow(cells[0], opened, cells[1], watch)
     else:
         planned = plan(cells[0], opened, cells[1])
         print(listing(planned, opened, usable_cores(), every_cell=verbose()))

@@ -75,30 +75,24 @@ def figures(
     svg: Annotated[Path | None, "folder of the figures as SVG [none]"] = None,
 ) -> int:
     """Draw the figures as PNG files with captions; figures without cells are left out."""
+    from bench.reporting.pictures.all_pictures import PICTURES
+    from bench.reporting.pictures.gallery import Gallery
+    from bench.reporting.pictures.style import Nothing, save
     from bench.reporting.whole_file import check_folder
 
     opened = named_store(store, archive, filled=True)
     check_folder(out)
     if svg is not None:
         check_folder(svg, "svg")
-    try:
-        from bench.reporting.pictures.all_pictures import PICTURES
-        from bench.reporting.pictures.gallery import Gallery
-        from bench.reporting.pictures.style import Nothing, save
-
-        gallery, drawn = Gallery(opened), 0
-        for name, draw in PICTURES.items():
-            try:
-                paths = save(draw(gallery), out, svg)
-            except Nothing as reason:
-                LOG.warning("%s: not drawn: %s", name, reason)
-                continue
-            drawn += 1
-            print(*paths, sep="\n")
-    except ImportError as error:
-        if error.name not in ("altair", "matplotlib", "vl_convert"):
-            raise
-        raise InputError("package", error.name, "missing: pip install 'vibration-bench[figures]'") from None
+    gallery, drawn = Gallery(opened), 0
+    for name, draw in PICTURES.items():
+        try:
+            paths = save(draw(gallery), out, svg)
+        except Nothing as reason:
+            LOG.warning("%s: not drawn: %s", name, reason)
+            continue
+        drawn += 1
+        print(*paths, sep="\n")
     if not drawn:
         raise InputError("store", store, "no cell has the data of a figure; run experiment=table5")
     return 0

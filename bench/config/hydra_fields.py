@@ -1,17 +1,13 @@
-"""Hydra's own fields on the command line: launcher and its options, output folder, log level."""
+"""Hydra's own fields on the command line: the launcher and its options."""
 
 from __future__ import annotations
 
-import logging
-import sys
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from bench.errors import InputError, check_name
 
 CHOICE, OPTION = "hydra/launcher", "hydra.launcher."
-FOLDERS, VERBOSE = ("hydra.run.dir", "hydra.sweep.dir"), "hydra.verbose"
-SUPPORTED = f"not supported; of Hydra's fields {CHOICE}=, {OPTION}<option>=, {'=, '.join(FOLDERS)}=, {VERBOSE}= are"
+SUPPORTED = f"not supported; of Hydra's fields {CHOICE}= and {OPTION}<option>= are"
 LOCAL = "local"
 """Name of the default: worker processes on this machine, without a launcher of Hydra."""
 
@@ -30,12 +26,10 @@ def check_of_hydra(texts: Sequence[str]) -> None:
     for text in texts:
         key, equals, value = text.partition("=")
         plain = key.lstrip("+")
-        if not equals or not (plain.startswith(OPTION) or plain in (CHOICE, *FOLDERS, VERBOSE)):
+        if not equals or not (plain.startswith(OPTION) or plain == CHOICE):
             raise InputError(key, value, SUPPORTED)
         if "_target_" in text or "${" in text:
             raise InputError(key, value, f"give a plain value; {CHOICE}=<name> selects the launcher")
-        if plain in FOLDERS and not value:
-            raise InputError(key, value, "name a folder")
         if plain.startswith(OPTION) and not launchers:
             raise InputError(key, value, f"an option of a launcher requires {CHOICE}=<name>")
     for name in launchers:
@@ -45,15 +39,3 @@ def check_of_hydra(texts: Sequence[str]) -> None:
         Plugins.instance()  # importing the plugins registers the launchers
         known = {LOCAL, *(name.removesuffix(".yaml") for name in ConfigStore.instance().list("hydra/launcher"))}
         check_name(CHOICE, name, sorted(known), " (pip install 'vibration-bench[ray]' or '[slurm]' for more)")
-
-
-def apply_hydra_fields(texts: Sequence[str], overrides: Mapping[str, list[Any]]) -> Mapping[str, list[Any]]:
-    """Return the overrides with the store in Hydra's output folder, and set the log level of ``hydra.verbose``."""
-    for key, _, value in (text.lstrip("+").partition("=") for text in texts):
-        if key in FOLDERS and "store" not in overrides:
-            overrides = {**overrides, "store": [f"{value.strip(chr(39))}/rows"]}
-        if key == VERBOSE and value != "false":
-            logging.basicConfig(stream=sys.stderr)
-            for name in [None] if value == "true" else value.strip("[]").split(","):
-                logging.getLogger(name).setLevel(logging.DEBUG)
-    return overrides

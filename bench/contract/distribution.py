@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Protocol, Self
+from typing import Any
 
 import numpy as np
 
@@ -162,31 +162,6 @@ def normal_marginal(value: Any, mean: Any, sd: Any, dof: Any, log: bool) -> Marg
     return Marginal(_number(value), ppf, cdf)
 
 
-class Distribution(Protocol):
-    """Common interface of :class:`Normal` and :class:`Draws`."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters or groups."""
-        ...
-
-    def values(self) -> dict[str, Any]:
-        """Return the point estimates by name, numbers or arrays (*sets)."""
-        ...
-
-    def finite(self) -> bool:
-        """Return True if all numbers are finite."""
-        ...
-
-    def marginal(self, quantity: Quantity) -> Marginal | None:
-        """Return the distribution of a product of powers; None if it is not determined by the named quantities."""
-        ...
-
-    def expressed_in(self, scale: Mapping[str, float]) -> Self:
-        """Return the distribution of the named quantities divided by their scales."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Normal:
     """Normal distribution of the logarithms of parameters, or of groups.
@@ -294,3 +269,7 @@ class Draws:
     def expressed_in(self, scale: Mapping[str, float]) -> Draws:
         """Return the samples of the parameters divided by their scales."""
         return replace(self, samples=self.samples / np.array([scale[name] for name in self.names]))
+
+
+Distribution = Normal | Draws
+"""Estimated distribution of parameters or groups."""

@@ -21,10 +21,8 @@ def inference_data(stored: StoredCell) -> Any:
     arrays = stored.arrays
     if "draws" not in arrays:
         raise InputError("cell", stored.identity, f"{stored.cell['label']} states no draws; take a method that samples")
-    try:
-        import arviz
-    except ImportError:
-        raise InputError("export", "arviz", "needs arviz: pip install 'vibration-bench[exchange]'") from None
+    import arviz
+
     cell = stored.cell
     names = make_system(cell["data"]["system"], cell["data"].get("options", {})).names
     draws = np.asarray(arrays["draws"], float)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.errors import InputError
 from bench.store.cell import Cell
 
 NAMED = ("method", "system", "snr", "initial_state", "prior", "disturbance", "replicates", "seed")
@@ -25,11 +24,9 @@ alt.Chart(lines).mark_line().encode(**axes, color="curve") + alt.Chart(samples).
 
 
 def notebook(cell: Cell, overrides: Mapping[str, Sequence[Any]]) -> str:
-    """Return a notebook (nbformat 4) that computes a cell as the overrides describe it; raises InputError."""
-    try:
-        from nbformat import v4, writes
-    except ImportError:
-        raise InputError("export", "notebook", "needs nbformat: pip install 'vibration-bench[exchange]'") from None
+    """Return a notebook (nbformat 4) that computes a cell as the overrides describe it."""
+    from nbformat import v4, writes
+
     scenario = cell.scenario
     values = {name: values[-1] for name, values in overrides.items()}
     arguments = {name: values.pop(name) for name in NAMED if name in values}

@@ -102,11 +102,7 @@ def formula(expression: Any) -> str:
 
 def sbml(system: System) -> str:
     """Return the model, with a parameter for each parameter, each state (with a rate rule) and each initial value."""
-    try:
-        import libsbml
-    except ImportError:
-        remedy = "needs python-libsbml: pip install 'vibration-bench[exchange]'"
-        raise InputError("export", "petab", remedy) from None
+    import libsbml
 
     document = libsbml.SBMLDocument(3, 1)
     model = document.createModel()

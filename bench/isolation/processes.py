@@ -65,7 +65,7 @@ def start_server(preload: Sequence[str] = ()) -> None:
     A running server that lacks some of the packages is restarted, unless it has children.
     """
     _context(preload)
-    with without_main():
+    with without_main(), _without_interrupts():
         forkserver.ensure_running()
 
 
@@ -81,8 +81,7 @@ def _context(preload: Sequence[str]) -> Any:
         os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)  # multiprocessing notices the end and starts another
     if server is None or missing:
         Children.preloaded = frozenset(preload)
-        first, last = "bench.isolation.server_start", "bench.isolation.server_setup"
-        context.set_forkserver_preload([first, *NEEDED, *preload, last])
+        context.set_forkserver_preload([*NEEDED, *preload, "bench.isolation.server_setup"])
     return context
 
 

@@ -10,9 +10,7 @@ import os
 import warnings
 
 from bench.isolation.descendants import adopt
-from bench.isolation.server_start import restore_interrupts
 
-restore_interrupts()
 adopt()
 if os.getpgrp() != os.getpid():
     os.setsid()

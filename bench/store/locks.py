@@ -110,24 +110,3 @@ class Claims:
             owner = ""
         remedy = f"cannot be written ({error.strerror}{owner}); all users of the store need write permission"
         return InputError("store", self.folder, remedy)
-
-
-def active_claims(folder: Path) -> dict[str, float]:
-    """Return the times of the claims of running runs (seconds since the epoch), by the cell's identity.
-
-    An abandoned claim is not locked and not counted, except on a file system without locks, or if it is another user's.
-    """
-    from filelock import FileLock, Timeout
-
-    claimed = {}
-    for path in folder.glob("*.claim"):
-        with contextlib.suppress(FileNotFoundError):  # released meanwhile
-            since = path.stat().st_mtime
-            try:
-                FileLock(path, blocking=False, fallback_to_soft=False).acquire().lock.release()
-            except (Timeout, PermissionError):
-                claimed[path.stem] = since
-            except OSError as error:
-                if error.errno in NO_LOCKS:
-                    claimed[path.stem] = since
-    return claimed

@@ -17,7 +17,7 @@ GUIDES = sorted(
 )
 LONG = (
     "experiment=", "hydra/launcher", "bench tables", "bench share", "bench round", "bench score", "bench track",
-    "package=", "watch=", "pinn_family", "reproduce", "blows.csv", "b1.csv", "frf.uff", "scope.xlsx", "times=optimal",
+    "package=", "pinn_family", "reproduce", "blows.csv", "b1.csv", "frf.uff", "scope.xlsx", "times=optimal",
     "force=optimal", "<", "tests.studies", "verify=500",
 )  # fmt: skip
 """Parts of commands that are not run here: they take long, need files or a network, or are run by other tests."""
