@@ -22,7 +22,7 @@ from bench.records.intervals import StatedInterval
 from bench.reporting.record_page import record_page
 from bench.reporting.rounding import rounded
 from bench.reporting.sweep_summary import SweepSummary
-from bench.reporting.terminal import columns, help_page, table, wrapped
+from bench.reporting.terminal import table
 from bench.reporting.terminal_tables import cell_table
 from bench.scoring.row import Row
 from bench.store.cell import Cell
@@ -109,12 +109,6 @@ def test_a_table_is_aligned_on_the_screen_whatever_script_its_names_are_in() -> 
     rule = lines[1]
     assert set(rule) == {"-", " "}
     assert places(rule.split("  ")[0]) == max(map(places, names))
-
-
-@pytest.mark.parametrize("text", ["word " * 60, "語" * 150, "a" * 150])
-def test_sentences_fit(text: str, terminal: int) -> None:
-    assert columns() == terminal
-    assert widest(wrapped(text, start="  ")) <= terminal
 
 
 @pytest.mark.parametrize("system", ["sdof", "chain10"])
@@ -267,15 +261,3 @@ def test_a_table_too_wide_becomes_a_list_with_all_of_its_numbers(width: int, mon
     assert widest(text) <= width
     assert {cell for row in rows for cell in row[1:]} <= set(text.split())
     assert ("test test p\n" in text) == (width < 80)
-
-
-def test_the_explanations_of_a_page_of_help_are_indented(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "40")
-    field = "  out   [results] the folder in which all of the files are"
-    page = f"usage: some command\n\nfields:\n{field}\n\nA sentence\nof two lines."
-    lines = help_page(page).splitlines()
-    assert lines[:3] == ["usage: some command", "", "fields:"]
-    assert lines[3].startswith("  out   [results] the folder")
-    assert lines[4].startswith("        ")
-    assert lines[-1] == "A sentence of two lines."
-    assert widest("\n".join(lines)) <= 40

@@ -16,9 +16,6 @@ import pytest
 from conftest import REPOSITORY
 from forked import Call, Forked
 
-from bench.errors import InputError
-from bench.reporting.whole_file import write
-
 FULL = Path("/dev/full")
 NOBODY = 65534
 CELL = "method=prior replicates=2 workers=1 store=rows archive=none"
@@ -110,19 +107,6 @@ def test_a_full_disk_leaves_no_file(line: str, one_cell: Path, forked: Forked, t
     ended = forked.run(Call([*line.split(), "archive=none"], str(tmp_path / "here"), largest_file=40))
     assert ended.status == 2, ended.err
     assert [path for path in (tmp_path / "here").rglob("*") if path.is_file() and "rows" not in path.parts] == []
-
-
-def test_a_failed_write_leaves_the_file_unchanged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write(tmp_path / "page", "before")
-
-    def full(number: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError, match="No space left on device"):
-        write(tmp_path / "page", "after")
-    assert [path.name for path in tmp_path.iterdir()] == ["page"]
-    assert (tmp_path / "page").read_text() == "before"
 
 
 DENIED = {

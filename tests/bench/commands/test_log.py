@@ -7,7 +7,6 @@ import logging
 import pytest
 
 from bench.commands.main import main
-from bench.engine.progress import counter
 from bench.store.store import Store
 
 SWEEP = ["-m", "method=prior", "replicates=2,3", "workers=1"]
@@ -33,16 +32,3 @@ def test_the_log_of_other_programs_is_not_changed(store: Store) -> None:
     before = (log.level, log.propagate, list(log.handlers))
     assert main([*SWEEP, "-q", f"store={store.folder}"]) == 0
     assert (log.level, log.propagate, list(log.handlers)) == before
-
-
-@pytest.mark.parametrize(("level", "shown"), [(logging.WARNING, True), (logging.ERROR, False)])
-def test_the_level_of_the_logger_hides_progress(level: int, shown: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    log = logging.getLogger("bench")
-    before = log.level
-    log.setLevel(level)
-    try:
-        with counter("file", 1) as advance:
-            advance()
-    finally:
-        log.setLevel(before)
-    assert ("files 100 %" in capsys.readouterr().err) == shown

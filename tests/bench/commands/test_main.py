@@ -102,11 +102,6 @@ def test_help_and_bad_input_load_no_heavy_package(python: Callable[..., Any]) ->
     assert len(done.stderr.splitlines()) == 2
 
 
-def test_an_empty_command_line_prints_the_usage_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 2
-    assert capsys.readouterr().out.startswith("usage:")
-
-
 def test_workers_and_limits_reach_the_run_and_are_stored_with_it(store: Store) -> None:
     limits = ["workers=3", "timeout_s=50", "memory_mb=1500"]
     assert main(["method=prior", "replicates=2", *limits, f"store={store.folder}"]) == 0

@@ -9,11 +9,9 @@ import pytest
 from conftest import a_cell, computed
 from stored import content, resealed
 
-from bench.commands import reproduce, status
+from bench.commands import reproduce
 from bench.commands.main import main
-from bench.engine.plan import plan
 from bench.scenario.scenario import Scenario
-from bench.store.cell import stored_as_cell
 from bench.store.store import Store
 
 
@@ -41,12 +39,6 @@ def test_a_store_is_described_by_method_and_state(store: Store, capsys: pytest.C
     assert "damaged: 1 x" in out
 
 
-def test_a_cell_is_reproduced(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
-    (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
-    assert main(["reproduce", f"cell={oracle.identity[:6]}", f"store={store.folder}"]) == 0
-    assert "run again: identical" in capsys.readouterr().out
-
-
 def test_scores_that_differ_are_listed(store: Store) -> None:
     """The stored errors are changed by a part in 10⁴, then by a tenth."""
     (oracle,) = (cell for cell in store if cell.cell["label"] == "oracle")
@@ -72,15 +64,3 @@ def test_a_cell_is_shown_with_its_tracebacks(store: Store, capsys: pytest.Captur
     out = capsys.readouterr().out
     assert "replicate 0\nTraceback: größer" in out
     assert str(store.path(oracle.identity)) in out
-
-
-def test_the_status_of_a_store_and_of_a_sweep_agree_on_a_missing_package(store: Store) -> None:
-    path = edit(store, "prior")
-    whole = content(path)
-    whole["rows"]["status"] = ["missing_dependency", "missing_dependency"]
-    path.write_bytes(resealed({**whole, "statuses": {"missing_dependency": 2}}))
-    planned = plan([stored_as_cell(cell) for cell in store], store)
-    (item,) = (item for item in planned if item.cell.label == "prior")
-    page = {head.identity: (state, why) for head, state, why in status.standings(store)}
-    assert page[item.cell.identity] == (item.state.value, item.why)
-    assert item.state.value == "failed"

@@ -177,14 +177,6 @@ def test_nominal_values_of_a_measured_record_can_be_set() -> None:
         expand(["method=oracle", "nominal.m=1"], False)
 
 
-@pytest.mark.parametrize("system", ["chain2_first", "sdof_added_mass", "sdof_noise", "bouc_wen", "duffing_forced"])
-def test_every_kind_of_scenario_is_found_again_from_its_description(system: str) -> None:
-    """Sensors, added masses and forces are part of the question: the stored description gives the same identity."""
-    cell = cells("method=ls", f"system={system}")[0]
-    what = {**cell.description(), "label": "ls", "system": system}
-    assert stored_as_cell(StoredCell(cell.identity, what, (), {}, {}, {}, 0.0)).identity == cell.identity
-
-
 def test_a_truth_that_is_drawn_is_drawn_again() -> None:
     """The prior of such a scenario names the parameters in the system's order, which the stored one has sorted."""
     cell = cells("method=ls", "prior=drawn_truth")[0]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bench.commands.main import main
 from bench.config.online import online_scenario, scenario_names, scenarios_from_system
 
 
@@ -22,11 +21,3 @@ def test_courses_compose_with_any_system() -> None:
     assert k[0] == 8.0
     assert k[-1] == pytest.approx(7.2)
     assert np.all(np.isfinite(stream.values))
-
-
-def test_the_help_of_the_track_names_its_scenarios_and_methods(capsys) -> None:
-    assert main(["-m", "experiment=online", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert "step10_multisine" in text
-    assert "system.varying" in text
-    assert max(map(len, text.splitlines())) <= 80

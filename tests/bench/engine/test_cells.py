@@ -19,15 +19,14 @@ from hypothesis import strategies as st
 from misbehaving import answer
 
 from bench import Estimate, Normal, Problem, Status
-from bench.engine import cells as cells_of_a_run
-from bench.engine.cells import CellJob, ScoringError
+from bench.engine.cells import CellJob
 from bench.engine.method_process import perform
 from bench.engine.plan import CellState, Planned, plan
 from bench.engine.pool import Limits
 from bench.engine.runner import make_bounds
 from bench.engine.scoring_process import Scorer
 from bench.engine.wire import LONGEST_MESSAGE, pack
-from bench.isolation.processes import Children, Died
+from bench.isolation.processes import Children
 from bench.scenario.scenario import ForceSpec, Scenario
 from bench.store.cell import Cell
 from bench.store.store import Store
@@ -224,35 +223,3 @@ def test_whatever_a_method_says_is_one_row_that_everybody_can_read(
     dict(stored.arrays)  # can be read
     (head,) = store.heads()
     assert (head.problem, head.statuses) == ("", {row.status.value: 1})
-
-
-class Answering:
-    """A worker whose scoring process fails some times, and then answers."""
-
-    def __init__(self, *failures: Any) -> None:
-        self.failures, self.requests = list(failures), list[Any]()
-
-    def process(self, serve: Any) -> Answering:
-        return self
-
-    def lose(self, serve: Any) -> None:
-        """Go on."""
-
-    def send(self, message: bytes) -> None:
-        self.requests.append(pickle.loads(message))
-
-    def receive(self, limit_s: float) -> bytes:
-        failure = self.failures.pop(0) if self.failures else None
-        if isinstance(failure, Died):
-            raise failure
-        return pickle.dumps((False, failure) if failure else (True, ""))
-
-
-def test_a_scoring_process_that_is_killed_is_asked_again() -> None:
-    killed, slow = Died("killed", "ended by SIGKILL", ""), Died("timeout", "stopped after the limit of 1 s", "")
-    assert cells_of_a_run.ask(Answering(killed, killed), "open") == ""  # type: ignore[arg-type]
-    for failures in ((killed,) * 3, (slow,)):
-        with pytest.raises(Died):
-            cells_of_a_run.ask(Answering(*failures), "open")  # type: ignore[arg-type]
-    with pytest.raises(ScoringError):
-        cells_of_a_run.ask(Answering(("an error", "")), "open")  # type: ignore[arg-type]

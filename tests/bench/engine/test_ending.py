@@ -14,14 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.store.store import Store
-
 SLOW = ("-m", "bench", "-m", "method=ls,shooting", "seed=range(0,400)", "replicates=2", "archive=none")
-SLOW_DISK = """
-import os, time
-fsync = os.fsync
-os.fsync = lambda handle: (time.sleep(0.1), fsync(handle))[1]
-"""
 
 
 @pytest.fixture
@@ -79,17 +72,3 @@ def test_under_nohup_a_terminal_that_closes_ends_nothing(tmp_path: Path, tempora
         run.send_signal(signal.SIGTERM)
         run.communicate(timeout=120)
         assert run.returncode == 128 + signal.SIGTERM
-
-
-@pytest.mark.slow
-def test_a_slow_disk_and_few_descriptors_make_a_sweep_slow_and_lose_nothing(tmp_path: Path) -> None:
-    (tmp_path / "sitecustomize.py").write_text(SLOW_DISK)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
-    command = [
-        sys.executable, "-m", "bench", "-m", "method=prior", "seed=range(0,150)", "replicates=1", "archive=none",
-        f"store={tmp_path / 'rows'}", "workers=1",
-    ]  # fmt: skip
-    shell = ["/bin/sh", "-c", 'ulimit -n 64 && exec "$@"', "sh", *command]
-    done = subprocess.run(shell, env=environment, capture_output=True, text=True, timeout=280)
-    assert done.returncode == 0, done.stderr
-    assert len(Store(tmp_path / "rows").identities()) == 150

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,19 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import REPOSITORY
 from misbehaving import misbehave
 
 from bench import Estimate, InitialState, Normal, Problem, SimulatedResponse, Status
 from bench.contract.problem import Units
 from bench.engine.method_process import FitTask, outcomes, perform
 from bench.engine.wire import evaluated_together, pack, plain, unpack
-from bench.entrants.registry import make_method
 from bench.scenario.scenario import Scenario
 from bench.systems import SDOF
 
 TIMES = np.linspace(0.0, 1.0, 5)
-PICKLERS = ("pickle", "marshal", "dill", "cloudpickle")
 
 
 @dataclass(frozen=True)
@@ -107,28 +103,6 @@ def test_times_lie_within_those_that_were_seen() -> None:
     assert [outcome["wall_s"] for outcome in together] == [0.5, 0.5, 0.5, 0.55]
     assert [outcome["cpu_s"] for outcome in together] == [0.25, 0.25, 0.25, 0.26]
     assert outcomes(pack((0.0, 0.0, 9.0, pack([{"replicate": 0}])))) == [{"replicate": 0}]
-
-
-@pytest.mark.parametrize(("settings", "wanted"), [({}, 1), ({"batch": 20}, 20)])
-def test_the_batch_of_a_pinn_is_what_it_gets_in_a_sweep(settings: dict[str, int], wanted: int) -> None:
-    assert make_method("pinn", settings).problems_at_once == wanted
-
-
-def test_pickles_are_rebuilt_from_pipes_alone() -> None:
-    """Every ``pickle.load`` of the harness is of bytes of its own, or of one of its processes, not of a file."""
-    places = set()
-    for path in sorted((REPOSITORY / "bench").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.Attribute) or node.attr not in ("load", "loads", "Unpickler"):
-                continue
-            if isinstance(node.value, ast.Name) and node.value.id in PICKLERS:
-                places.add(path.relative_to(REPOSITORY / "bench").as_posix())
-    assert places <= {
-        "conformance/candidate.py", "conformance/method_checks.py", "conformance/process.py",
-        "conformance/system_checks.py", "records/identification.py", "records/workers.py",
-        "engine/pool.py", "engine/cells.py", "engine/method_process.py", "engine/scoring_process.py", "engine/wire.py",
-    }  # fmt: skip
-    assert not any((REPOSITORY / "bench" / name).read_text().count("read_bytes") for name in places)
 
 
 def test_alternatives_pass_between_the_processes_and_their_weights_must_add_up(problem: Problem) -> None:

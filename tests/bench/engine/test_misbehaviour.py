@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
@@ -16,7 +15,6 @@ from bench.engine.pool import Limits
 from bench.engine.runner import run_cells
 from bench.isolation.failure import without_folders
 from bench.isolation.limits import LONGEST_FILE
-from bench.isolation.processes import Children
 from bench.scenario.scenario import Scenario
 from bench.store.store import Store
 
@@ -125,25 +123,6 @@ def test_a_fit_that_runs_out_of_time_is_scored_by_its_last_report(reference: Sce
     assert (row.status, stored.n_ok) == (Status.TIMEOUT, 0)
     assert row.scores["k_over_m_ratio"] == pytest.approx(1.0, abs=0.05)  # combined with the prior
     assert stored.summary["rmse"]["median"] == float("inf")
-
-
-def test_a_log_is_emptied_before_the_next_request() -> None:
-    with Children() as children:
-        child = children.start(chattering)
-        for _ in range(2):
-            assert child.receive(60.0) == b"done"
-            assert child.log_path.stat().st_size == 2000
-            child.send(b"more")
-
-
-def chattering(connection: Any) -> None:
-    """Print 2,000 letters each time it is asked."""
-    import os
-
-    while True:
-        os.write(1, b"x" * 2000)
-        connection.send_bytes(b"done")
-        connection.recv_bytes()
 
 
 def test_a_traceback_does_not_name_folders_of_the_machine() -> None:

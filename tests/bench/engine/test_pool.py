@@ -14,7 +14,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench import InputError
 from bench.engine.pool import Limits, run_tasks
 from bench.engine.progress import Kind, RunState
 from bench.store.results import read_result, result_path, write_result
@@ -118,10 +117,3 @@ def test_every_flipped_bit_of_a_result_is_noticed(tmp_path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
     assert read_result(tmp_path, "a") is None
-
-
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"store=.*cannot be") as caught:
-        run_tasks([Deed("a")], tmp_path / "file", Limits(), ("deed", ""))
-    assert len(str(caught.value).splitlines()) == 1

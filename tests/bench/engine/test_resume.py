@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import getpass
 import os
 import platform
@@ -120,24 +119,6 @@ def test_the_statuses_that_can_be_tried_again() -> None:
     assert Status.UNSUPPORTED not in read_retry("failed")
     with pytest.raises(InputError, match="retry=sometimes: use none, failed, or some of"):
         read_retry("sometimes")
-
-
-def test_a_cell_that_cannot_be_read_for_a_moment_is_not_computed_again(
-    reference: Scenario, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cell = a_cell(reference, "draw")
-    run_cells(plan([cell], store), store, LIMITS)
-
-    def failing(path: Path) -> bytes:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    with monkeypatch.context() as disk:
-        for name in ("read_regular", "open_regular"):
-            disk.setattr(f"bench.store.store.{name}", failing)
-        with pytest.raises(InputError, match="cannot be read"):
-            plan([cell], store)
-    (again,) = plan([cell], store)
-    assert (again.state, again.run) == (CellState.DONE, False)
 
 
 def flip(path: Path) -> None:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
-import shutil
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -115,22 +112,6 @@ def test_the_model_with_the_truth_moves_as_the_record_without_noise(system: str)
     path = solve_ivp(rate, (0.0, times[-1]), list(starts.values()), "LSODA", times, rtol=1e-9, atol=1e-11)
     measured = [float(line["measurement"]) for line in lines]
     np.testing.assert_allclose(path.y[list(starts).index("x1")], measured, atol=2e-6)
-
-
-@pytest.mark.parametrize("words", [["system=sdof"], ["system=chain2", "initial_state=unknown", "prior=none"]])
-def test_petab_finds_nothing_wrong_with_it(words: list[str], tmp_path: Path) -> None:
-    """By its own ``petablint``, which is a program of another environment: its parser excludes Hydra's."""
-    pytest.importorskip("libsbml")
-    lint = shutil.which("petablint")
-    if lint is None:
-        pytest.skip("petablint is not on the path")
-    assert main(["share", "action=export", "form=petab", *words, f"out={tmp_path}"]) == 0
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    done = subprocess.run(
-        [lint, "-v", str(tmp_path / "problem.yaml")], env=environment, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "completed successfully" in done.stdout + done.stderr
 
 
 def with_draws(folder: Path) -> tuple[Store, np.ndarray]:

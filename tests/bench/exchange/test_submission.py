@@ -23,12 +23,11 @@ from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.registry import load_method
 from bench.errors import InputError
-from bench.exchange import merging, secret_problems
+from bench.exchange import merging
 from bench.exchange.merging import draw
 from bench.exchange.submission import MANIFEST, pack, unpack
 from bench.scenario.scenario import Scenario
 from bench.scoring.row import Row
-from bench.scoring.traces import MOMENTS, depends_on_clock
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored_cell import StoredCell
@@ -190,14 +189,6 @@ def test_every_row_is_drawn_as_often_as_any_other_and_nobody_can_know_which() ->
     assert met.max() < 40 + 5 * 6
 
 
-def test_scores_of_the_clock_are_known_by_their_names() -> None:
-    timed = ["training_s", "arrival_s", *(f"k_over_m_off_pct_at_{moment:g}s" for moment in MOMENTS)]
-    assert all(map(depends_on_clock, timed))
-    assert not any(
-        map(depends_on_clock, ("rmse", "k_over_m_off_pct_at_minimum", "k_over_m_error_pct", "starts_at_best"))
-    )
-
-
 # ---- merged
 
 Merge = Callable[..., tuple[int, str]]
@@ -300,12 +291,6 @@ def test_a_method_that_knows_public_data_is_found_on_fresh_ones(
     assert (end, words in shown) == (status, True), shown
     assert "5 of 12 rows computed again, and all come out the same" in shown
     assert "16 problems of a secret seed" in shown
-
-
-def test_fresh_errors_are_compared_by_ranks() -> None:
-    """A failure is an infinite error; the mean logarithm of 10 and 0.1 bounds is that of one."""
-    assert secret_problems._mean_log([(0.1, 0.01), (-0.001, 0.01)]) == pytest.approx(0.0, abs=1e-12)
-    assert secret_problems._mean_log([(math.nan, 0.01)]) == math.inf
 
 
 def filled(folder: Path, *labels: str) -> Store:

@@ -44,12 +44,3 @@ def test_the_quota_of_a_container_is_read_whichever_version_it_is_of(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(f"{text}\n" if text else "")
     assert quota_of_cores(tmp_path) == cores
-
-
-def test_the_limit_is_raised_as_far_as_it_may_be(python: Python) -> None:
-    script = (
-        "hard = min(resource.getrlimit(resource.RLIMIT_NOFILE)[1], 500)\n"
-        "resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard)); raise_file_limit()\n"
-        "print(resource.getrlimit(resource.RLIMIT_NOFILE)[0] == hard)"
-    )
-    assert python("-c", IMPORTS + script).stdout == "True\n"

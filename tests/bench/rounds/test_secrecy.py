@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from bench.config import random_scenarios
 from bench.config.files import read_yaml
 from bench.errors import InputError
 from bench.rounds.draw import draw_round, draw_scenario, with_truth
@@ -55,14 +54,6 @@ def unexplained(kind: str, n: int = 150) -> float:
 def test_no_product_of_powers_of_published_numbers_is_the_natural_frequency(kind: str) -> None:
     """A record is 1 to 30 periods long, and a force is made for a frequency off by up to exp(0.4), an sd of 0.46."""
     assert unexplained(kind) > 0.2
-
-
-def test_the_attack_finds_a_frequency_that_the_band_of_the_force_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(random_scenarios, "MISJUDGED", 1e-9)
-    assert all(s.force for s in scenarios("forced", 5))
-    bands = [s for s in scenarios("forced", 60) if s.force and s.force.low_hz]
-    stated = [2 * math.pi * s.force.low_hz / 0.2 for s in bands if s.force and s.force.low_hz]
-    assert stated == pytest.approx([math.sqrt(s.parameters["k"] / s.parameters["m"]) for s in bands], rel=1e-6)
 
 
 def test_no_number_of_the_truth_stands_in_the_folder(six: tuple[Path, Path]) -> None:

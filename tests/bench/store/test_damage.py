@@ -89,16 +89,23 @@ TEXTS = {
     "NaN": '{"wall_s": NaN}',
     "a number of 10^5 digits": '{"wall_s": ' + "1" * 10**5 + "}",
 }
+FOREIGN = {
+    "binary": b"\x80\x04\x95\xff\xfe",
+    "foreign": b'{"name": "package", "version": "1.0"}',
+    "another format": b'{"format": 99, "identity": "0123456789abcdef0123"}',
+}
 
 
-@pytest.mark.parametrize("what", [*SHAPES, *TEXTS])
-def test_a_sealed_file_of_another_shape_is_one_line(store: Store, path: Path, what: str) -> None:
+@pytest.mark.parametrize("what", [*SHAPES, *TEXTS, *FOREIGN, "another cell"])
+def test_a_file_of_another_shape_is_one_line_and_left_alone(store: Store, path: Path, what: str) -> None:
     whole = content(path)
     if what in SHAPES:
         SHAPES[what](whole)
         path.write_bytes(resealed(whole))
-    else:
+    elif what in TEXTS:
         path.write_bytes(sealed(FORMAT, TEXTS[what]))
+    else:
+        path.write_bytes(FOREIGN.get(what) or store.path(store.identities()[1]).read_bytes())
     before = path.read_bytes()
     with limited(LONG_S), pytest.raises(InputError) as caught:
         store.load(path.stem)

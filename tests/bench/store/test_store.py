@@ -19,7 +19,6 @@ from stored import content
 
 from bench import InputError, Status
 from bench.scoring.row import Row
-from bench.store.cell_file import cell_file
 from bench.store.store import Store
 from bench.store.stored_cell import StoredCell
 
@@ -102,44 +101,6 @@ def test_the_status_of_a_cell_without_success_is_its_most_frequent_failure() -> 
     assert replace(CELL, rows=tuple(rows)).status is Status.CRASHED
 
 
-DAMAGED = {
-    "binary": b"\x80\x04\x95\xff\xfe",
-    "foreign": b'{"name": "package", "version": "1.0"}',
-    "another format": b'{"format": 99, "identity": "0123456789abcdef0123"}',
-    "another cell's file": cell_file(replace(CELL, identity="another")),
-}
-
-
-@pytest.mark.parametrize("what", DAMAGED)
-def test_a_damaged_or_foreign_file_is_named_in_one_line_and_left_alone(store: Store, what: str) -> None:
-    store.save(CELL)
-    other = replace(CELL, identity="fedcba98765432100123")
-    store.save(other)
-    path = store.path(CELL.identity)
-    path.write_bytes(DAMAGED[what])
-    with pytest.raises(InputError) as caught:
-        store.load(CELL.identity)
-    assert str(path) in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
-    assert path.read_bytes() == DAMAGED[what]
-    with pytest.raises(InputError):
-        list(store)
-    assert store.load(other.identity) is not None
-
-
-def test_a_write_that_fails_leaves_the_old_cell(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    store.save(CELL)
-    before = store.path(CELL.identity).read_bytes()
-
-    def full(*arguments: object, **options: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        store.save(replace(CELL, wall_s=99.0))
-    assert [path.read_bytes() for path in store.folder.iterdir()] == [before]
-
-
 WRITER = """
 import os, pickle, signal, sys, time
 from dataclasses import replace
@@ -165,13 +126,6 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_cell(store: Store, python:
     store.save(CELL)
     done = python("-c", WRITER, str(store.folder), pickle.dumps(CELL).hex())
     assert done.stdout == "whole\n", done.stderr
-
-
-def test_a_store_that_cannot_be_written_is_one_line_before_anything_runs(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match=r"store=.*cannot be written"):
-            Store(folder).prepare()
 
 
 def test_no_write_goes_through_a_link_that_somebody_has_left(
