@@ -31,8 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: Sequence[str], early: bool) -> int:
     """Run cells, identify a measured record, or run an experiment that has fields of its own."""
-    from bench.commands.options import read_options
-    from bench.commands.run import run
+    from bench.commands.run import read_options, run
     from bench.commands.verbs import track
     from bench.config.choices import TRACKS
 

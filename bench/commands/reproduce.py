@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
-from bench.exchange.comparison import SAME_DIGITS, TOLERANCE, score_differences
-from bench.exchange.recomputing import recompute, widest_limits
+from bench.exchange.recomputing import SAME_DIGITS, TOLERANCE, recompute, score_differences, widest_limits
 from bench.isolation.machine import usable_cores
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell

@@ -14,8 +14,7 @@ from bench.contract.estimate import Status
 from bench.engine.pool import Limits
 from bench.entrants.registry import registered
 from bench.errors import InputError
-from bench.exchange.comparison import SAME, difference, miss_probability
-from bench.exchange.recomputing import recompute
+from bench.exchange.recomputing import SAME, difference, miss_probability, recompute
 from bench.information.fisher import Bound
 from bench.scoring.summary import summarise
 from bench.store.cell import Cell, stored_as_cell

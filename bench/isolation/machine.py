@@ -22,28 +22,18 @@ def usable_cores() -> int:
 def quota_of_cores(root: Path = ROOT) -> float | None:
     """Return the smallest processor quota of this process's control groups (cores); None if there is none.
 
-    Version 2 states it in ``cpu.max``, version 1 in ``cpu.cfs_quota_us`` (Linux kernel documentation, "Control Group
-    v2" and "CFS Bandwidth Control"). ``root`` is the folder that contains ``proc`` and ``sys``.
+    It is stated in ``cpu.max`` (Linux kernel documentation, "Control Group v2"). ``root`` is the folder that contains
+    ``proc`` and ``sys``.
     """
     quotas = []
     with contextlib.suppress(OSError):
         for line in (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines():
-            _, controllers, path = line.split(":", 2)
-            if controllers and "cpu" not in controllers.split(","):
-                continue
-            group = Path(path.lstrip("/"))
-            mounts = ("cpu", controllers) if controllers else ("",)
-            folders = [root / "sys/fs/cgroup" / mount / part for mount in mounts for part in (group, *group.parents)]
-            quotas += [_quota(folder) for folder in folders]
-    return min((quota for quota in quotas if quota is not None), default=None)
-
-
-def _quota(folder: Path) -> float | None:
-    for names in (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
-        with contextlib.suppress(OSError, ValueError):  # the other version, or no limit
-            quota, period = map(int, " ".join((folder / name).read_text("ascii") for name in names).split())
-            return quota / period if quota > 0 else None
-    return None
+            group = Path(line.split(":", 2)[2].lstrip("/"))
+            for folder in (group, *group.parents):
+                with contextlib.suppress(OSError, ValueError):  # no limit
+                    quota, period = map(int, (root / "sys/fs/cgroup" / folder / "cpu.max").read_text("ascii").split())
+                    quotas.append(quota / period)
+    return min(quotas, default=None)
 
 
 def raise_file_limit() -> None:

@@ -13,9 +13,8 @@ from omegaconf import OmegaConf
 
 from bench.config.choices import choices
 from bench.config.experiment import expand
-from bench.config.inspection import hydra_overrides
+from bench.config.inspection import hydra_overrides, register_plugins
 from bench.config.overrides import read_overrides
-from bench.config.sources import register_plugins
 
 ALL = [f"{group}={name}" for group in ("system", "prior", "disturbance") for name in choices(group)]
 VARIANTS = ["method=ls", "method=oracle", "method=ls_spline", "method=collocation_bootstrap"]

@@ -10,9 +10,7 @@ from conftest import Python
 
 from bench.isolation.machine import quota_of_cores, usable_cores
 
-ROOT, BOX = "sys/fs/cgroup", "sys/fs/cgroup/cpu,cpuacct/box"
-
-
+ROOT = "sys/fs/cgroup"
 IMPORTS = "import os, resource\nfrom bench.isolation.machine import *\n"
 
 
@@ -31,13 +29,10 @@ def test_a_process_that_is_tied_to_one_core_has_one(python: Python) -> None:
         ("0::/", {f"{ROOT}/cpu.max": "nonsense"}, None),
         ("0::/", {f"{ROOT}/cpu.max": "150000 100000"}, 1.5),
         ("0::/box/inner", {f"{ROOT}/box/cpu.max": "200000 1000", f"{ROOT}/box/inner/cpu.max": "max 1000"}, 200.0),
-        ("4:memory:/box\n3:cpu,cpuacct:/box",
-         {f"{BOX}/cpu.cfs_quota_us": "300000", f"{BOX}/cpu.cfs_period_us": "100000"}, 3.0),
-        ("3:cpu,cpuacct:/box", {f"{BOX}/cpu.cfs_quota_us": "-1", f"{BOX}/cpu.cfs_period_us": "100000"}, None),
     ],
-    ids=["no groups", "no limit", "damaged", "one and a half", "of the group above", "version 1", "no limit of 1"],
+    ids=["no groups", "no limit", "damaged", "one and a half", "of the group above"],
 )  # fmt: skip
-def test_the_quota_of_a_container_is_read_whichever_version_it_is_of(
+def test_the_quota_of_a_container_is_read(
     tmp_path: Path, groups: str, files: dict[str, str], cores: float | None
 ) -> None:
     for name, text in {"proc/self/cgroup": groups, **files}.items():
