@@ -30,11 +30,9 @@ def named_store(store: Path, archive: str | None, filled: bool = False) -> Store
     Raises:
         InputError: for a named folder that does not exist, and for an empty store where one must be filled.
     """
-    from bench.store.store import NONE, open_store
+    from bench.store.store import open_store
 
-    if archive and archive != NONE:
-        archive = str(folder("archive", Path(os.path.expanduser(archive))))
-    opened = open_store(store, archive)
+    opened = open_store(store, archive and os.path.expanduser(archive))
     if store != DEFAULT or opened.archive is None:
         folder("store", store)
     if filled and not opened.identities():

@@ -69,32 +69,31 @@ class Prior:
 
 
 def draw_prior(
-    system: System, truth: Mapping[str, float], sd_by_kind: Mapping[str, float], rng: np.random.Generator
+    system: System,
+    truth: Mapping[str, float],
+    sd_by_kind: Mapping[str, float],
+    rng: np.random.Generator,
+    wrong: bool = False,
 ) -> Prior:
-    """Draw a calibrated prior, with nominal values around the true values ``truth``.
+    """Draw a prior with nominal values around the true values ``truth``.
 
     Args:
         system: System whose parameters are drawn in order.
         truth: True values by name.
         sd_by_kind: Standard deviation of the logarithm, by kind of parameter.
         rng: Random generator.
+        wrong: True for a miscalibrated prior: every nominal value is three standard deviations off, in a random
+            direction.
 
     Returns:
         The prior.
     """
     sds = {p.name: float(sd_by_kind[p.kind]) for p in system.parameters}
-    return Prior({n: truth[n] * float(np.exp(sds[n] * rng.standard_normal())) for n in system.names}, sds)
 
+    def deviation() -> float:
+        return 3.0 * float(rng.choice([-1.0, 1.0])) if wrong else rng.standard_normal()
 
-def wrong_prior(
-    system: System, truth: Mapping[str, float], sd_by_kind: Mapping[str, float], rng: np.random.Generator
-) -> Prior:
-    """Draw a miscalibrated prior: every nominal value is three standard deviations off, in a random direction.
-
-    Arguments and result are those of :func:`draw_prior`.
-    """
-    sds = {p.name: float(sd_by_kind[p.kind]) for p in system.parameters}
-    return Prior({n: truth[n] * float(np.exp(3.0 * sds[n] * rng.choice([-1.0, 1.0]))) for n in system.names}, sds)
+    return Prior({n: truth[n] * float(np.exp(sds[n] * deviation())) for n in system.names}, sds)
 
 
 def dimension_scale(dimension: Dimension, mass: float, length: float, time: float) -> float:

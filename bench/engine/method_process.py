@@ -16,7 +16,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from time import perf_counter, process_time
 from typing import Any
@@ -70,11 +70,6 @@ class FitTask:
     rngs: tuple[np.random.Generator, ...]
     times: tuple[np.ndarray, ...]
     timeout_s: float
-
-    def part(self, i: int) -> FitTask:
-        """Return the task of a single replicate."""
-        alone = {name: getattr(self, name)[i : i + 1] for name in ("replicates", "payloads", "rngs", "times")}
-        return replace(self, **alone)
 
 
 def ready(children: Children, spare: Child | None, requires: Sequence[str], memory_mb: float) -> Child:
@@ -146,13 +141,11 @@ def outcomes(content: bytes) -> list[dict[str, Any]]:
     return answered
 
 
-def solve(child: Child, task: FitTask, memory_mb: float) -> list[dict[str, Any]]:
-    """Return the outcomes of a task; replicates that fail together are repeated one by one. Raises Died."""
-    n = len(task.replicates)
-    packed = answers(child, pickle.dumps(task), n, task.timeout_s, memory_mb, lambda report: None)
-    if packed is not None:
-        return outcomes(packed)
-    return [outcome for i in range(n) for outcome in solve(child, task.part(i), memory_mb)]
+def solve(child: Child, task: FitTask, memory_mb: float) -> dict[str, Any]:
+    """Return the outcome of a task of one replicate; raises Died."""
+    packed = answers(child, pickle.dumps(task), 1, task.timeout_s, memory_mb, lambda report: None)
+    assert packed is not None  # several replicates can fail together
+    return outcomes(packed)[0]
 
 
 def serve(connection: Connection) -> None:

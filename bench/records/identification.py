@@ -164,7 +164,7 @@ def fit_alone(method: Identifier, problem: Problem, limits: Limits, seed: int = 
         else:
             with Children() as children:
                 process = method_process.ready(children, None, method.requires, limits.memory_mb)
-                (result,) = method_process.solve(process, task, limits.memory_mb)
+                result = method_process.solve(process, task, limits.memory_mb)
     except Died as died:
         seconds = time.perf_counter() - started
         return Estimate.failed(problem.system, Status(died.reason), died.message), seconds

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from bench.contract.prior import Prior, draw_prior, wrong_prior
+from bench.contract.prior import Prior, draw_prior
 from bench.contract.problem import MIN_SAMPLES, Channel, Force, InitialState, Problem, Record
 from bench.errors import InputError
 from bench.scenario.declaration import STRICT, Positive, Within, WrittenAs, changed, plain, validated
@@ -362,5 +362,5 @@ class Scenario:
         """Return the nominal prior of one replicate, drawn around the truth."""
         if self.prior is None:
             return None
-        draw = wrong_prior if self.prior.wrong else draw_prior
-        return draw(system, self.parameters, self.prior.sd_by_kind, self.stream(NOMINAL, seed, index))
+        rng = self.stream(NOMINAL, seed, index)
+        return draw_prior(system, self.parameters, self.prior.sd_by_kind, rng, self.prior.wrong)

@@ -15,27 +15,15 @@ REST = "*"
 def fits(value: Any, shape: Any) -> bool:
     """Return whether a JSON value conforms to a schema.
 
-    A schema is a predicate; a list with the schema of all items; or a dictionary of the schemas of some keys, each of
-    which may be absent. The schema of other keys is that of :data:`REST`, or any value is allowed.
+    A schema is a type; a predicate; a list with the schema of all items; or a dictionary of the schemas of some keys,
+    each of which may be absent. The schema of other keys is that of :data:`REST`, or any value is allowed.
     """
     if isinstance(shape, dict):
-        rest = shape.get(REST, _anything)
+        rest = shape.get(REST, object)
         return isinstance(value, dict) and all(fits(item, shape.get(key, rest)) for key, item in value.items())
     if isinstance(shape, list):
         return isinstance(value, list) and all(fits(item, shape[0]) for item in value)
-    return bool(shape(value))
-
-
-def _anything(value: Any) -> bool:
-    return True
-
-
-def _text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _flag(value: Any) -> bool:
-    return isinstance(value, bool)
+    return isinstance(value, shape) if isinstance(shape, type) else bool(shape(value))
 
 
 def _whole(value: Any) -> bool:
@@ -60,20 +48,20 @@ def _state(value: Any) -> bool:
 
 
 DESCRIPTION = {
-    "method": _text, "label": _text, "system": _text, "settings": {}, "replicates": _whole, "seed": _whole,
-    "snr_db": _number, "initial_state": _text, "sigma": [_number], "sigma_over_peak": _number,
-    "told": {"initial_state": _text, "prior": _or_null({REST: lambda v: _flag(v) or _number(v) or _text(v)})},
+    "method": str, "label": str, "system": str, "settings": {}, "replicates": _whole, "seed": _whole,
+    "snr_db": _number, "initial_state": str, "sigma": [_number], "sigma_over_peak": _number,
+    "told": {"initial_state": str, "prior": _or_null({REST: lambda v: isinstance(v, bool | str) or _number(v)})},
     "data": {
-        "system": _text, "options": {}, "parameters": {REST: _number}, "initial": _state, "snr_db": _number,
-        "duration": _number, "samples": _whole, "force": _or_null({}), "disturbance": _or_null({"kind": _text}),
-        "added_mass": _or_null([_number]), "measured": _or_null([_whole]), "truth": _text,
+        "system": str, "options": {}, "parameters": {REST: _number}, "initial": _state, "snr_db": _number,
+        "duration": _number, "samples": _whole, "force": _or_null({}), "disturbance": _or_null({"kind": str}),
+        "added_mass": _or_null([_number]), "measured": _or_null([_whole]), "truth": str,
     },
 }  # fmt: skip
 HEAD = {
-    "identity": _text, "cell": DESCRIPTION, "statuses": {REST: _whole}, "wall_s": _number,
-    "prior_share": {REST: _number}, "identifiable": {REST: _flag}, "version": {REST: _whole}, "body": _text,
+    "identity": str, "cell": DESCRIPTION, "statuses": {REST: _whole}, "wall_s": _number,
+    "prior_share": {REST: _number}, "identifiable": {REST: bool}, "version": {REST: _whole}, "body": str,
     "provenance": {
-        **dict.fromkeys(("commit", "started", "finished", "python", "system", "processor"), _or_null(_text)),
-        "data": _text, "packages": {REST: _or_null(_text)}, "limits": {REST: _number},
+        **dict.fromkeys(("commit", "started", "finished", "python", "system", "processor"), _or_null(str)),
+        "data": str, "packages": {REST: _or_null(str)}, "limits": {REST: _number},
     },
 }  # fmt: skip
