@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 HEADER, NUMBERS = ",".join(COLUMNS), COLUMNS[2:]
 LARGEST_FILE_MB = 10
 """Largest size of a file of predictions; a row has about fifty bytes."""
-PACKED = {b"\x1f\x8b": "a gzip file; unpack it", b"PK\x03\x04": "a spreadsheet or zip archive; save it as CSV"}
-"""First bytes of files that are mistaken for CSV."""
 
 Asked = Mapping[str, Sequence[str]]
 """Requested quantities, by scenario."""
@@ -103,33 +101,22 @@ def _read_rows(path: Path) -> tuple[dict[int, Row], Errors]:
 def _text(path: Path) -> str:
     if path.stat().st_size > LARGEST_FILE_MB * 1_000_000:
         raise InputError("predictions", path, f"larger than {LARGEST_FILE_MB} MB; one row for each quantity is enough")
-    content = read_regular(path)
-    for start, remedy in PACKED.items():
-        if content.startswith(start):
-            raise InputError("predictions", path, remedy)
     try:
-        return decode(content, path)
+        return decode(read_regular(path), path)
     except InputError:
-        raise InputError("predictions", path, "a binary file; save it as CSV") from None
+        raise InputError("predictions", path, "a packed or binary file; save it as CSV") from None
 
 
 def _header(line: str, separator: str, where: str) -> list[str]:
     """Return the names of the columns; raises InputError for unknown, repeated or missing ones."""
     names = [name.strip().strip('"').lower() for name in line.split(separator)]
-    if not set(names) & set(COLUMNS):
-        raise InputError(where, line, f"no names of columns; the first line is {HEADER}")
-    if not names[0]:
-        raise InputError(
-            where, line, "a column without a name; no row numbers (pandas: index=False, R: row.names=FALSE)"
-        )
-    for name in filter(None, names):  # a spreadsheet may write empty columns at the end
-        check_name(where, name, COLUMNS)
-        if names.count(name) > 1:
-            raise InputError(where, name, "it occurs twice; keep one of the two")
+    named = [name for name in names if name]  # a spreadsheet may write empty columns at the end
+    for name in named:
+        check_name(where, name, COLUMNS, "; no row numbers")
     ends = ("low", "high") if {"low", "high"} & set(names) else ()
-    for name in ("scenario", "quantity", "value", *ends):
-        if name not in names:
-            raise InputError(where, line, f"no column {name}; columns are {HEADER}")
+    for name in ("scenario", "quantity", "value", *ends, *named):
+        if names.count(name) != 1:
+            raise InputError(where, line, f"one column {name} is needed; columns are {HEADER}")
     return names
 
 

@@ -79,38 +79,30 @@ def test_a_refusal_leaves_the_excess_and_is_seen(truth: pd.DataFrame) -> None:
     assert places["evasive"][5] == f"10 of {N}"
 
 
-def test_half_an_answer_is_no_answer(truth: pd.DataFrame) -> None:
-    table = predictions(truth, np.zeros(2 * N))
-    table.loc[::2, ["value", "low", "high"]] = math.nan
-    report = round_report("half", {"half": score_rows(table, truth)})
-    assert report.answer.startswith("error 10.00 ")
-    assert "0 of 60 problems answered" in report.sentences[0]
+def blank(table: pd.DataFrame, rows: slice, *names: str) -> pd.DataFrame:
+    """Return predictions without the values of some columns in some rows."""
+    table = table.copy()
+    table.loc[rows, list(names or ("value", "low", "high"))] = math.nan
+    return table
 
 
-def test_a_kind_without_any_answer_puts_a_method_beside_the_tiers(truth: pd.DataFrame) -> None:
-    errors = np.random.default_rng(1).standard_normal(2 * N)
-    table = predictions(truth, errors)
-    table.loc[N:, ["value", "low", "high"]] = math.nan
-    report = round_report(
-        "part", {"part": score_rows(table, truth), "all": score_rows(predictions(truth, errors), truth)}
-    )
-    assert report.answer.endswith("times the Cramér-Rao bound on 30 of 60 problems, no tier")
-    assert {row[1]: row[2] for row in report.ranking} == {"part": "30 of 60", "all": "60 of 60"}
+@pytest.mark.parametrize(("rows", "start", "end"), [
+    (slice(0, None, 2), "error 10.00 ", ""),  # half an answer is none
+    (slice(N, None), "", "times the Cramér-Rao bound on 30 of 60 problems, no tier"),  # nothing about one kind
+    (slice(0, None), "no answer to any problem", ""),
+])  # fmt: skip
+def test_problems_without_an_answer_count(truth: pd.DataFrame, rows: slice, start: str, end: str) -> None:
+    table = predictions(truth, np.random.default_rng(1).standard_normal(2 * N))
+    report = round_report("part", {"part": score_rows(blank(table, rows), truth), "all": score_rows(table, truth)})
+    assert report.answer.startswith(start)
+    assert report.answer.endswith(end)
 
 
 def test_without_intervals_no_coverage_is_stated(truth: pd.DataFrame) -> None:
-    table = predictions(truth, np.ones(2 * N)).assign(low=math.nan, high=math.nan, seconds=math.nan)
+    table = blank(predictions(truth, np.ones(2 * N)), slice(0, None), "low", "high", "seconds")
     report = round_report("bare", {"bare": score_rows(table, truth)})
     assert [dict(zip(KINDS, row, strict=True))["95 % cover"] for row in report.kinds] == ["-"] * 3
     assert "not stated" in report.sentences[1]
-
-
-def test_no_answer_at_all_has_no_place(truth: pd.DataFrame) -> None:
-    table = predictions(truth, np.ones(2 * N)).assign(value=math.nan, low=math.nan, high=math.nan)
-    report = round_report(
-        "mute", {"mute": score_rows(table, truth), "b": score_rows(predictions(truth, np.ones(2 * N)), truth)}
-    )
-    assert report.answer == "no answer to any problem"
 
 
 def test_errors_too_small_for_chance_are_called_so(truth: pd.DataFrame) -> None:
