@@ -51,18 +51,26 @@ def tables(
 
 
 def frame(
+    experiment: Annotated[str | None, "print the rows of this experiment instead [none]"] = None,
+    metric: Annotated[str, "metric of the rows that are printed"] = "k_over_m_error_pct",
     store: StoreFolder = DEFAULT,
     archive: ArchiveFolder = None,
     out: Annotated[Path, "file of the frame"] = Path("build/frame.parquet"),
 ) -> int:
     """Write all that tables show as one Parquet file: one row per cell and metric, with ties, verdicts and states."""
     from bench.reporting.frame import experiment_frame, table_experiments
-    from bench.reporting.tables.tidy import tidy_frame
+    from bench.reporting.tables.tidy import frame_page, tidy_frame
     from bench.reporting.whole_file import check_file, write
 
+    names = table_experiments()
+    if experiment and experiment not in names:
+        raise InputError("experiment", experiment, f"one of: {', '.join(names)}")
     opened = named_store(store, archive, filled=True)
     check_file(out)
-    data = tidy_frame(experiment_frame(name, opened) for name in table_experiments())
+    data = tidy_frame(experiment_frame(name, opened) for name in ([experiment] if experiment else names))
+    if experiment:
+        print(frame_page(data, metric))
+        return 0
     write(out, data.to_parquet(index=False), out.parent, "out")
     print(f"{out}: {len(data)} rows")
     return 0

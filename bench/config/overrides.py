@@ -26,6 +26,9 @@ DELETED: Final = object()
 NONE: Mapping[str, str | None] = {"prior": "none", "disturbance": "none", "experiment": None}
 """Groups that ``~`` removes, with the choice that this means."""
 
+UNITS = {"snr": "dB", "rate": "Hz"}
+"""Units that may follow the value of a field: ``snr=20dB``."""
+
 WORDS = ("null", "true", "false", "nan", "inf")
 """Words that Hydra reads as text only in quotes."""
 Overrides = Mapping[str, list[Any]]
@@ -167,7 +170,7 @@ def values_of(field: str, text: str) -> list[Any]:
         raise InputError(field, text, remedy) from None
     if not values:
         raise InputError(field, text, "matches no value")
-    return [item.text if isinstance(item, QuotedString) else item for item in values]
+    return [_without_unit(field, item.text if isinstance(item, QuotedString) else item) for item in values]
 
 
 def literal(value: Any) -> str:
@@ -183,6 +186,17 @@ def literal(value: Any) -> str:
     from hydra.core.override_parser.types import Quote, QuotedString
 
     return QuotedString(value, Quote.single).with_quotes()
+
+
+def _without_unit(field: str, value: Any) -> Any:
+    """Convert a text such as ``20dB`` to a number; other values are returned unchanged."""
+    unit = UNITS.get(field)
+    if unit is None or not isinstance(value, str) or not value.endswith(unit):
+        return value
+    try:
+        return float(value.removesuffix(unit))
+    except ValueError:
+        return value
 
 
 def check_record_fields(overrides: Overrides) -> None:

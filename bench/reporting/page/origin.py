@@ -1,16 +1,20 @@
-"""State of stored cells: those of an earlier version, and failed fits."""
+"""Provenance of stored cells: their commits, stale and missing cells; failed fits."""
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from bench.config.experiment import Experiment
 from bench.contract.estimate import Status
 from bench.errors import InputError, shortened
-from bench.reporting.frame import Result
+from bench.reporting.frame import Result, table_experiments
 from bench.reporting.page.words import decibels
 from bench.store.stored_cell import StoredCell
 from bench.store.version import settings_version
@@ -22,15 +26,18 @@ Lines = list[dict[str, Any]]
 
 
 def cells_of(results: Sequence[Result]) -> pd.DataFrame:
-    """Return one line per cell: fits, processor time (h), start, and the version that has changed since."""
+    """Return one line per cell: fits, processor time (h), provenance, and the version that has changed since."""
     return pd.DataFrame([_facts(result.stored) for result in results if result.stored])
 
 
 def _facts(cell: StoredCell) -> dict[str, Any]:
+    facts = cell.provenance
     return {
+        "identity": cell.identity,
         "fits": len(cell.columns),
         "hours": float(np.nansum(cell.columns.numbers("cpu_s"))) / 3600.0,
-        "started": str(cell.provenance.get("started") or "")[:16].replace("T", " "),
+        "commit": str(facts.get("commit") or "not recorded") + (" with changes" if facts.get("dirty") else ""),
+        "started": str(facts.get("started") or "")[:16].replace("T", " "),
         "changed": changed(cell),
     }
 
@@ -44,12 +51,36 @@ def changed(cell: StoredCell) -> str:
         return "not installed here"
 
 
-def stale(cells: pd.DataFrame) -> Lines:
-    """Count cells and fits by the version that has changed, the most frequent first."""
-    groups = (
-        cells[cells.changed != ""].groupby("changed", as_index=False).agg(cells=("fits", "size"), fits=("fits", "sum"))
-    )
-    return groups.sort_values(["cells", "changed"], ascending=[False, True]).to_dict("records")
+def counted(cells: pd.DataFrame, column: str) -> Lines:
+    """Count cells and fits by the values of a column, the most frequent first; empty values are left out."""
+    groups = cells[cells[column] != ""].groupby(column, as_index=False)
+    groups = groups.agg(cells=("fits", "size"), fits=("fits", "sum"))
+    return groups.sort_values(["cells", column], ascending=[False, True]).to_dict("records")
+
+
+def experiments(cells: pd.DataFrame) -> Lines:
+    """Count the cells of each experiment with a stored cell, and those that are missing or stale."""
+    stale, lines = dict(zip(cells.identity, cells.changed != "", strict=True)), []
+    for name in table_experiments():
+        with suppress(InputError):  # a method of it is not installed here
+            described = {cell.identity for cell in Experiment(name).cells()}
+            stored = described & stale.keys()
+            missing, outdated = len(described - stored), sum(stale[identity] for identity in stored)
+            counts = {"cells": len(described), "missing": missing, "stale": outdated}
+            lines += [{"experiment": name, **counts}] if stored else []
+    return lines
+
+
+def commits_here(cells: pd.DataFrame) -> int | None:
+    """Count the commits that the repository of this checkout contains; None without a repository."""
+    named = sorted({commit.split()[0] for commit in cells.commit if commit != "not recorded"})
+    with suppress(OSError):
+        command = ["git", "cat-file", "--batch-check"]
+        here = Path(__file__).parent
+        done = subprocess.run(command, input="\n".join(named), text=True, capture_output=True, cwd=here)
+        if not done.returncode:
+            return sum(line.split()[1] == "commit" for line in done.stdout.splitlines())
+    return None
 
 
 def failed_fits(results: Sequence[Result]) -> Lines:

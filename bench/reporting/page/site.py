@@ -276,9 +276,12 @@ def pictures(folder: Path) -> list[dict[str, Any]]:
 
 
 def trust_values(site: Site) -> dict[str, Any]:
-    """Return the values of "Can I trust this?": stale cells, and failed fits."""
+    """Return the values of "Can I trust this?": commits, stale and missing cells, and failed fits."""
     cells, shown = origin.cells_of(site.reading.stored), [result for panel in site.panels for result in panel.results]
     return {
-        "cells": cells, "hidden": site.reading.hidden, "stale": origin.stale(cells),
-        "failures": origin.failed_fits(shown),
+        "cells": cells, "hidden": site.reading.hidden, "experiments": origin.experiments(cells),
+        "commits": origin.commits_here(cells), "failures": origin.failed_fits(shown),
+        "groups": {
+            "Reasons for stale cells": origin.counted(cells, "changed"), "Commits": origin.counted(cells, "commit"),
+        },
     }  # fmt: skip

@@ -7,13 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.errors import InputError
 from bench.reporting.frame import ERROR, Frame, Line, Result, group, quantity
 from bench.reporting.paper import judged, paper_number, row_name
 from bench.reporting.ranking import first_tier
+from bench.reporting.rounding import excess_text, number, percent
+from bench.reporting.tables.render import Columns, listing
+from bench.reporting.terminal import table, wrapped
 from bench.scoring.statistics import bias_share
 
 if TYPE_CHECKING:
@@ -106,3 +111,34 @@ def tidy_frame(frames: Iterable[Frame]) -> pd.DataFrame:
 
     lines = [line for frame in frames for line in tidy_lines(frame)]
     return pd.DataFrame(lines, columns=list(COLUMNS)).astype({"table": "Int64", "tied": "boolean"})
+
+
+SHOWN: Columns[Line] = {
+    "median": lambda line: number(line["median"]),
+    "95 % low": lambda line: number(line["ci_low"]),
+    "95 % high": lambda line: number(line["ci_high"]),
+    "": lambda line: "+" if line["tied"] else "",
+    "excess": lambda line: excess_text(line["excess"]),
+    "coverage %": lambda line: percent(line["coverage_95"]),
+    "state": lambda line: line["state"],
+}
+"""Columns in the terminal, after those that identify a cell."""
+TEXTS = ("system", "initial state", "disturbance", "method", "state")
+"""Columns in the terminal that are aligned as text."""
+
+
+def frame_page(data: pd.DataFrame, metric: str) -> str:
+    """Return the lines of a metric as a table for the terminal; raises InputError if no cell has the metric."""
+    lines = data[data.metric == metric].rename(columns={"snr_db": "dB", "initial_state": "initial state"})
+    if lines.empty:
+        raise InputError("metric", metric, f"one of: {', '.join(sorted(set(data.metric) - {''})) or 'none is stored'}")
+    varied = [name for name in ("system", "dB", "initial state", "disturbance", "size") if lines[name].nunique() > 1]
+    first: Columns[Line] = {name: partial(_text, name) for name in [*varied, "method"]}
+    rows, headers = listing(lines.to_dict("records"), {**first, **SHOWN})
+    texts = [i for i, heading in enumerate(headers) if heading in TEXTS]
+    legend = "+ first tier of its scenario; excess: root mean square error over the bound"
+    return f"{table(rows, headers, texts)}\n\n{wrapped(legend)}"
+
+
+def _text(name: str, line: Line) -> str:
+    return f"{line[name]:g}" if isinstance(line[name], float) else str(line[name])

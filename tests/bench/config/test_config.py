@@ -11,6 +11,7 @@ from conftest import REPOSITORY
 from bench import InputError
 from bench.config.choices import choices
 from bench.config.experiment import Experiment, expand
+from bench.config.overrides import read_overrides
 from bench.scenario.scenario import Scenario
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.stored_cell import StoredCell
@@ -183,3 +184,9 @@ def test_a_truth_that_is_drawn_is_drawn_again() -> None:
     again = stored_as_cell(StoredCell(cell.identity, what, (), {}, {}, {}, 0.0))
     ours, theirs = (one.scenario.replicates(one.seed, 1)[0][0] for one in (cell, again))
     assert list(ours.records[0].channels[0].values) == list(theirs.records[0].channels[0].values)
+
+
+def test_a_value_may_have_its_unit() -> None:
+    assert read_overrides(["snr=20dB"]) == {"snr": [20.0]}
+    assert read_overrides(["snr=10dB,15"]) == {"snr": [10.0, 15]}
+    assert read_overrides(["snr=20Hz"]) == {"snr": ["20Hz"]}  # refused where the scenario is validated

@@ -42,7 +42,8 @@ Cells = Callable[..., Store]
 @pytest.fixture(autouse=True)
 def without_experiments(monkeypatch: pytest.MonkeyPatch) -> None:
     """No configuration is composed: these stores hold what no experiment describes."""
-    monkeypatch.setattr("bench.reporting.page.reading.table_experiments", list)
+    for module in ("reading", "origin"):
+        monkeypatch.setattr(f"bench.reporting.page.{module}.table_experiments", list)
 
 
 @pytest.fixture
@@ -185,13 +186,26 @@ def test_data_that_a_method_cannot_take_are_no_failure() -> None:
     assert [(one["method"], one["fits"]) for one in origin.failed_fits(results)] == [("LS, finite differences", 3)]
 
 
-def test_stale_results_are_counted() -> None:
+def test_stale_results_are_counted_and_commits_looked_up() -> None:
     version = settings_version("mcmc", "sdof", {}).as_json()
     today = replace(stored("mcmc"), version=version)
     cells = origin.cells_of([Result.of_stored(cell) for cell in (stored("ls"), today)])
-    (stale,) = origin.stale(cells)
+    (stale,) = origin.counted(cells, "changed")
     assert (stale["cells"], stale["fits"]) == (1, 40)
     assert stale["changed"].startswith("method version not stated, today ")
+    assert [one["cells"] for one in origin.counted(cells, "commit")] == [2]
+    assert origin.commits_here(cells) in (None, 0)
+
+
+def test_what_is_missing_of_an_experiment_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Table 3 with a single cell of its own stored, as its configuration describes it."""
+    from bench.config.experiment import Experiment
+
+    monkeypatch.setattr(origin, "table_experiments", lambda: ["table3", "table4"])
+    identities = {cell.identity for cell in Experiment("table3").cells()}
+    cells = origin.cells_of([Result.of_stored(replace(stored("ls"), identity=min(identities)))])
+    expected = {"experiment": "table3", "cells": len(identities), "missing": len(identities) - 1, "stale": 1}
+    assert expected in origin.experiments(cells)
 
 
 def test_what_the_data_do_not_tell_is_said_and_when_it_was_computed(cells: Cells) -> None:

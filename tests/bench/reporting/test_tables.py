@@ -18,13 +18,14 @@ from sites import BOUND
 from bench import Status
 from bench.commands.main import main
 from bench.config.experiment import Experiment, expand
+from bench.errors import InputError
 from bench.reporting.frame import ERROR, Frame, Result, computed
 from bench.reporting.paper import paper_number, printed
 from bench.reporting.residuals import coloured, residuals
 from bench.reporting.tables import estimates
 from bench.reporting.tables.pooling import identified, pooled_coverage, pooled_excess
 from bench.reporting.tables.systems import SYSTEMS, describe, system_lines
-from bench.reporting.tables.tidy import tidy_frame
+from bench.reporting.tables.tidy import frame_page, tidy_frame
 from bench.scenario.disturbance import Disturbance
 from bench.scenario.model_error import SecondMode
 from bench.scenario.scenario import Scenario
@@ -135,6 +136,10 @@ def test_the_frame_of_everything_holds_ties_verdicts_and_states() -> None:
     assert lines.paper["rls", "m_error_pct"] == 13.8
     assert lines.state["pinn", ""] == "missing"
     assert lines.state["ls", "rmse"] == "stale"  # its cell says nothing of versions
+    page = frame_page(frame, "k_over_m_error_pct")
+    assert [line.split()[0] for line in page.splitlines() if " + " in line] == ["ls"]
+    with pytest.raises(InputError, match="metric"):
+        frame_page(frame, "mass")
 
 
 # ---- calibration, wrong models, disturbances
