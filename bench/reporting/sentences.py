@@ -170,7 +170,8 @@ def free_decay_others(r: Published, f: Facts) -> None:
     astray = (~(searches[K] <= 10 * searches.bound)).groupby(searches.label).agg(["sum", "size"])
     ls = r.rows("table5", metric=K, initial_state="known", snr_db=40, method=("ls", "ls_spline")).set_index("method")
     missed = r.rows("calibration", method="ls", quantity="k_over_m", snr_db=(30, 20))
-    mass = r.rows("table3", metric="m_error_pct", initial_state="known").set_index("method")["median"].dropna()
+    mass = r.rows("table3", metric="m_error_pct", initial_state="known").set_index("method")
+    mass = mass["median"][mass.n == mass.n.max()].dropna()  # medians on the same data sets
     f.say(".2f", pencil=excess["matrix_pencil"], ar=plain, repaired=repaired, sindy=sindy)
     f.say(plain_sindy=quiet["pysindy"].dropna())
     f.say(astray=astray["sum"]["output_error_cold"], astray_fits=astray["size"], ls_off=ls["median"]["ls"])
@@ -210,7 +211,7 @@ def open_split(r: Published, f: Facts) -> None:
         regressions_are_lost_more_often=below.lost[["ls", "ls_spline"]] > 10 * below.lost["shooting"],
         few_are_lost_below_the_nyquist_frequency=below.lost["shooting"] < 0.05 * below.scenarios["shooting"],
         many_are_lost_beyond_it=beyond.lost["shooting"] > 0.25 * beyond.scenarios["shooting"],
-        intervals_hold_below_it_only=[covered["mean"][True] > 0.9, covered["mean"][False] < 0.5],
+        intervals_hold_less_often_beyond_it=[covered["mean"][True] > 0.9, covered["mean"][False] < 0.8],
         the_maximum_near_the_truth_is_hardly_ever_lost=oracle.gross < 0.02,
     )
 
@@ -292,7 +293,7 @@ def pinn(r: Published, f: Facts) -> None:
     f.hold(
         engine_is_at_the_minimum=above[project] <= 1,
         the_rivals_stop_above_it=above[others] > 1,
-        papers_training_ends_at_its_limit=fits.message.str.contains("number of steps"),
+        papers_training_ends_at_its_limit=fits.message.str.contains("step limit was reached|number of steps was reached"),
         papers_training_is_on_the_bound_at_10_db_only=(known.excess < NEAR) == loud,
         more_steps_lead_to_the_minimum=[steps["1,000"] > 0.5, steps["10,000"] < 0.05],
         the_ensembles_hold_nowhere=spread.coverage_95 == 0,
