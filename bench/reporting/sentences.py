@@ -293,7 +293,9 @@ def pinn(r: Published, f: Facts) -> None:
     f.hold(
         engine_is_at_the_minimum=above[project] <= 1,
         the_rivals_stop_above_it=above[others] > 1,
-        papers_training_ends_at_its_limit=fits.message.str.contains("step limit was reached|number of steps was reached"),
+        papers_training_ends_at_its_limit=fits.message.str.contains(
+            "step limit was reached|number of steps was reached"
+        ),
         papers_training_is_on_the_bound_at_10_db_only=(known.excess < NEAR) == loud,
         more_steps_lead_to_the_minimum=[steps["1,000"] > 0.5, steps["10,000"] < 0.05],
         the_ensembles_hold_nowhere=spread.coverage_95 == 0,

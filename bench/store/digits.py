@@ -17,7 +17,8 @@ def decimal(values: np.ndarray) -> np.ndarray:
     in_range = (size > SMALLEST) & (size < LARGEST)
     places = DIGITS - 1 - np.floor(np.log10(size, where=in_range, out=np.zeros_like(size))).astype(int)
     up, down = 10.0 ** np.maximum(places, 0), 10.0 ** np.maximum(-places, 0)
-    result = np.where(in_range, np.round(values * up / down) / up * down, values)
+    scaled = np.where(in_range, values, 0.0) * up / down
+    result = np.where(in_range, np.round(scaled) / up * down, values)
     for i in np.flatnonzero(~in_range & np.isfinite(values) & (values != 0)):
         result.flat[i] = float(f"{values.flat[i]:.{DIGITS}g}")
     return result

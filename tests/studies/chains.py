@@ -21,6 +21,7 @@ from bench.engine.launch import complete
 from bench.engine.pool import Limits
 from bench.entrants.reference import REFERENCES
 from bench.entrants.registry import default_settings, method_names
+from bench.errors import InputError
 from bench.reporting import frame, labels
 from bench.reporting.rounding import excess_text, number
 from bench.reporting.tables.pooling import pooled_excess
@@ -229,7 +230,10 @@ def chains(
         opened.prepare()
         compute(sizes, names, opened, Limits(workers, timeout_s))
         publish(out / "chains.csv", tidy(sizes, names, opened).to_csv(index=False, float_format="%.5g"))
-    data = pd.read_csv(out / "chains.csv").fillna({"message": ""})
+    table = out / "chains.csv"
+    if not table.is_file():
+        raise InputError("out", out, "a folder with chains.csv; without fit=false it is written")
+    data = pd.read_csv(table).fillna({"message": ""})
     publish(out / "chains.md", page(data, timeout_s))
     print(*picture(data, out / "figures"), sep="\n")
     return 0

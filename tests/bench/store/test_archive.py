@@ -144,7 +144,8 @@ def test_six_digits_come_back_exactly() -> None:
     single = binary(values).astype(np.float32)
     assert np.array_equal(decimal(single.astype(float)), values)
     assert np.array_equal(
-        decimal(np.array([0.0, -INF, INF, -1.5, 1.23456789e-30])), [0.0, -INF, INF, -1.5, 1.23457e-30]
+        decimal(np.array([0.0, -INF, INF, -1.5, 1.23456789e-30, 1.23456789e306])),
+        [0.0, -INF, INF, -1.5, 1.23457e-30, 1.23457e306],
     )
 
 
