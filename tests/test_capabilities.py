@@ -98,7 +98,7 @@ def run(line: str, folder: Path, status: int = 0, stdin: str = "") -> Done:
     out, err = io.StringIO(), io.StringIO()
     streams = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
     with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch, streams[0], streams[1]:
-        patch.setattr(sys, "stdin", io.StringIO(stdin))
+        patch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin.encode())))
         patch.setenv("COLUMNS", "200")
         try:
             ended = main(shlex.split(line))
