@@ -165,7 +165,7 @@ __all__ = [
     "step_counts",
     "whiten_model",
 ]
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 FACE = {
     "Identification": "identification",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.commands.stores import DEFAULT, ArchiveFolder, CellIdentity, StoreFolder, named_store, one_cell
-from bench.exchange.recomputing import SAME_DIGITS, TOLERANCE, recompute, score_differences, widest_limits
+from bench.exchange.recomputing import SAME, TOLERANCE, recompute, score_differences, widest_limits
 from bench.isolation.machine import usable_cores
 from bench.scoring.row import Row
 from bench.store.cell import Cell, stored_as_cell
@@ -48,16 +48,14 @@ def reproduce(
 def compare(stored: StoredCell, again: Sequence[Row]) -> tuple[str, list[str]]:
     """Return the verdict on a cell that was run again, and the differences on which it rests."""
     gaps = score_differences(stored.rows, again, stored.rows)
-    differing = [item for item in gaps.items() if item[1] > SAME_DIGITS]
+    differing = [item for item in gaps.items() if item[1] > SAME]
     worst = sorted(differing, key=lambda item: -item[1])[:MOST_LISTED]
     lines = [f"{name}: relative difference up to {gap:.1g}" for name, gap in worst]
     pairs = list(zip(stored.rows, again, strict=True))
     changed = [f"replicate {old.replicate} was {old.status}, now {new.status}" for old, new in pairs
                if old.status is not new.status]  # fmt: skip
     largest = max(gaps.values(), default=0.0)
-    verdict = (
-        "drifted" if largest > TOLERANCE or changed else "within tolerance" if largest > SAME_DIGITS else "identical"
-    )
+    verdict = "drifted" if largest > TOLERANCE or changed else "within tolerance" if largest > SAME else "identical"
     if other_data := sum(old.data != new.data for old, new in pairs):
         changed.append(f"the data of {other_data} replicate(s) differ in their last digits or more")
     return verdict, lines + changed

@@ -21,10 +21,8 @@ from bench.store.cell import Cell
 from bench.store.store import Store
 from bench.store.stored_cell import StoredCell
 
-SAME_DIGITS = 1e-5
-"""Relative difference below which two scores are the same: the archive keeps five significant digits."""
-SAME = 5e-5
-"""Largest relative difference of a verified score: a tenth of the rounding to the three digits of a table."""
+SAME = 1e-4
+"""Relative difference up to which two scores are the same: stored ones keep five significant digits, tables three."""
 TOLERANCE = 1e-3
 """Largest relative difference of a score that is in no table."""
 HIT_ONE_IN = 20

@@ -1,18 +1,18 @@
-"""Rounding of stored numbers to six significant decimal digits, which the archive stores as twenty binary digits."""
+"""Rounding of stored numbers to five significant decimal digits, stored in the archive as seventeen binary digits."""
 
 from __future__ import annotations
 
 import numpy as np
 
-DIGITS = 6
-BITS = 20
-"""Binary digits after the leading one that determine six decimal digits."""
+DIGITS = 5
+BITS = 17
+"""Binary digits after the leading one that determine five decimal digits."""
 SMALLEST, LARGEST = 1e-15, 1e20
 """Range in which the powers of ten needed for rounding are exact."""
 
 
 def decimal(values: np.ndarray) -> np.ndarray:
-    """Round numbers to six significant decimal digits."""
+    """Round numbers to five significant decimal digits."""
     size = np.abs(values)
     in_range = (size > SMALLEST) & (size < LARGEST)
     places = DIGITS - 1 - np.floor(np.log10(size, where=in_range, out=np.zeros_like(size))).astype(int)

@@ -21,8 +21,8 @@ from bench.store.digits import BITS, binary
 from bench.store.stored_cell import StoredCell
 from bench.store.version import NUMBERS
 
-ARRAY_BITS = 17
-"""Binary digits after the leading one of the numbers in arrays, equivalent to five decimal digits."""
+ARRAY_BITS = 14
+"""Binary digits after the leading one of the numbers in arrays, equivalent to four decimal digits."""
 TRACE, SINGLE_BITS = "trace_", 23
 """Traces of a search are stored in full single precision, since figures show differences of objectives."""
 FEW = 256

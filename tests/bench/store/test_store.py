@@ -43,9 +43,9 @@ CELL = StoredCell(
 
 
 def same(one: Any, two: Any) -> bool:
-    """Equality that takes NaN for NaN, to 6 significant digits."""
+    """Equality that takes NaN for NaN, to 5 significant digits."""
     if isinstance(one, float) and isinstance(two, float):
-        return (math.isnan(one) and math.isnan(two)) or one == two or math.isclose(one, two, rel_tol=5.1e-6)
+        return (math.isnan(one) and math.isnan(two)) or one == two or math.isclose(one, two, rel_tol=5.1e-5)
     if isinstance(one, dict) and isinstance(two, dict):
         return one.keys() == two.keys() and all(same(one[key], two[key]) for key in one)
     if isinstance(one, Row):
