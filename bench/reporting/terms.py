@@ -55,7 +55,9 @@ def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
     match = re.search(r"terms kept of \d+: (.*)", message)
     if not match:
         return None
-    parts = [re.sub(r" \(DOF \d+\)$", "", part.strip()) for part in match.group(1).split(";")]
+    listed = match.group(1).split("; ")
+    by_dof = [part for part in listed if re.search(r" \(DOF \d+\)$", part)] or listed[:1]  # a condition may follow
+    parts = [re.sub(r" \(DOF \d+\)$", "", part.strip()) for part in by_dof]
     return tuple(frozenset() if part == "none" else frozenset(t.strip() for t in part.split(",")) for part in parts)
 
 

@@ -34,6 +34,10 @@ def test_what_is_no_polynomial_has_no_terms(system):
 
 def test_reading_what_a_method_kept():
     assert kept_terms("terms kept of 9: x, v, x^3") == ({"x", "v", "x^3"},)
+    assert kept_terms("terms kept of 9: x, v; valid for frequencies below 1 Hz, half the sampling rate") == (
+        {"x", "v"},
+    )
+    assert kept_terms("terms kept of 34: x1 (DOF 1); x2 (DOF 2); valid for frequencies below 1 Hz") == ({"x1"}, {"x2"})
     assert kept_terms("terms kept of 34: x1, v1 (DOF 1); none (DOF 2)") == ({"x1", "v1"}, frozenset())
     assert kept_terms("all is well") is None
 
