@@ -49,7 +49,7 @@ LEAST_SIZE = 0.01
 """An error (%) below this is small by luck and has no digits of its own."""
 LOST = 1e6
 """Errors (%) beyond this are alike."""
-ROUNDING_PCT = 5e-4
+ROUNDING_PCT = 6e-3
 """Of a ratio that is stored with five digits (%)."""
 UNSUPPORTED_SHARE = 0.1
 """Of the drawn rows, how many may be those of a method that does not take the problem."""

@@ -106,7 +106,7 @@ def test_a_method_without_a_reconstruction_is_shown_by_its_parameters(store: Sto
         start = np.array([1.0, 0.0])
         if cell.initial_state == "unknown":
             start = np.linalg.lstsq(free_basis(k, c, arrays["sample_times"]), arrays["sample_values"], rcond=None)[0]
-        assert np.allclose(curve[0], free_basis(k, c, arrays["dense_times"]) @ start, atol=1e-4)
+        assert np.allclose(curve[0], free_basis(k, c, arrays["dense_times"]) @ start, atol=5e-4)
     assert "ls" not in draw_reconstruction(Gallery(store)).caption
 
 
@@ -208,7 +208,7 @@ def test_the_scatter_draws_every_replicate_or_counts_it(store: Store) -> None:
     shown = drawn(draw_scatter(Gallery(store)), "place")
     kept = [row.scores for row in rows if row.replicate not in (3, 4)]
     want = [[100 * (own[f"{name}_ratio"] - 1) for name in ("k_over_m", "c_over_m")] for own in kept]
-    assert np.allclose(shown[shown.place == "on the panel"][["k/m", "c/m"]], want, atol=1e-3)
+    assert np.allclose(shown[shown.place == "on the panel"][["k/m", "c/m"]], want, atol=5e-3)  # five digits of a ratio near 1
     assert set(shown.method) == {"Multiple\nshooting\n1 outside"}
 
 
@@ -299,7 +299,7 @@ def test_the_intervals_of_the_first_picture_are_those_of_the_stated_covariance(s
     shown = intervals(cell, cell.arrays()).set_index("method")
     for name, score, sd in (("k/m", "k_over_m_ratio", 0.01), ("c/m", "c_over_m_ratio", 0.02)):
         low, high = stats.lognorm(sd, scale=rows[0].scores[score]).ppf([0.025, 0.975])
-        assert shown.loc[name, ["low", "high"]].tolist() == pytest.approx([100 * (low - 1), 100 * (high - 1)], rel=1e-3)
+        assert shown.loc[name, ["low", "high"]].tolist() == pytest.approx([100 * (low - 1), 100 * (high - 1)], abs=5e-3)
 
 
 # ---- what is chosen, the command, and how it looks
