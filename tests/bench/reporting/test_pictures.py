@@ -207,8 +207,10 @@ def test_the_scatter_draws_every_replicate_or_counts_it(store: Store) -> None:
     save(store, described("shooting", n=40), rows)
     shown = drawn(draw_scatter(Gallery(store)), "place")
     kept = [row.scores for row in rows if row.replicate not in (3, 4)]
-    want = [[100 * (own[f"{name}_ratio"] - 1) for name in ("k_over_m", "c_over_m")] for own in kept]
-    assert np.allclose(shown[shown.place == "on the panel"][["k/m", "c/m"]], want, atol=5e-3)  # five digits of a ratio near 1
+    want = [
+        [100 * (own[f"{name}_ratio"] - 1) for name in ("k_over_m", "c_over_m")] for own in kept
+    ]  # ratios have five digits
+    assert np.allclose(shown[shown.place == "on the panel"][["k/m", "c/m"]], want, atol=5e-3)
     assert set(shown.method) == {"Multiple\nshooting\n1 outside"}
 
 
