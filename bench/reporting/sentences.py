@@ -222,7 +222,7 @@ FORCED = ("sdof_forced", "sdof_sweep", "sdof_step", "sdof_impulse", "sdof_added_
 def systems(r: Published, f: Facts) -> None:
     """Tables 6 to 8: forces, noise of a force, one sensor on two masses, hysteresis; and how near to the bound."""
     forced = r.rows("table6", system=FORCED, method=WHOLE, **POOLED).set_index(["method", "system", "snr_db"]).excess
-    off = [("mcmc", "sdof_step", 10), ("collocation", "sdof_impulse", 40)]
+    off = step, blow = ("mcmc", "sdof_step", 10), ("collocation", "sdof_impulse", 40)
     noisy = r.rows("table6", system="sdof_noise", method=(*WHOLE, "oracle"), snr_db=40, **POOLED).set_index("method")
     wanted = {"system": "chain2_first", "initial_state": "unknown", "snr_db": 20, "label": (*WHOLE, "output_error")}
     errors = r.common("mdof", "k1_over_m1_error_pct", **wanted)
@@ -234,14 +234,8 @@ def systems(r: Published, f: Facts) -> None:
     f.say(forced_cases=len(forced), noisy_held=100 * noisy.coverage_95[list(WHOLE)], noisy_n=noisy.n)
     f.say(one_sensor_n=len(errors), one_sensor_pinn=other["pinn"], one_sensor_spline=other["collocation"])
     f.say(one_sensor_others=other.drop(["pinn", "collocation"]), near_n=near.n, near_held=100 * near.coverage_95)
-    f.say(
-        ".2f",
-        forced=forced.drop(off),
-        forced_step=forced[off[0]],
-        forced_blow=forced[off[1]],
-        noisy=noisy.excess,
-        near=near.excess,
-    )
+    f.say(".2f", forced=forced.drop(list(off)), forced_step=forced[step], forced_blow=forced[blow])
+    f.say(".2f", noisy=noisy.excess, near=near.excess)
     f.hold(
         mcmc_under_a_step_and_the_spline_after_a_blow_are_off=(forced < NEAR) == ~forced.index.isin(off),
         noise_of_the_force_costs_all_the_same=(noisy.excess / noisy.excess["oracle"] - 1).abs() < 0.05,

@@ -55,10 +55,10 @@ def kept_terms(message: str) -> tuple[frozenset[str], ...] | None:
     match = re.search(r"terms kept of \d+: (.*)", message)
     if not match:
         return None
-    listed = match.group(1).split("; ")
-    by_dof = [part for part in listed if re.search(r" \(DOF \d+\)$", part)] or listed[:1]  # a condition may follow
-    parts = [re.sub(r" \(DOF \d+\)$", "", part.strip()) for part in by_dof]
-    return tuple(frozenset() if part == "none" else frozenset(t.strip() for t in part.split(",")) for part in parts)
+    listed = match.group(1)  # a condition may follow the terms
+    parts = re.findall(r"([^;]+) \(DOF \d+\)", listed) or [listed.split(";")[0]]
+    terms_by_dof = [frozenset(term.strip() for term in part.split(",")) for part in parts]
+    return tuple(terms - {"none"} for terms in terms_by_dof)
 
 
 def terms_found(stored: StoredCell, scenario: Scenario) -> str:

@@ -207,9 +207,8 @@ def test_the_scatter_draws_every_replicate_or_counts_it(store: Store) -> None:
     save(store, described("shooting", n=40), rows)
     shown = drawn(draw_scatter(Gallery(store)), "place")
     kept = [row.scores for row in rows if row.replicate not in (3, 4)]
-    want = [
-        [100 * (own[f"{name}_ratio"] - 1) for name in ("k_over_m", "c_over_m")] for own in kept
-    ]  # ratios have five digits
+    want = [[100 * (scores[f"{name}_ratio"] - 1) for name in ("k_over_m", "c_over_m")] for scores in kept]
+    # stored ratios have five digits
     assert np.allclose(shown[shown.place == "on the panel"][["k/m", "c/m"]], want, atol=5e-3)
     assert set(shown.method) == {"Multiple\nshooting\n1 outside"}
 
