@@ -54,7 +54,8 @@ class PointBlock:
         """Digest of points, method with settings, versions, seed and replicates."""
         points = [point.numbers() for point in self.points]
         parts = [points, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
-        version = settings_version(self.method, self.points[0].scenario().system, self.settings).as_json()
+        scenario = self.points[0].scenario()
+        version = settings_version(self.method, scenario.system, self.settings, scenario.force is not None).as_json()
         text = json.dumps([version, *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 

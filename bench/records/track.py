@@ -71,8 +71,8 @@ class MeasuredFit:
         method = self.job.config.method["name"]
         parts = [
             ROWS, [field.name for field in fields(StatedInterval)], self.name, self.measured_set.definition(),
-            self.request.system, self.sibling, self.recording.sha256, method, load_method(method).version, settings,
-            self.job.config.seed,
+            self.request.system, self.sibling, self.recording.sha256, method, load_method(method).version,
+            load_method(method).forced_version, settings, self.job.config.seed,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 

@@ -92,7 +92,7 @@ class Cell:
     @property
     def version(self) -> Version:
         """The version of the code that would compute the cell now."""
-        return settings_version(self.method, self.scenario.system, self.settings)
+        return settings_version(self.method, self.scenario.system, self.settings, self.scenario.force is not None)
 
     @cached_property
     def identity(self) -> str:

@@ -30,6 +30,7 @@ PACKAGES = ("numpy", "scipy")
 class Version:
     """The versions of method, system and scoring, and the names of the packages in use.
 
+    ``forces``: version of the method's treatment of known forces; None without a force, and before the first change.
     ``supplied``: versions of classes that other packages supply, by setting and class (``optimizer my_package:Lion``).
     """
 
@@ -37,6 +38,7 @@ class Version:
     system: int
     scoring: int
     requires: tuple[str, ...] = PACKAGES
+    forces: int | None = None
     supplied: tuple[tuple[str, int], ...] = ()
 
     @property
@@ -47,7 +49,8 @@ class Version:
 
     def as_json(self) -> dict[str, int]:
         """Return the numbers as they are stored in a cell."""
-        return {**{name: getattr(self, name) for name in NUMBERS}, **dict(self.supplied)}
+        forces = {} if self.forces is None else {"forces": self.forces}
+        return {**{name: getattr(self, name) for name in NUMBERS}, **forces, **dict(self.supplied)}
 
     def changed_since(self, stored: Mapping[str, Any]) -> str:
         """Describe the numbers that differ from a stored version in one line; empty if none differs."""
@@ -72,14 +75,25 @@ def cell_version(method: str, system: str) -> Version:
     return Version(loaded.version, load_system(system).version, scoring.VERSION, (*PACKAGES, *loaded.requires))
 
 
-def settings_version(method: str, system: str, settings: Mapping[str, Any]) -> Version:
+def settings_version(method: str, system: str, settings: Mapping[str, Any], forced: bool) -> Version:
     """Return the version for cells of a method with settings, some values of which other packages may supply.
+
+    Args:
+        method: Name of the method or reference.
+        system: Name of the system.
+        settings: All settings of the method.
+        forced: Whether a known force acts.
 
     Raises:
         InputError: A name is unknown, or no installed package supplies the value of a setting.
     """
     version = cell_version(method, system)
-    card = None if method in REFERENCES else getattr(load_method(method), "card", None)
+    if method in REFERENCES:
+        return version
+    loaded = load_method(method)
+    if forced and loaded.forced_version > 1:
+        version = replace(version, forces=loaded.forced_version)
+    card = getattr(loaded, "card", None)
     supplied = {}
     for name, choices in (card.choices if card else {}).items():
         value = str(settings.get(name))
@@ -90,6 +104,13 @@ def settings_version(method: str, system: str, settings: Mapping[str, Any]) -> V
     requires = tuple(choice.package for choice in supplied.values() if choice.package)
     numbers = tuple((name, choice.version) for name, choice in supplied.items())
     return replace(version, requires=(*version.requires, *requires), supplied=numbers) if supplied else version
+
+
+def version_today(description: Mapping[str, Any]) -> Version:
+    """Return today's version for a stored description of a cell; raises InputError as :func:`settings_version`."""
+    data = description.get("data") or {}
+    method, system = str(description.get("method")), str(data.get("system"))
+    return settings_version(method, system, description.get("settings", {}), bool(data.get("force")))
 
 
 def bound_version(system: str) -> list[int]:

@@ -48,6 +48,7 @@ class ContinuedPINN(PINN):
 class OnlinePINN(OnlineIdentifier):
     """Windows of ``length`` samples, every ``every`` samples; ``arrival``: add an arrival cost."""
 
+    version: ClassVar[int] = 2
     length: Annotated[int, Interval(ge=20)] = 150
     every: Annotated[int, Interval(ge=1)] = 10
     arrival: bool = False

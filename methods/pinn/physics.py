@@ -53,6 +53,7 @@ from methods.starts.waves import Guess
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
     """Base of methods that fit data and physics jointly; see the module."""
 
+    forced_version: ClassVar[int] = 2
     scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"

@@ -187,7 +187,7 @@ def test_data_that_a_method_cannot_take_are_no_failure() -> None:
 
 
 def test_stale_results_are_counted_and_commits_looked_up() -> None:
-    version = settings_version("mcmc", "sdof", {}).as_json()
+    version = settings_version("mcmc", "sdof", {}, False).as_json()
     today = replace(stored("mcmc"), version=version)
     cells = origin.cells_of([Result.of_stored(cell) for cell in (stored("ls"), today)])
     (stale,) = origin.counted(cells, "changed")
