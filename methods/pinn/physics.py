@@ -48,6 +48,9 @@ from methods.pinn.task import Fit, Task, channels_of, cycles, degrees_of_freedom
 from methods.starts.ambiguity import SearchingIdentifier
 from methods.starts.waves import Guess
 
+VIOLATED = 2.0
+"""Violation of the equation of motion, in standard deviations of a parameter, from which an answer warns."""
+
 
 @dataclass(frozen=True)
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
@@ -150,7 +153,14 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         message = best.reason + (f"; the best of {len(task.fits)} initial guesses" if len(task.fits) > 1 else "")
         if task.given_up:
             message += "; the data do not determine a parameter: a very wide prior was used, a factor of 20"
-        if task.scaled.system.n_hidden and not task.scaled.system.smooth:
+        violation = task.violation(best)
+        if not violation < VIOLATED:
+            message += (
+                f"; a simulation with these parameters fits worse than the smooth response, as after an error of "
+                f"{violation:.1f} standard deviations: the response violates the equation of motion, and intervals are "
+                "too narrow"
+            )
+        elif task.scaled.system.n_hidden and not task.scaled.system.smooth:
             message += "; smooth functions cannot represent the kinks of hysteresis, so intervals may be too narrow"
         if not task.good(best):
             message += "; residuals exceed those of damped waves, so this may be a local minimum"

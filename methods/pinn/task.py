@@ -214,12 +214,27 @@ class Task:
         Without a prior it is minus the log likelihood, since undetermined parameters have an infinite volume. The
         losses are not comparable, since the accuracy of the ansatz depends on the frequency.
         """
-        model = OutputError(self.scaled)
-        theta = model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
+        model, theta = self._simulation(fit)
         if self.scaled.prior is None:
             return 0.5 * model.profile(theta)
         beyond = alias(self.scaled, self.guesses[self.fits.index(fit)])
         return (0.5 * ALIAS_MARGIN if beyond else 0.0) - log_evidence(model, theta)
+
+    def _simulation(self, fit: Fit) -> tuple[OutputError, np.ndarray]:
+        """Return the likelihood of simulated responses, and its unknowns at the parameters of a fit."""
+        model = OutputError(self.scaled)
+        return model, model.vector(dict(zip(self.scaled.system.names, map(float, np.exp(fit.logs)), strict=True)))
+
+    def violation(self, fit: Fit) -> float:
+        """Return how much worse than the fitted response a simulation with its parameters fits the data.
+
+        The unit is that of a standard deviation of a parameter, which lowers twice the log likelihood by 1. It is 0 for
+        a response that satisfies the equation of motion.
+        """
+        model, theta = self._simulation(fit)
+        rms = fit.sigmas * np.sqrt(degrees_of_freedom(self.scaled) / self.scaled.n)
+        lost = model.profile(theta) - np.sum(model.penalty(theta) ** 2) - 2.0 * np.log(rms) @ model.counts
+        return float(np.sqrt(np.maximum(lost, 0.0)))
 
 
 def simulated(problem: Problem, fit: Fit, rng: np.random.Generator) -> Problem:

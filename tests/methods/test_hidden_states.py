@@ -108,3 +108,12 @@ def test_a_start_built_into_the_response_cannot_start_hidden_states() -> None:
     sentence = make_method("pinn", {"start": "exact"}).objection(record(20)[0])
     assert sentence is not None
     assert "start=penalty" in sentence
+
+
+@pytest.mark.parametrize(("system", "broken"), [("coulomb", True), ("duffing", False)])
+def test_a_spline_that_violates_the_equation_of_motion_warns(system: str, broken: bool) -> None:
+    """Dry friction has kinks that no spline follows; a cubic spring has none."""
+    override = ["method=prior", f"system={system}", "snr=40"]
+    problem, _ = expand(override, multirun=False)[0].cell().scenario.replicates(17, 1)[0]
+    estimate = make_method("collocation", {}).identify(problem, np.random.default_rng(0))
+    assert ("violates the equation of motion" in estimate.message) == broken
