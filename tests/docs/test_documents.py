@@ -130,6 +130,7 @@ def test_fields_of_a_command_are_in_its_help(document: Path) -> None:
                 assert re.search(rf"\b{re.escape(field[1].partition('.')[0])}\b", helps), argument
 
 
+@pytest.mark.slow
 def test_the_examples_with_pandas_give_the_published_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """The medians that the first question prints are those of the published table 5."""
     page = REPOSITORY / "docs" / "how_to" / "regenerate_results.md"

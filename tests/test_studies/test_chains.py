@@ -82,6 +82,7 @@ def test_methods_are_ordered_by_the_chains_they_solve_and_those_of_the_longest_a
     assert reaching(failed) == []
 
 
+@pytest.mark.slow
 def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One mass, two methods, one of which is given up on after its first data set and not asked for two masses."""
     monkeypatch.setattr(chains, "replicates", lambda n: 2)

@@ -69,6 +69,7 @@ def test_what_ends_a_child_is_an_entry(script: str, limit_s: float, said: object
     assert answered(["-c", script], {"limit_s": limit_s}) == said
 
 
+@pytest.mark.slow
 def test_both_codes_take_turns_and_agree_with_themselves() -> None:
     found = results.measure(replace(SDOF, rounds=2), 60.0, ROOT / "tests" / "..")
     assert found.before is not None
@@ -169,6 +170,7 @@ def test_the_page_counts(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_row_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rows=bound", f"out={tmp_path}"]) == 0
     assert capsys.readouterr().out.split() == [str(tmp_path / name) for name in ("engines.md", "engines.csv")]

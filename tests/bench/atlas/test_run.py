@@ -59,12 +59,14 @@ def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() 
     assert atlas_content()["points"] * len(atlas_methods()) > len(tasks)
 
 
+@pytest.mark.slow
 def test_a_slice_is_drawn_from_its_first_row_on(tmp_path) -> None:
     given = ["part=cycles_snr", "method=frequency", "points=3", f"store={tmp_path / 'store'}", f"out={tmp_path}"]
     assert main(["-m", "experiment=atlas", *given, "workers=1"]) == 0
     assert (tmp_path / "figures" / "atlas_cycles_snr.png").exists()
 
 
+@pytest.mark.slow
 def test_a_launcher_computes_the_blocks_that_this_machine_does_and_writes_the_atlas(tmp_path) -> None:
     given = ["-m", "experiment=atlas", "part=points", "method=log_decrement", "points=32"]
     here, there = tmp_path / "here", tmp_path / "there"

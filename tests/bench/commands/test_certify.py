@@ -85,6 +85,7 @@ def test_a_method_without_an_estimate_gets_a_page_with_the_record(record: Path, 
     assert page.count("data:image/svg") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_command_and_all_its_processes(record: Path, tmp_path: Path, number: signal.Signals) -> None:
     """The signal is sent while replicas are computed, whose time is reported before."""

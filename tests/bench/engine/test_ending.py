@@ -44,6 +44,7 @@ def started(store: Path, temporary: Path, *more: str, before: str = "") -> subpr
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "how"),
     [(signal.SIGTERM, ()), (signal.SIGHUP, ("hydra/launcher=basic", "cells_per_job=100"))],
@@ -65,6 +66,7 @@ def test_nothing_temporary_stays(tmp_path: Path, temporary: Path, number: signal
     assert list(store.glob("*.json"))
 
 
+@pytest.mark.slow
 def test_under_nohup_a_terminal_that_closes_ends_nothing(tmp_path: Path, temporary: Path) -> None:
     with started(tmp_path / "rows", temporary, before="trap '' HUP;") as run:
         run.send_signal(signal.SIGHUP)

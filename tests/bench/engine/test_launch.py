@@ -65,6 +65,7 @@ def _run(store: Store, launcher: str, *more: str) -> int:
     return main(["-m", *SWEEP, f"store={store.folder}", f"hydra/launcher={launcher}", *more])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("launcher", "options", "cores"), [("basic", (), 1), ("submitit_local", ("hydra.launcher.cpus_per_task=2",), 2)]
 )

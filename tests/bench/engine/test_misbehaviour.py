@@ -65,6 +65,7 @@ def left_behind() -> bool:
     return "left behind" in subprocess.run(["ps", "ax", "-o", "args"], capture_output=True, text=True).stdout
 
 
+@pytest.mark.slow
 def test_every_kind_of_misbehaviour_is_a_row_and_good_cells_are_as_without_it(
     reference: Scenario, store: Store, new_store: StoreFactory
 ) -> None:
@@ -116,6 +117,7 @@ def test_a_method_that_attacks_the_server_of_processes_costs_nobody_anything(
     assert outcomes(reference, store, kind, "good", "good") == [(Status.OK, "")] * 3
 
 
+@pytest.mark.slow
 def test_a_fit_that_runs_out_of_time_is_scored_by_its_last_report(reference: Scenario, store: Store) -> None:
     """It reports k/m = c/m = 1 and then 8, which for k/m is the truth; a timeout it stays."""
     (stored,) = computed(store, a_cell(reference, "anytime", 1), limits=LIMITS)

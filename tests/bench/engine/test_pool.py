@@ -67,6 +67,7 @@ def test_what_is_stored_is_not_computed_again_and_what_fails_harms_no_other(tmp_
     assert marks(tmp_path) == ["a", "b", "b", "c", "c", "d"]
 
 
+@pytest.mark.slow
 def test_a_task_that_hangs_ends_within_its_limit_with_all_that_it_started(tmp_path: Path) -> None:
     errors = run_tasks([Deed("a", "hang", limit_s=2.0), Deed("b")], tmp_path, Limits(), ("deed", ""))
     assert errors == {"a": "stopped after the limit of 2 s"}

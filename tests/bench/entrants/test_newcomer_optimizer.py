@@ -148,6 +148,7 @@ def test_the_pages_class_trains(installed: None, reference: Scenario) -> None:
     assert estimate.traces["path_loss"][-1] < 0.5 * estimate.traces["path_loss"][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("setting", "name"), [("weighting", "half"), ("architecture", "sines")])
 def test_a_weighting_and_a_function_of_time_from_outside_find_the_stiffness(
     setting: str, name: str, installed: None, reference: Scenario

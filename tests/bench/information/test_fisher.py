@@ -244,6 +244,7 @@ print(repr(x.tolist()), repr(slopes.tolist()))
 """
 
 
+@pytest.mark.slow
 def test_what_jax_compiles_is_kept_for_the_next_process_where_it_can_be(
     tmp_path: Path, python: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -114,6 +114,7 @@ def test_standard_errors_of_blows_are_those_of_a_fisher_information_by_finite_di
     assert abs(mode.frequency - x[0]) < 4.0 * bound[0]
 
 
+@pytest.mark.slow
 def test_the_coverage_of_intervals_of_blows_is_95_percent() -> None:
     scores = []
     for replicate in range(100):

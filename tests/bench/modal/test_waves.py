@@ -66,6 +66,7 @@ def test_without_noise_they_are_exact(modes: tuple[tuple[float, float], ...], ch
         assert mode.shape == pytest.approx(SHAPES[:channels, i], rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("modes", "channels"), [(SEPARATE, 1), (SEPARATE, 3), (CLOSE, 1)])
 def test_errors_are_at_the_bound_and_intervals_are_calibrated(
     modes: tuple[tuple[float, float], ...], channels: int
@@ -91,6 +92,7 @@ def test_channels_are_weighted_by_their_noise() -> None:
         assert second.frequency_sd < 1.02 * first.frequency_sd
 
 
+@pytest.mark.slow
 def test_peaks_of_coloured_noise_are_no_modes() -> None:
     for seed in range(5):
         coloured = lfilter([1.0], [1.0, -1.6, 0.85], noise(0.02, seed))

@@ -29,6 +29,7 @@ def test_no_subset_of_a_small_grid_is_much_better(quantity: str, monkeypatch) ->
     assert found < 1.1 * min(every)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likely", [LIKELY, Likely(2.0, 0.02, 0.05, 0.3)])
 def test_the_best_times_are_better_than_even_and_than_random_ones(likely: Likely) -> None:
     rng = np.random.default_rng(0)

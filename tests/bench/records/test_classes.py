@@ -124,6 +124,7 @@ def test_friction_is_chosen_by_any_sensor(measures: str) -> None:
     assert viscous.left > comparison.chosen.left
 
 
+@pytest.mark.slow
 def test_repeats_have_a_common_class_which_is_that_of_each() -> None:
     x = with_friction()
     signals = [noisy((1.0 + 0.1 * i) * x, 40.0, i) for i in range(3)]
@@ -155,6 +156,7 @@ def test_a_hardening_spring_is_chosen(db: float) -> None:
     assert min(model.criterion for model in comparison.classes) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("db", [20.0, 40.0])
 def test_a_pendulum_of_large_swings_is_chosen_by_its_angle(db: float) -> None:
     record = measured(pendulum(), db, 4, "rad")
@@ -168,6 +170,7 @@ def test_friction_joins_a_pendulum() -> None:
     assert chosen(measured(pendulum(FRICTION), 40.0, 0, "rad")) == ("viscous", "pendulum", "coulomb")
 
 
+@pytest.mark.slow
 def test_friction_is_selected_from_windows_of_a_long_record() -> None:
     """Three windows of ninety cycles are fitted; the motion is in closed form, half period by half period."""
     times = np.arange(2160) / 24.0
@@ -180,6 +183,7 @@ def test_friction_is_selected_from_windows_of_a_long_record() -> None:
     assert comparison.chosen.parameters["mu"] == pytest.approx(friction * OMEGA**2, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_driven_axis_has_friction_and_no_spring() -> None:
     """``x'' = f - 2 x' - 3 sgn(x')`` with an alternating force is integrated by scipy."""
     times = np.linspace(0.0, 12.0, 600)

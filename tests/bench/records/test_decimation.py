@@ -56,6 +56,7 @@ def free_record() -> np.ndarray:
     return closed_form(P, 1.0, 0.0, TIMES) + noise + 0.1 * sine(98.0)
 
 
+@pytest.mark.slow
 def test_the_estimate_is_as_accurate_as_that_of_all_samples() -> None:
     """The intervals overlap and have equal widths; without a filter they are wider by the root of the factor."""
     x = free_record()

@@ -136,6 +136,7 @@ def test_motion_and_its_spectrum_are_those_of_the_closed_form() -> None:
     assert np.max(comparison.power) < 1e-20
 
 
+@pytest.mark.slow
 def test_a_certificate_compares_modes_with_other_methods(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["certify", "data=two.csv", "modes=auto", "out=out"]) == 0
     stated = json.loads(Path("out/certificate.json").read_text(encoding="utf-8"))

@@ -137,6 +137,7 @@ def test_a_single_record_has_no_runs() -> None:
     assert runs_of(several(1)) == []
 
 
+@pytest.mark.slow
 def test_five_files_are_combined_and_each_is_reported(tmp_path: Path) -> None:
     rng, times, names = np.random.default_rng(3), np.arange(0, 8, 0.02), []
     for i, factor in enumerate((1.0, 1.002, 0.997, 1.2, 1.001)):

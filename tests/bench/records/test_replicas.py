@@ -208,6 +208,7 @@ def test_only_significant_differences_are_corrected() -> None:
         assert ratio == pytest.approx(factor, rel=0.12)
 
 
+@pytest.mark.slow
 def test_the_requested_number_of_replicas_is_fitted() -> None:
     """Each is the same in whichever process it is fitted."""
     finding, (job,) = finding_of(record()), request_of({"data": ["x"], "method": ["output_error"]}).jobs

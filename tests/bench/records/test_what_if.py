@@ -101,6 +101,7 @@ def test_today_is_the_error_by_the_autoregression() -> None:
             assert error == pytest.approx(float(np.sqrt(g @ covariance @ g)), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_force_is_repeated_and_times_may_be_uneven() -> None:
     times = np.sort(np.random.default_rng(1).uniform(0.0, 12.0, 150))
     pushed = np.arange(121) / 10.0

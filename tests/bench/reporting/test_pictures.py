@@ -335,6 +335,7 @@ def test_what_cannot_be_drawn_says_why(store: Store, tmp_path: Path, capsys: pyt
                 draw(Gallery(failed))
 
 
+@pytest.mark.slow
 def test_every_picture_is_the_same_each_time_as_png_and_svg(store: Store, tmp_path: Path) -> None:
     fill(store, ["shooting"])
     out, svg = tmp_path / "out", tmp_path / "svg"

@@ -44,6 +44,7 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
+@pytest.mark.slow
 def test_a_method_with_every_scenario_stands_in_the_table_and_is_marked(store: Store, tmp_path: Path) -> None:
     keep(store, cells())
     assert main(["tables", f"store={store.folder}", f"out={tmp_path / 'out'}", f"tex={tmp_path / 'tex'}"]) == 0
@@ -60,6 +61,7 @@ def test_a_method_that_lacks_a_scenario_does_not(store: Store) -> None:
     assert with_submitted(frame, submitted).results == frame.results
 
 
+@pytest.mark.slow
 def test_a_method_that_is_not_installed_here_stands_in_the_leaderboard(store: Store, tmp_path: Path) -> None:
     """Whoever clones the repository has its cells in the archive, and not its package."""
     keep(store, Experiment("open").cells({"method": ["era"], "method.bootstrap": [7]}), "elsewhere")

@@ -127,6 +127,7 @@ def round_folder(six: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactor
     return folder
 
 
+@pytest.mark.slow
 def test_a_score_is_printed_and_written_the_same_at_every_call(
     round_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -342,6 +342,7 @@ def test_the_page_is_on_the_loopback_interface_and_may_load_nothing_from_elsewhe
         urlopen(page.url + "secrets")
 
 
+@pytest.mark.slow
 def test_the_page_answers_this_machine_alone_and_survives_what_is_no_request(page, capfd) -> None:
     address = ("127.0.0.1", page._server.server_port)
     ours = f"localhost:{address[1]}"

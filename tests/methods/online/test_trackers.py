@@ -44,6 +44,7 @@ def errors(stream, path, name: str) -> np.ndarray:
     return path.means[:, i] - true
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_filter_ends_within_four_bounds_of_the_truth_and_says_about_the_bound(name, constant) -> None:
     _, stream, bound = constant
@@ -80,6 +81,7 @@ def test_a_sum_that_the_likelihood_does_not_support_changes_nothing(constant) ->
     assert np.nanmax(np.abs(deaf.means - nervous.means) / deaf.sds) < 0.05
 
 
+@pytest.mark.slow
 def test_under_a_known_force_the_noise_is_learned_from_all_samples(constant) -> None:
     made = scenario(samples=1200)
     ratios = []

@@ -352,6 +352,7 @@ def test_mixed_heads_have_orthonormal_columns_and_the_same_rows() -> None:
     assert bool(((sizes - 1.0).abs() < 1e-6).all())
 
 
+@pytest.mark.slow
 def test_levenberg_goes_lower_than_scipys_lbfgs() -> None:
     problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
     scaled = problem.expressed_in(problem.natural_units())
@@ -478,6 +479,7 @@ def test_reports_of_every_stage_are_estimates(method: PhysicsInformed) -> None:
     assert values[-2] == pytest.approx(values[-1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_papers_training_descends_to_the_same_loss_by_another_road() -> None:
     problem = Problem(SDOF(), (record(0.05, known=True),), PRIOR)
     estimate = PINN(optimizer="adam_lbfgs", adam_steps=50, lbfgs_steps=90).identify(problem, np.random.default_rng(0))

@@ -88,6 +88,7 @@ def checked(estimate: Estimate) -> None:
         assert np.all(band > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [*QUICK, NUTS, "ensemble", "bootstrap"])
 def test_an_answer_has_intervals_and_a_band_and_hangs_on_the_seed_alone(way: str, brief: None) -> None:
     method, computed = little(way), problem()

@@ -89,6 +89,7 @@ def test_the_tangent_kernel_weighting_gives_equal_traces() -> None:
     assert traces[START] == pytest.approx(traces[DATA], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_gradient_norms_tend_to_be_equal() -> None:
     computed = attempt("gradient_norms")
     for _ in range(150):  # of a moving average: 0.9^150 = 1e-7

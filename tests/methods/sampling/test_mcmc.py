@@ -98,6 +98,7 @@ def test_without_a_prior_the_groups_agree_with_quadrature() -> None:
     assert [c_sd, k_sd] == pytest.approx(sd[1:], rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_answer_is_the_same_alone_and_in_company() -> None:
     """Problems of three layouts, one of which cannot be sampled with others, and one that needs more blocks."""
     free, unknown = scenario(5.0).replicates(0, 3), scenario(5.0, initial_state="unknown").replicates(0, 3)

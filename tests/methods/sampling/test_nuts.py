@@ -100,6 +100,7 @@ def test_a_chain_that_is_too_short_is_a_failure_with_a_sentence() -> None:
     assert "R-hat" in estimate.message
 
 
+@pytest.mark.slow
 def test_diagnostics_tell_chains_apart() -> None:
     rng = np.random.default_rng(0)
     still = np.zeros((4, 300), bool)

@@ -70,6 +70,7 @@ def test_hidden_states_and_unmeasured_masses_have_no_start() -> None:
     assert regression_starts(Problem(Chain(2), (Record((channel,)),))) == []
 
 
+@pytest.mark.slow
 def test_starts_searched_together_end_where_each_ends_alone() -> None:
     """Duffing under a force; each start has its own noise and damping, whoever is beside it."""
     force = Force(TIMES, np.cos(2.0 * TIMES), "cubic")

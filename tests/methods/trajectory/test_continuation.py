@@ -24,6 +24,7 @@ def dry_friction(times: np.ndarray) -> np.ndarray:
     return np.where(half_cycle < last, moving, (-1) ** last * (AMPLITUDE - 2 * last * shift))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terms", [("coulomb",), ("quadratic", "coulomb")])
 def test_a_motion_that_sticks_tells_its_friction(terms: tuple[str, ...]) -> None:
     times, rng = np.linspace(0, 6, 150), np.random.default_rng(7)

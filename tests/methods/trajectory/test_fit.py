@@ -22,6 +22,7 @@ def problems(arguments: Sequence[str], n: int) -> list[Problem]:
     return [problem for problem, _ in job.scenario.replicates(job.config.seed, n)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "n"),
     [(["system=chain2_forced", "snr=20"], 6), (["system=pendulum", "snr=5"], 3), (["system=coulomb", "snr=40"], 3)],

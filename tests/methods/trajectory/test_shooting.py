@@ -218,6 +218,7 @@ def test_the_air_track_glider() -> None:
     assert low < 0.01368 < high
 
 
+@pytest.mark.slow
 def test_a_damping_that_the_noise_hides_is_no_failure() -> None:
     """Next to no damping, no prior: in half of the noise the likelihood rises towards c = 0 and has no maximum.
 
