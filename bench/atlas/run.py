@@ -30,8 +30,9 @@ from bench.information.fisher import compute_bound
 from bench.isolation.failure import one_line
 from bench.isolation.limits import limited
 from bench.scenario.scenario import METHOD
+from bench.store.cell import scenario_description
 from bench.store.results import read_result, write_result
-from bench.store.version import settings_version
+from bench.store.version import described_version
 
 LIMIT_S = 60.0
 """Time limit of a fit (s)."""
@@ -54,8 +55,8 @@ class PointBlock:
         """Digest of points, method with settings, versions, seed and replicates."""
         points = [point.numbers() for point in self.points]
         parts = [points, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
-        scenario = self.points[0].scenario()
-        version = settings_version(self.method, scenario.system, self.settings, scenario.force is not None).as_json()
+        described = scenario_description(self.points[0].scenario())
+        version = described_version({"method": self.method, "settings": self.settings, **described}).as_json()
         text = json.dumps([version, *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 

@@ -21,7 +21,7 @@ from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored_cell import CellHead
-from bench.store.version import version_today
+from bench.store.version import described_version
 from bench.systems import registered_systems
 
 MOST_REASONS = 3
@@ -42,7 +42,7 @@ def _state(head: CellHead) -> tuple[str, str]:
         if name not in known:
             return FOREIGN, f"no {kind} {name} is installed here"
     try:
-        today = version_today(head.cell)
+        today = described_version(head.cell)
     except InputError as error:  # a setting that no installed package supplies
         return FOREIGN, str(error)
     state, why = cell_state(head, method, today)

@@ -123,10 +123,11 @@ class Identifier(ABC):
     """Base class of methods: a frozen dataclass whose fields are the settings. Subclasses implement ``estimate``.
 
     Register a method by an entry point in the group ``bench.methods``; then ``method=<name>`` works. Import large
-    packages inside ``estimate``, and name them in ``requires`` and the extra that installs them in ``extra``. Raise
-    ``version`` when a change of the method alters its results, and ``forced_version`` when it alters only those under a
-    known force; stored cells of another version are stale. ``works_in`` selects the units of the problems given to
-    ``estimate``: the user's or :meth:`Problem.natural_units`.
+    packages inside ``estimate``, and name them in ``requires`` and the extra that installs them in ``extra``.
+    ``works_in`` selects the units of the problems given to ``estimate``: the user's or :meth:`Problem.natural_units`.
+
+    Raise ``version`` when a change of the method alters its results, or a number of ``parts`` when it alters only those
+    under a condition (:data:`bench.store.version.CONDITIONS`); stored cells of another version are stale.
 
     Callers use ``identify``, which rejects problems outside the scope and records without motion, converts problems,
     estimates and progress reports between units, suppresses NumPy's floating-point warnings, and converts a
@@ -134,7 +135,7 @@ class Identifier(ABC):
     """
 
     version: ClassVar[int] = 1
-    forced_version: ClassVar[int] = 1
+    parts: ClassVar[Mapping[str, int]] = {}
     card: ClassVar[Card]
     scope: ClassVar[Scope] = Scope()
     requires: ClassVar[tuple[str, ...]] = ()

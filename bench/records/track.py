@@ -72,7 +72,7 @@ class MeasuredFit:
         parts = [
             ROWS, [field.name for field in fields(StatedInterval)], self.name, self.measured_set.definition(),
             self.request.system, self.sibling, self.recording.sha256, method, load_method(method).version,
-            load_method(method).forced_version, settings, self.job.config.seed,
+            dict(load_method(method).parts), settings, self.job.config.seed,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 

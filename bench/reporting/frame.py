@@ -29,7 +29,7 @@ from bench.scoring.statistics import wilson_interval
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored_cell import MARK, SUBMITTED, CellHead, StoredCell
-from bench.store.version import version_today
+from bench.store.version import described_version
 from bench.systems import System, make_system
 
 ERROR = "_error_pct"
@@ -408,7 +408,7 @@ def supplied_results(store: Store, questions: Collection[str]) -> list[Result]:
         card = cards().get(str(head.cell.get("method")))
         if card is None or not card.choices:
             return False
-        return bool(version_today(head.cell).supplied)
+        return bool(described_version(head.cell).supplied)
 
     return [result for result in _current_results(store, supplied) if result.question in questions]
 

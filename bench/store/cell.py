@@ -21,7 +21,7 @@ from bench.isolation.failure import one_line
 from bench.scenario.scenario import Scenario
 from bench.store.shape import DESCRIPTION, fits
 from bench.store.stored_cell import StoredCell
-from bench.store.version import Version, settings_version
+from bench.store.version import Version, described_version
 
 FORMAT = 2
 """Part of the identity. Raise it when the meaning of scores changes, so that older rows are not used."""
@@ -49,7 +49,7 @@ class Cell:
             "settings": dict(self.settings),
             "replicates": self.replicates,
             "seed": self.seed,
-            **_scenario_description(self.scenario),
+            **scenario_description(self.scenario),
         }
 
     def full_description(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class Cell:
     @property
     def version(self) -> Version:
         """The version of the code that would compute the cell now."""
-        return settings_version(self.method, self.scenario.system, self.settings, self.scenario.force is not None)
+        return described_version(self.description())
 
     @cached_property
     def identity(self) -> str:
@@ -123,7 +123,7 @@ def stored_as_cell(stored: StoredCell) -> Cell:
     return Cell.from_description(stored.cell, stored.identity)
 
 
-def _scenario_description(scenario: Scenario) -> dict[str, Any]:
+def scenario_description(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as plain values, cached in it, since the cells of all methods share the scenario."""
     cache = vars(scenario)
     if "_description" not in cache:

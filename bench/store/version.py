@@ -8,7 +8,7 @@ make a cell stale.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
@@ -22,6 +22,12 @@ from bench.errors import InputError
 from bench.systems import load_system
 
 NUMBERS = ("method", "system", "scoring")
+CONDITIONS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+    "force": lambda description: bool((description.get("data") or {}).get("force")),
+    "prior": lambda description: bool((description.get("told") or {}).get("prior")),
+    "unknown_start": lambda description: (description.get("told") or {}).get("initial_state") == "unknown",
+}
+"""Conditions on the description of a cell: a known force, a prior, and an unknown initial state."""
 PACKAGES = ("numpy", "scipy")
 """Packages that all fits and the scoring use."""
 
@@ -30,7 +36,7 @@ PACKAGES = ("numpy", "scipy")
 class Version:
     """The versions of method, system and scoring, and the names of the packages in use.
 
-    ``forces``: version of the method's treatment of known forces; None without a force, and before the first change.
+    ``parts``: versions of what the method does under the :data:`CONDITIONS` that hold for a cell.
     ``supplied``: versions of classes that other packages supply, by setting and class (``optimizer my_package:Lion``).
     """
 
@@ -38,7 +44,7 @@ class Version:
     system: int
     scoring: int
     requires: tuple[str, ...] = PACKAGES
-    forces: int | None = None
+    parts: tuple[tuple[str, int], ...] = ()
     supplied: tuple[tuple[str, int], ...] = ()
 
     @property
@@ -49,8 +55,7 @@ class Version:
 
     def as_json(self) -> dict[str, int]:
         """Return the numbers as they are stored in a cell."""
-        forces = {} if self.forces is None else {"forces": self.forces}
-        return {**{name: getattr(self, name) for name in NUMBERS}, **forces, **dict(self.supplied)}
+        return {**{name: getattr(self, name) for name in NUMBERS}, **dict(self.parts), **dict(self.supplied)}
 
     def changed_since(self, stored: Mapping[str, Any]) -> str:
         """Describe the numbers that differ from a stored version in one line; empty if none differs."""
@@ -75,24 +80,19 @@ def cell_version(method: str, system: str) -> Version:
     return Version(loaded.version, load_system(system).version, scoring.VERSION, (*PACKAGES, *loaded.requires))
 
 
-def settings_version(method: str, system: str, settings: Mapping[str, Any], forced: bool) -> Version:
-    """Return the version for cells of a method with settings, some values of which other packages may supply.
-
-    Args:
-        method: Name of the method or reference.
-        system: Name of the system.
-        settings: All settings of the method.
-        forced: Whether a known force acts.
+def described_version(description: Mapping[str, Any]) -> Version:
+    """Return today's version for a description of a cell, some settings of which other packages may supply.
 
     Raises:
         InputError: A name is unknown, or no installed package supplies the value of a setting.
     """
-    version = cell_version(method, system)
+    data, settings = description.get("data") or {}, description.get("settings") or {}
+    method = str(description.get("method"))
+    version = cell_version(method, str(data.get("system")))
     if method in REFERENCES:
         return version
     loaded = load_method(method)
-    if forced and loaded.forced_version > 1:
-        version = replace(version, forces=loaded.forced_version)
+    parts = tuple((name, number) for name, number in loaded.parts.items() if CONDITIONS[name](description))
     card = getattr(loaded, "card", None)
     supplied = {}
     for name, choices in (card.choices if card else {}).items():
@@ -103,14 +103,7 @@ def settings_version(method: str, system: str, settings: Mapping[str, Any], forc
             supplied[f"{name} {choices[value].supplier}"] = choices[value]
     requires = tuple(choice.package for choice in supplied.values() if choice.package)
     numbers = tuple((name, choice.version) for name, choice in supplied.items())
-    return replace(version, requires=(*version.requires, *requires), supplied=numbers) if supplied else version
-
-
-def version_today(description: Mapping[str, Any]) -> Version:
-    """Return today's version for a stored description of a cell; raises InputError as :func:`settings_version`."""
-    data = description.get("data") or {}
-    method, system = str(description.get("method")), str(data.get("system"))
-    return settings_version(method, system, description.get("settings", {}), bool(data.get("force")))
+    return replace(version, requires=(*version.requires, *requires), parts=parts, supplied=numbers)
 
 
 def bound_version(system: str) -> list[int]:

@@ -24,7 +24,7 @@ N - p degrees of freedom, those of the ensemble with ``members`` - 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -56,7 +56,7 @@ VIOLATED = 2.0
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
     """Base of methods that fit data and physics jointly; see the module."""
 
-    forced_version: ClassVar[int] = 2
+    parts: ClassVar[Mapping[str, int]] = {**SearchingIdentifier.parts, "force": 2}
     scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"

@@ -18,7 +18,7 @@ each with its own random numbers, so that an estimate does not depend on its bat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -89,6 +89,8 @@ class MCMC(SearchingIdentifier):
 
     version: ClassVar[int] = 3
     """3: modes differ by 1e-4 of a standard deviation, and hence the chains."""
+    parts: ClassVar[Mapping[str, int]] = {"prior": 2}
+    """2: of several basins, the answer is the one that every search prefers."""
 
     card: ClassVar[Card] = Card(
         summary="Posterior sampling by emcee with the noise level unknown",

@@ -15,7 +15,7 @@ The code is compiled once for all problems of one layout, which takes longer tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar
@@ -51,6 +51,7 @@ class NUTS(SearchingIdentifier):
     kept: int = 2000
     curves: int = 100
 
+    parts: ClassVar[Mapping[str, int]] = {"prior": 2}
     card: ClassVar[Card] = Card(
         summary="posterior sampling by the No-U-Turn sampler (blackjax) with the noise level unknown",
         start="used when known",

@@ -32,7 +32,7 @@ from bench import (
 )
 from methods.starts.band import are_even, natural_frequencies, values_of, with_band
 from methods.starts.candidates import candidates, screening
-from methods.starts.distinct_minima import APART
+from methods.starts.distinct_minima import ALIAS_MARGIN, APART, aliased
 from methods.starts.evidence import Basins, basins
 from methods.starts.prior_guesses import sped_up
 from methods.starts.search_range import MOST_MODES, UP, expected_rate, is_unresolved, resolved_cycles
@@ -52,9 +52,11 @@ class SearchingIdentifier(Identifier):
     """Base of methods that search the frequencies the prior supports, and report other basins as alternatives.
 
     Version 2: above half the sampling rate, all frequencies the prior supports are searched, and other basins reported.
+    From an unknown start, version 2: a basin that leaves the start open has no evidence.
     """
 
     version: ClassVar[int] = 2
+    parts: ClassVar[Mapping[str, int]] = {"unknown_start": 2}
 
     def completed(self, problems: Sequence[Problem], estimates: Sequence[Estimate]) -> list[Estimate]:
         """Add alternatives to the estimates, or a warning about the first alias where there is no prior."""
@@ -115,7 +117,12 @@ def _with_basins(
     answers, weights = [_answer(model, maxima, i) for i in range(len(places))], maxima.weights
     index, answer = _basin_of(answers, places, _place(model.system, values)), estimate
     if isinstance(estimate.parameters, Draws):
-        index, answer = _largest_part(estimate, places + _place(problem.system, scales))
+        beyond = aliased(model, maxima.thetas)
+        index, inside = _preferred(
+            estimate.system, estimate.parameters, places + _place(problem.system, scales), beyond
+        )
+        if not np.all(inside):
+            answer = _part(estimate, estimate.parameters, inside, answers[index].returned(problem, units))
     others = [i for i in np.argsort(-weights) if i != index and weights[i] > LEAST_WEIGHT]
     if not others:
         return estimate
@@ -190,14 +197,29 @@ def _place(system: System, values: Mapping[str, Any]) -> np.ndarray:
     return np.stack([np.log(np.asarray(ratio.value(values))) for ratio in _ratios(system)], axis=-1)
 
 
-def _largest_part(estimate: Estimate, places: np.ndarray) -> tuple[int, Estimate]:
-    """Return the basin with most draws, and the estimate with these draws alone; others belong to alternatives."""
-    draws = estimate.parameters
-    assert isinstance(draws, Draws)
-    of_draws = _place(estimate.system, dict(zip(draws.names, draws.samples.T, strict=True)))
+def _preferred(system: System, draws: Draws, places: np.ndarray, beyond: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return the basin of an answer by draws, and which draws lie in it (n_draws,).
+
+    As in every search, it is the most probable one below half the sampling rate, unless one ``beyond`` it has twenty
+    times as many draws.
+    """
+    of_draws = _place(system, dict(zip(draws.names, draws.samples.T, strict=True)))
     nearest = np.argmin(np.linalg.norm(of_draws[:, None] - places, axis=2), axis=1)
-    index = int(np.argmax(np.bincount(nearest, minlength=len(places))))
-    return index, replace(estimate, parameters=replace(draws, samples=draws.samples[nearest == index]))
+    counts = np.bincount(nearest, minlength=len(places))
+    index = int(np.argmax(counts * np.where(beyond, np.exp(-0.5 * ALIAS_MARGIN), 1.0)))
+    return index, nearest == index
+
+
+def _part(estimate: Estimate, draws: Draws, inside: np.ndarray, mode: Estimate) -> Estimate:
+    """Return an estimate with its draws in one basin, and the response of that basin's ``mode``."""
+    return replace(
+        estimate,
+        parameters=replace(draws, samples=draws.samples[inside]),
+        reconstructions=mode.reconstructions,
+        bands=mode.bands,
+        initial_states=mode.initial_states,
+        offsets=mode.offsets,
+    )
 
 
 def _sentence(problem: Problem, answer: Estimate) -> str:

@@ -2,7 +2,8 @@
 
 The evidence is ``max posterior × sqrt(det covariance)``, with the noise at its best value and a uniform initial state
 (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 27). The basin of the best fit
-may be narrow, and another basin more probable.
+may be narrow, and another basin more probable. A basin that leaves an initial state open has no evidence, since its
+volume would be infinite: a wave at exactly half the sampling rate has a velocity that no even sample shows.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ import numpy as np
 from bench import OutputError, batches
 from methods.starts.candidates import screening
 from methods.starts.distinct_minima import ALIAS_MARGIN, APART, aliased
+from methods.starts.search_range import resolved_cycles
+from methods.starts.waves import ORDER
 
 ROUNDS, ITERATIONS = 2, 12
 """Alternations of fit and noise estimation, and iterations of each fit."""
 SPARE = 3
 """Samples beyond the number of unknowns above which the noise level is identifiable."""
+OPEN = 1e3
+"""Standard deviation of an initial state over a generous size of the motion, above which the data leave it open."""
 SAME_SDS = 3.0
 """Two ends of searches closer than this many standard deviations are the same maximum."""
 
@@ -70,7 +75,8 @@ def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[
         point = batch.point(batch.settle(np.concatenate([starts[i] for i in places]), ROUNDS, ITERATIONS))
         residuals = batch.data - point.predicted
         profiles = batch.profile_of(point.theta, residuals)
-        covariances = batch.covariances(point, batch.noise(residuals, 0.0))
+        found = batch.covariances(point, batch.noise(residuals, 0.0))
+        covariances = [_closed(quick[case], covariance) for case, covariance in zip(cases, found, strict=True)]
         enough = batch.channel_of.size > batch.size + SPARE
         evidence = np.array([_log_evidence(*pair, enough) for pair in zip(profiles, covariances, strict=True)])
         for number, i in enumerate(places):
@@ -96,11 +102,28 @@ def _same(distance: np.ndarray, covariance: np.ndarray | None) -> bool:
     return bool(distance @ np.linalg.solve(covariance[: distance.size, : distance.size], distance) < SAME_SDS**2)
 
 
+def _closed(model: OutputError, covariance: np.ndarray | None) -> np.ndarray | None:
+    """Return a covariance; None where the data leave an initial state open.
+
+    A velocity is compared with the motion's size at half the sampling rate, a displacement with that of one cycle in
+    the record.
+    """
+    if covariance is None or not model.unknown_starts:
+        return covariance
+    slow = 2.0 * np.pi / max(record.duration for record in model.problem.records)
+    fast = 2.0 * np.pi * max(resolved_cycles(record) for record in model.problem.records)
+    orders = np.array([ORDER[channel.measures] for _, channel in model.channels])
+    size = float(np.max(model.rms * slow ** (-orders)))
+    k, n = len(model.free), model.system.n_dof
+    of_starts = np.diag(covariance)[k : k + 2 * n * len(model.unknown_starts)].reshape(-1, 2, n)
+    return covariance if np.all(of_starts < (OPEN * size * np.array([1.0, fast]))[:, None] ** 2) else None
+
+
 def log_evidence(model: OutputError, theta: np.ndarray) -> float:
     """Return the log-evidence of a maximum up to a constant; minus infinity where it has no covariance."""
     predicted, slopes = model.jacobian(theta)
     residuals = model.data - predicted
-    covariance = model.covariance(slopes, model.noise(residuals, 0.0))
+    covariance = _closed(model, model.covariance(slopes, model.noise(residuals, 0.0)))
     return _log_evidence(model.profile_of(theta, residuals), covariance, model.data.size > model.size + SPARE)
 
 

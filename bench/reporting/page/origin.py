@@ -17,7 +17,7 @@ from bench.errors import InputError, shortened
 from bench.reporting.frame import Result, table_experiments
 from bench.reporting.page.words import decibels
 from bench.store.stored_cell import StoredCell
-from bench.store.version import version_today
+from bench.store.version import described_version
 
 LONGEST = 300
 """Largest number of characters of a message that are shown; a longer one is shortened in the middle."""
@@ -45,7 +45,7 @@ def _facts(cell: StoredCell) -> dict[str, Any]:
 def changed(cell: StoredCell) -> str:
     """Return which version has changed since a cell was computed; empty if none has."""
     try:
-        return version_today(cell.cell).changed_since(cell.version)
+        return described_version(cell.cell).changed_since(cell.version)
     except InputError:
         return "not installed here"
 

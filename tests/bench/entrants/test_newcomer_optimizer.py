@@ -14,7 +14,7 @@ from conftest import REPOSITORY, Python, StoreFactory, install
 from bench import Status
 from bench.commands.main import main
 from bench.scenario.scenario import Scenario
-from bench.store.version import settings_version
+from bench.store.version import described_version
 from methods.pinn_family import PINNFamily, choices
 
 pytest.importorskip("torch")
@@ -158,10 +158,8 @@ def test_a_weighting_and_a_function_of_time_from_outside_find_the_stiffness(
     estimate = PINNFamily(**{setting: name}).identify(problem, np.random.default_rng(0))
     k_over_m = estimate.marginal(problem.system.quantity("k_over_m"))
     assert k_over_m.value == pytest.approx(truth.parameters["k"] / truth.parameters["m"], rel=0.05)
-    assert (
-        settings_version("pinn_family", "sdof", {setting: name}, False).as_json()[f"{setting} lion_pinn:{CLASS[name]}"]
-        == 1
-    )
+    cell = {"method": "pinn_family", "data": {"system": "sdof"}, "settings": {setting: name}}
+    assert described_version(cell).as_json()[f"{setting} lion_pinn:{CLASS[name]}"] == 1
 
 
 @pytest.mark.parametrize(

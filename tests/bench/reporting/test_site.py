@@ -28,7 +28,7 @@ from bench.reporting.pictures import png
 from bench.reporting.rounding import time_text
 from bench.store.store import Store
 from bench.store.stored_cell import StoredCell
-from bench.store.version import settings_version
+from bench.store.version import described_version
 
 pytest.importorskip("jinja2")
 pytest.importorskip("mkdocs")
@@ -187,8 +187,8 @@ def test_data_that_a_method_cannot_take_are_no_failure() -> None:
 
 
 def test_stale_results_are_counted_and_commits_looked_up() -> None:
-    version = settings_version("mcmc", "sdof", {}, False).as_json()
-    today = replace(stored("mcmc"), version=version)
+    before = stored("mcmc")
+    today = replace(before, version=described_version(before.cell).as_json())
     cells = origin.cells_of([Result.of_stored(cell) for cell in (stored("ls"), today)])
     (stale,) = origin.counted(cells, "changed")
     assert (stale["cells"], stale["fits"]) == (1, 40)

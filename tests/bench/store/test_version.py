@@ -14,7 +14,7 @@ from bench.commands.status import standings, store_page
 from bench.entrants.registry import load_method, method_names
 from bench.store.bounds import bound_version
 from bench.store.store import Store
-from bench.store.version import NUMBERS, cell_version, settings_version, version_today
+from bench.store.version import NUMBERS, cell_version, described_version
 from bench.systems import load_system, registered_systems
 
 
@@ -73,12 +73,12 @@ def test_a_cell_without_numbers_is_stale_and_one_of_a_foreign_method_is_said_to_
     assert found["nobody"] == ("foreign", "no method nobody is installed here")
 
 
-def test_a_change_under_a_force_leaves_free_cells_current(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load_method("ls"), "forced_version", 2)
-    free, forced = (settings_version("ls", "sdof", {}, acts) for acts in (False, True))
+def test_a_change_under_a_condition_leaves_other_cells_current(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load_method("ls"), "parts", {"force": 2, "unknown_start": 3})
+    free = {"method": "ls", "settings": {}, "data": {"system": "sdof", "force": None}, "told": {}}
     before = cell_version("ls", "sdof").as_json()
-    assert free.matches(before)
-    assert forced.changed_since(before) == "forces version not stated, today 2"
-    stored = {"method": "ls", "settings": {}, "data": {"system": "sdof", "force": {"kind": "step"}}}
-    assert version_today(stored) == forced
-    assert version_today({**stored, "data": {"system": "sdof", "force": None}}) == free
+    assert described_version(free).matches(before)
+    forced = described_version({**free, "data": {"system": "sdof", "force": {"kind": "step"}}})
+    assert forced.changed_since(before) == "force version not stated, today 2"
+    unknown = described_version({**free, "told": {"initial_state": "unknown", "prior": None}})
+    assert unknown.as_json() == {**before, "unknown_start": 3}

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bench import Channel, Estimate, InitialState, Normal, Prior, Problem, Record
+from bench import Channel, Estimate, InitialState, Normal, OutputError, Prior, Problem, Record
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
 from bench.scoring.combination import combine_with_prior
 from bench.systems import SDOF, BoucWen, Chain
 from methods.starts.band import natural_frequencies
+from methods.starts.evidence import basins
 
 RATE, DECAY, MASS = 2 * np.pi * 1.3, 0.08, 2.0
 """Damped rate (rad/s) and decay (1/s) of the motion that is sampled."""
@@ -58,6 +59,32 @@ def test_a_searching_method_names_the_alias_that_fits_as_well(method: str) -> No
     assert any(low <= 1.3 <= high for low, high in pieces)
     assert marginal.interval(0.95) == (pieces[0][0], pieces[1][1])
     assert all(high - low < 0.02 for low, high in pieces)
+
+
+@pytest.mark.parametrize("method", ["output_error", "mcmc"])
+def test_the_basin_below_half_the_sampling_rate_is_first_unless_clearly_less_probable(method: str) -> None:
+    problem = sampled(nominal_hz=1.08)
+    estimate = answer(method, problem)
+    assert damped_rate(estimate) == pytest.approx(2 * np.pi / STEP - RATE, rel=2e-3)
+    assert 0.05 < estimate.weight < 0.4
+    times = np.linspace(0.0, 5.0, 200)
+    path = estimate.reconstructions[0](times)[0]
+    turns = np.sum(path[1:] * path[:-1] < 0)
+    assert turns == pytest.approx(2 * 5.0 * (1 / STEP - 1.3), abs=1.01)  # its own response, and no mean of both
+
+
+def test_a_wave_at_half_the_sampling_rate_has_no_evidence() -> None:
+    """Its velocity is seen by no sample, so that the volume of its basin would be infinite."""
+    problem = sampled(nominal_hz=2.0, step=0.14, n=25, noise=0.3)
+    model = OutputError(problem.expressed_in(problem.natural_units()))
+    step = np.diff(model.problem.records[0].channels[0].times)[0]
+    shown = {"m": 1.0, "c": 0.5, "k": (2 * np.pi * 1.3 * 0.14 / step) ** 2}
+    hidden = {"m": 1.0, "c": 0.5, "k": (np.pi / step) ** 2}
+    starts = np.stack([model.vector(p) for p in (hidden, shown)])
+    (ends,) = basins([model], [starts])
+    rates = np.sqrt(np.exp(ends.thetas[:, 2] - ends.thetas[:, 0]))
+    assert ends.evidence.size == 1
+    assert rates[0] < 0.9 * np.pi / step
 
 
 def test_the_weights_are_those_of_the_prior_and_of_the_volumes() -> None:
