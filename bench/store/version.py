@@ -23,7 +23,7 @@ from bench.systems import load_system
 
 NUMBERS = ("method", "system", "scoring")
 CONDITIONS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
-    "force": lambda description: bool((description.get("data") or {}).get("force")),
+    "forces": lambda description: bool((description.get("data") or {}).get("force")),
     "prior": lambda description: bool((description.get("told") or {}).get("prior")),
     "unknown_start": lambda description: (description.get("told") or {}).get("initial_state") == "unknown",
 }

@@ -56,7 +56,7 @@ VIOLATED = 2.0
 class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
     """Base of methods that fit data and physics jointly; see the module."""
 
-    parts: ClassVar[Mapping[str, int]] = {**SearchingIdentifier.parts, "force": 2}
+    parts: ClassVar[Mapping[str, int]] = {**SearchingIdentifier.parts, "forces": 2}
     scope: ClassVar[Scope] = EVERY_PROBLEM
     requires: ClassVar[tuple[str, ...]] = ("torch",)
     extra: ClassVar[str] = "torch"

@@ -74,11 +74,11 @@ def test_a_cell_without_numbers_is_stale_and_one_of_a_foreign_method_is_said_to_
 
 
 def test_a_change_under_a_condition_leaves_other_cells_current(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load_method("ls"), "parts", {"force": 2, "unknown_start": 3})
+    monkeypatch.setattr(load_method("ls"), "parts", {"forces": 2, "unknown_start": 3})
     free = {"method": "ls", "settings": {}, "data": {"system": "sdof", "force": None}, "told": {}}
     before = cell_version("ls", "sdof").as_json()
     assert described_version(free).matches(before)
     forced = described_version({**free, "data": {"system": "sdof", "force": {"kind": "step"}}})
-    assert forced.changed_since(before) == "force version not stated, today 2"
+    assert forced.changed_since(before) == "forces version not stated, today 2"
     unknown = described_version({**free, "told": {"initial_state": "unknown", "prior": None}})
     assert unknown.as_json() == {**before, "unknown_start": 3}
