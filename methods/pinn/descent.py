@@ -56,4 +56,4 @@ def _lbfgs(residuals: Residuals, walk: Walk, i: int, deviations: Tensor, steps: 
     first = walk.z[i].cpu().numpy()
     end = minimize(loss, first, jac=True, method="L-BFGS-B", callback=count, options=options)
     walk.z[i] = torch.as_tensor(end.x, device=residuals.device)
-    walk.reasons[i] = "L-BFGS found no further decrease" if end.success else "the step limit was reached"
+    walk.reasons[i] = "" if end.success else "the step limit was reached"

@@ -20,6 +20,7 @@ GREATEST_DAMPING = 1e6
 class Walk:
     """The state of a batch of minimisations: iterates z (B, n_z), dampings, counts, and reasons of termination.
 
+    The reason of a converged minimisation is empty.
     ``history[i]`` has an entry (1 + n_rows,) for every accepted step of fit i: the number of evaluations, then the
     residual vector in natural units (not divided by deviations, which change as the noise is estimated).
     """
@@ -78,8 +79,7 @@ def minimise(
         ended = (predicted < tolerance) | (walk.damping[active] > GREATEST_DAMPING)
         if ended.any():
             for i, last in zip(active[ended], predicted[ended], strict=True):
-                converged = "the linear model predicts no further decrease"
-                walk.reasons[i] = converged if last < tolerance else "no step decreases the loss"
+                walk.reasons[i] = "" if last < tolerance else "no step decreases the loss"
             walk.z[active] = state.z
             active = active[~ended]
             if not active.size:

@@ -150,20 +150,6 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         if best is None:
             sentence = "no fit is finite; increase restarts, or check the record for outliers"
             return Estimate.failed(problem.system, Status.NONFINITE, sentence, cost)
-        message = best.reason + (f"; the best of {len(task.fits)} initial guesses" if len(task.fits) > 1 else "")
-        if task.given_up:
-            message += "; the data do not determine a parameter: a very wide prior was used, a factor of 20"
-        violation = task.violation(best)
-        if not violation < VIOLATED:
-            message += (
-                f"; a simulation with these parameters fits worse than the smooth response, as after an error of "
-                f"{violation:.1f} standard deviations: the response violates the equation of motion, and intervals are "
-                "too narrow"
-            )
-        elif task.scaled.system.n_hidden and not task.scaled.system.smooth:
-            message += "; smooth functions cannot represent the kinks of hysteresis, so intervals may be too narrow"
-        if not task.good(best):
-            message += "; residuals exceed those of damped waves, so this may be a local minimum"
         starts = [
             record.initial_state or InitialState(*start)
             for record, start in zip(problem.records, best.starts, strict=True)
@@ -178,10 +164,27 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
             bands=self._bands(task, best),
             initial_states=tuple(starts),
             offsets=tuple(map(float, offsets)) if has_offset.any() else None,
-            message=message,
+            message="; ".join(filter(None, self._remarks(task, best))),
             cost=cost,
             traces=best.history,
         )
+
+    def _remarks(self, task: Task, best: Fit) -> list[str]:
+        """Return what is to be known about a fit; nothing about one that converged to a response of the system."""
+        remarks, system, violation = [best.reason], task.scaled.system, task.violation(best)
+        if task.given_up:
+            remarks.append("the data do not determine a parameter: a very wide prior was used, a factor of 20")
+        if not violation < VIOLATED:
+            remarks.append(
+                f"a simulation with these parameters fits worse than the smooth response, as after an error of "
+                f"{violation:.1f} standard deviations: the response violates the equation of motion, and intervals are "
+                "too narrow"
+            )
+        elif system.n_hidden and not system.smooth:
+            remarks.append("smooth functions cannot represent the kinks of hysteresis, so intervals may be too narrow")
+        if not task.good(best):
+            remarks.append("residuals exceed those of damped waves, so this may be a local minimum")
+        return remarks
 
     def _distribution(self, task: Task, best: Fit) -> dict[str, Any]:
         """Return the distribution of all parameters, or of the groups where the data do not determine the scale."""

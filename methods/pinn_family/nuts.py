@@ -69,11 +69,11 @@ def sample(posterior: TrainedPosterior, fit: TrainedFit, rng: np.random.Generato
         for name, (r_hat, effective) in diagnostics.items()
         if not (r_hat <= R_HAT and effective >= EFFECTIVE)
     ]
-    remark = f"; the chains have not converged ({'; '.join(bad)})" if bad else "; the chains have converged"
+    remark = f"the chains have not converged ({'; '.join(bad)})" if bad else ""
     worst = np.array(list(diagnostics.values()))
     traces = {"r_hat": worst[:, 0], "effective_sample_size": worst[:, 1], "log_density": density[..., 0]}
     answer = posterior.from_draws(fit, draws, sum(gradients))
-    answer.reason, answer.history = fit.reason + remark, {**fit.history, **traces}
+    answer.reason, answer.history = "; ".join(filter(None, [fit.reason, remark])), {**fit.history, **traces}
     answer.draws = np.array([posterior.unknowns(z)[0] for z in draws])
     return answer
 

@@ -103,7 +103,7 @@ class FamilyAttempt(Attempt):
                     break
         loss.path.note(loss.first, z[None], loss.work)
         self.walk.evaluations[0] = self.walk.iterations[0] = loss.gradients
-        ended = "no further decrease was found" if loss.work < budget else "the budget of work was used up"
+        ended = "" if loss.work < budget else "the budget of work was used up"
         self.walk.reasons[0] = ended
 
     def _minimise(self, z: Tensor, last: bool) -> Tensor:
