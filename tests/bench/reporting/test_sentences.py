@@ -79,7 +79,7 @@ def test_the_excess_of_four_methods_is_that_of_table_5() -> None:
         ("free_decay", "four_are_on_the_bound", "table5", "method == 'mcmc' and snr_db == 10", "excess", 1.6),
         ("free_decay", "spline_is_as_good_as_the_network", "table5", "method == 'pinn' and snr_db == 5", "excess", 40),
         ("free_decay", "intervals_of_the_noise_hold", "calibration", "method == 'shooting'", "coverage_95", 0.7),
-        ("systems", "mcmc_under_a_step_and_the_spline_after_a_blow_are_off", "table6", "method == 'ekf'", "excess", 9),
+        ("systems", "mcmc_under_a_step_is_off", "table6", "method == 'ekf'", "excess", 9),
         ("open_split", "shooting_is_in_the_first_tier", "leaderboard", "part == 'beyond Nyquist'", "tier", 2),
         ("pinn_family", "no_weighting_is_nearer", "pinn_family", "row == 'causal'", "value", 0.1),
     ],
