@@ -140,6 +140,9 @@ def overview(r: Published, f: Facts) -> None:
 def free_decay(r: Published, f: Facts) -> None:
     """The methods on the bound in Table 5, what they cost, and the network beside a spline."""
     lines = r.rows("table5", method=ON_BOUND, metric=PRIMARY, snr_db=USUAL)
+    far = (
+        (lines.method == "mcmc") & (lines.metric == "rmse") & (lines.snr_db == 40) & (lines.initial_state == "unknown")
+    )
     both = r.rows("table5", method=("pinn", "collocation"), metric=PRIMARY)
     both = both.pivot(index=["initial_state", "snr_db", "metric"], columns="method", values="excess")
     apart = (both.pinn / both.collocation - 1).abs()
@@ -148,12 +151,12 @@ def free_decay(r: Published, f: Facts) -> None:
     quiet = time.index.get_level_values("snr_db") == 40
     spline = (time["collocation"] / time["pinn"]).to_numpy()
     coverage = r.rows("calibration", method=ON_BOUND, snr_db=(30, 20, 10), quantity=("k_over_m", "c_over_m"))
-    f.say(".2f", on_bound=lines.excess)
+    f.say(".2f", on_bound=lines.excess[~far], off_bound=lines.excess[far])
     f.say(on_bound_n=lines.n, spline_time=100 * spline, held=100 * coverage.coverage_95, held_n=coverage.n)
     f.say(".1g", spline_apart=100 * apart.max(), pinn_s_40_db=time[quiet]["pinn"])
     f.say(".1g", **{f"{name}_s": time[~quiet][name] for name in ON_BOUND})
     f.hold(
-        four_are_on_the_bound=lines.excess < NEAR,
+        one_row_of_four_is_off_the_bound=(lines.excess < NEAR) == ~far,
         spline_is_as_good_as_the_network=apart < 0.05,
         spline_is_cheaper=spline < 1,
         intervals_of_the_noise_hold=coverage.coverage_95.between(0.9, 0.98),

@@ -69,14 +69,23 @@ def test_the_excess_of_four_methods_is_that_of_table_5() -> None:
     lines = pd.read_csv(RESULTS / "table5.csv").query("snr_db >= 10 and metric in @sentences.PRIMARY")
     excess = lines[lines.method.isin(["shooting", "mcmc", "pinn", "collocation"])].excess
     assert len(excess) == 4 * 3 * 4 * 2  # methods, metrics, noise levels, initial states
-    assert known().numbers["on_bound"] == f"{excess.min():.2f} to {excess.max():.2f}"
+    largest = excess.nlargest(2).to_list()
+    assert known().numbers["on_bound"] == f"{excess.min():.2f} to {largest[1]:.2f}"
+    assert known().numbers["off_bound"] == f"{largest[0]:.2f}"
     assert printed([1.004, 0.996, 1.0], ".2f") == "1.00"
 
 
 @pytest.mark.parametrize(
     ("topic", "conclusion", "table", "lines", "column", "value"),
     [
-        ("free_decay", "four_are_on_the_bound", "table5", "method == 'mcmc' and snr_db == 10", "excess", 1.6),
+        (
+            "free_decay",
+            "one_row_of_four_is_off_the_bound",
+            "table5",
+            "method == 'mcmc' and snr_db == 10",
+            "excess",
+            1.6,
+        ),
         ("free_decay", "spline_is_as_good_as_the_network", "table5", "method == 'pinn' and snr_db == 5", "excess", 40),
         ("free_decay", "intervals_of_the_noise_hold", "calibration", "method == 'shooting'", "coverage_95", 0.7),
         ("systems", "mcmc_under_a_step_is_off", "table6", "method == 'ekf'", "excess", 9),
