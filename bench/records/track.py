@@ -69,10 +69,11 @@ class MeasuredFit:
         """Digest of all inputs of the fit except its time limit."""
         settings = {name: str(value) for name, value in self.job.settings().items()}
         method = self.job.config.method["name"]
+        entrant = load_method(method)
         parts = [
             ROWS, [field.name for field in fields(StatedInterval)], self.name, self.measured_set.definition(),
-            self.request.system, self.sibling, self.recording.sha256, method, load_method(method).version,
-            dict(load_method(method).parts), settings, self.job.config.seed,
+            self.request.system, self.sibling, self.recording.sha256, method, entrant.version,
+            dict(entrant.parts), settings, self.job.config.seed,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 

@@ -32,8 +32,8 @@ from bench import (
 )
 from methods.starts.band import are_even, natural_frequencies, values_of, with_band
 from methods.starts.candidates import candidates, screening
-from methods.starts.distinct_minima import ALIAS_MARGIN, APART, aliased
-from methods.starts.evidence import Basins, basins
+from methods.starts.distinct_minima import APART, aliased
+from methods.starts.evidence import Basins, basins, preferred
 from methods.starts.prior_guesses import sped_up
 from methods.starts.search_range import MOST_MODES, UP, expected_rate, is_unresolved, resolved_cycles
 
@@ -206,7 +206,7 @@ def _preferred(system: System, draws: Draws, places: np.ndarray, beyond: np.ndar
     of_draws = _place(system, dict(zip(draws.names, draws.samples.T, strict=True)))
     nearest = np.argmin(np.linalg.norm(of_draws[:, None] - places, axis=2), axis=1)
     counts = np.bincount(nearest, minlength=len(places))
-    index = int(np.argmax(counts * np.where(beyond, np.exp(-0.5 * ALIAS_MARGIN), 1.0)))
+    index = preferred(np.log(np.maximum(counts, 1e-300)), beyond)
     return index, nearest == index
 
 

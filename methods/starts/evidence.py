@@ -29,6 +29,11 @@ SAME_SDS = 3.0
 """Two ends of searches closer than this many standard deviations are the same maximum."""
 
 
+def preferred(log_weights: np.ndarray, beyond: np.ndarray) -> int:
+    """Return the index of the largest weight; one ``beyond`` half the sampling rate must be clearly larger."""
+    return int(np.argmax(log_weights - 0.5 * ALIAS_MARGIN * beyond))
+
+
 @dataclass(frozen=True, eq=False)
 class Basins:
     """Separate maxima of a posterior, best first: ``thetas`` (n, size), slopes (n, N, size), residuals (n, N).
@@ -46,12 +51,7 @@ class Basins:
 
         "Clearly" means by the odds of :data:`methods.starts.distinct_minima.ALIAS_MARGIN`.
         """
-        best = int(np.argmax(self.evidence))
-        resolved = np.flatnonzero(~aliased(model, self.thetas))
-        if not resolved.size:
-            return best
-        below = int(resolved[np.argmax(self.evidence[resolved])])
-        return below if self.evidence[below] + 0.5 * ALIAS_MARGIN >= self.evidence[best] else best
+        return preferred(self.evidence, aliased(model, self.thetas))
 
     @property
     def weights(self) -> np.ndarray:
@@ -75,8 +75,9 @@ def basins(models: Sequence[OutputError], starts: Sequence[np.ndarray]) -> list[
         point = batch.point(batch.settle(np.concatenate([starts[i] for i in places]), ROUNDS, ITERATIONS))
         residuals = batch.data - point.predicted
         profiles = batch.profile_of(point.theta, residuals)
-        found = batch.covariances(point, batch.noise(residuals, 0.0))
-        covariances = [_closed(quick[case], covariance) for case, covariance in zip(cases, found, strict=True)]
+        covariances = batch.covariances(point, batch.noise(residuals, 0.0))
+        limits = [_start_limits(model) for model in quick]
+        covariances = [_closed(each, limits[case]) for each, case in zip(covariances, cases, strict=True)]
         enough = batch.channel_of.size > batch.size + SPARE
         evidence = np.array([_log_evidence(*pair, enough) for pair in zip(profiles, covariances, strict=True)])
         for number, i in enumerate(places):
@@ -102,28 +103,34 @@ def _same(distance: np.ndarray, covariance: np.ndarray | None) -> bool:
     return bool(distance @ np.linalg.solve(covariance[: distance.size, : distance.size], distance) < SAME_SDS**2)
 
 
-def _closed(model: OutputError, covariance: np.ndarray | None) -> np.ndarray | None:
-    """Return a covariance; None where the data leave an initial state open.
+def _start_limits(model: OutputError) -> np.ndarray:
+    """Return the variances of all unknowns above which data leave an initial state open; infinite for the others.
 
     A velocity is compared with the motion's size at half the sampling rate, a displacement with that of one cycle in
     the record.
     """
-    if covariance is None or not model.unknown_starts:
-        return covariance
-    slow = 2.0 * np.pi / max(record.duration for record in model.problem.records)
-    fast = 2.0 * np.pi * max(resolved_cycles(record) for record in model.problem.records)
-    orders = np.array([ORDER[channel.measures] for _, channel in model.channels])
-    size = float(np.max(model.rms * slow ** (-orders)))
-    k, n = len(model.free), model.system.n_dof
-    of_starts = np.diag(covariance)[k : k + 2 * n * len(model.unknown_starts)].reshape(-1, 2, n)
-    return covariance if np.all(of_starts < (OPEN * size * np.array([1.0, fast]))[:, None] ** 2) else None
+    limits = np.full(model.size, np.inf)
+    if model.unknown_starts:
+        slow = 2.0 * np.pi / max(record.duration for record in model.problem.records)
+        fast = 2.0 * np.pi * max(resolved_cycles(record) for record in model.problem.records)
+        orders = np.array([ORDER[channel.measures] for _, channel in model.channels])
+        size = float(np.max(model.rms * slow ** (-orders)))
+        k, of_record = len(model.free), np.repeat((OPEN * size * np.array([1.0, fast])) ** 2, model.system.n_dof)
+        n = of_record.size * len(model.unknown_starts)
+        limits[k : k + n] = np.tile(of_record, len(model.unknown_starts))
+    return limits
+
+
+def _closed(covariance: np.ndarray | None, limits: np.ndarray) -> np.ndarray | None:
+    """Return a covariance; None where a variance is not below its limit."""
+    return covariance if covariance is not None and np.all(np.diag(covariance) < limits) else None
 
 
 def log_evidence(model: OutputError, theta: np.ndarray) -> float:
     """Return the log-evidence of a maximum up to a constant; minus infinity where it has no covariance."""
     predicted, slopes = model.jacobian(theta)
     residuals = model.data - predicted
-    covariance = _closed(model, model.covariance(slopes, model.noise(residuals, 0.0)))
+    covariance = _closed(model.covariance(slopes, model.noise(residuals, 0.0)), _start_limits(model))
     return _log_evidence(model.profile_of(theta, residuals), covariance, model.data.size > model.size + SPARE)
 
 

@@ -18,6 +18,9 @@ import numpy as np
 
 from bench import SDOF, Force, simulate
 
+RATE_STEP = 1e-3
+"""Step of the differences that give the derivatives by d and w, over the size of the rate."""
+
 
 def forced_dofs(forces: Sequence[Force]) -> tuple[int, ...]:
     """Return the degrees of freedom that a force acts on."""
@@ -44,10 +47,6 @@ def forced_motion(forces: Sequence[Force], rates: np.ndarray, times: np.ndarray)
         x, v = (part[0][..., places] for part in (motion.displacement, motion.velocity))
         by_dof.append(np.stack([x, v, push - p["c"][..., None] * v - p["k"][..., None] * x], axis=-2))
     return np.stack(by_dof, axis=-1)
-
-
-RATE_STEP = 1e-3
-"""Step of the differences that give the derivatives by d and w, over the size of the rate."""
 
 
 def motion_and_derivatives(forces: Sequence[Force], rate: complex, times: np.ndarray) -> np.ndarray:
