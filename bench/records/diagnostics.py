@@ -212,7 +212,7 @@ def _lines(fit: LinearisedFit, problem: Problem) -> tuple[list[Reason], tuple[Of
         if len(modes) < 2:
             return reasons, ()
         names = " and ".join(
-            f"{mode.frequency:.4g} Hz (damping ratio {100.0 * mode.damping_ratio:.3g} %)" for mode in modes
+            f"{mode.frequency:.4g} Hz (damping ratio {100.0 * mode.damping_ratio + 0.0:.3g} %)" for mode in modes
         )
         text = f"the record has modes at {names}: add modes={len(modes)}; {reasons[0].text}"
         return [Reason(reasons[0].verdict, text)], modes

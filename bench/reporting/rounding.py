@@ -23,7 +23,7 @@ def number(value: float) -> str:
         return "-"
     if math.isinf(value):
         return "failed"
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.3e}"
+    return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.3e}"  # adding zero: no -0
 
 
 def excess_text(value: float) -> str:

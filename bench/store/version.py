@@ -92,6 +92,8 @@ def described_version(description: Mapping[str, Any]) -> Version:
     if method in REFERENCES:
         return version
     loaded = load_method(method)
+    for unknown in sorted(set(loaded.parts) - set(CONDITIONS)):
+        raise InputError("method", method, f"its parts name {unknown}; conditions are {', '.join(CONDITIONS)}")
     parts = tuple((name, number) for name, number in loaded.parts.items() if CONDITIONS[name](description))
     card = getattr(loaded, "card", None)
     supplied = {}

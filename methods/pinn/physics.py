@@ -174,7 +174,9 @@ class PhysicsInformed(PhysicsSettings, SearchingIdentifier):
         remarks, system, violation = [best.reason], task.scaled.system, task.violation(best)
         if task.given_up:
             remarks.append("the data do not determine a parameter: a very wide prior was used, a factor of 20")
-        if not violation < VIOLATED:
+        if not np.isfinite(violation):
+            remarks.append("a simulation with these parameters diverges: the response violates the equation of motion")
+        elif not violation < VIOLATED:
             remarks.append(
                 f"a simulation with these parameters fits worse than the smooth response, as after an error of "
                 f"{violation:.1f} standard deviations: the response violates the equation of motion, and intervals are "

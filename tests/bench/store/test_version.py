@@ -12,6 +12,7 @@ from stored import described, save, scored
 from bench import scoring
 from bench.commands.status import standings, store_page
 from bench.entrants.registry import load_method, method_names
+from bench.errors import InputError
 from bench.store.bounds import bound_version
 from bench.store.store import Store
 from bench.store.version import NUMBERS, cell_version, described_version
@@ -82,3 +83,9 @@ def test_a_change_under_a_condition_leaves_other_cells_current(monkeypatch: pyte
     assert forced.changed_since(before) == "forces version not stated, today 2"
     unknown = described_version({**free, "told": {"initial_state": "unknown", "prior": None}})
     assert unknown.as_json() == {**before, "unknown_start": 3}
+
+
+def test_a_method_that_names_an_unknown_condition_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load_method("ls"), "parts", {"weather": 2})
+    with pytest.raises(InputError, match="its parts name weather; conditions are forces, prior, unknown_start"):
+        described_version({"method": "ls", "settings": {}, "data": {"system": "sdof"}, "told": {}})

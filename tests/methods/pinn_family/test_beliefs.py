@@ -196,7 +196,7 @@ def test_nuts_draws_are_those_of_the_nearly_normal_posterior_of_a_spline() -> No
     mode, covariance = with_unit_prior(posterior)
     with torch.no_grad():
         answer = nuts.sample(posterior, computed, np.random.default_rng(0))
-    assert "have converged" in answer.reason
+    assert not answer.reason  # chains that have not converged would be said here
     draws = answer.draws
     assert draws.shape == (nuts.CHAINS * nuts.DRAWS, 3)
     for weights in (K_OVER_M, C_OVER_M):
