@@ -21,15 +21,17 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 60, "lbfgs_steps": 60},
 }
 NAMES = sorted({*registered(), *VARIANTS})
-LONG = ("nuts", "pinn_adam")
-"""Of these most checks are slow: one compiles anew for each layout, the other descends."""
-OF_ONE_FIT = ("card", "imports", "answer", "dead channel", "dead channel, unknown initial state", "pickling", "time")
+WITHOUT_FIT = ("card", "imports", "pickling")
+OF_ONE_FIT = (*WITHOUT_FIT, "answer", "dead channel", "dead channel, unknown initial state", "time")
+QUICK = {"nuts": WITHOUT_FIT, "pinn_adam": OF_ONE_FIT}
+"""Of these the other checks are slow: one compiles anew for each layout, the other descends."""
 IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")
 """Methods for which the start of another process is worth its time in the quick tests."""
 
 
 def is_slow(name: str, check: Check) -> bool:
-    return (name in LONG and check.name not in OF_ONE_FIT) or (check.name == "state" and name not in IN_ANOTHER_PROCESS)
+    of_another = check.name == "state" and name not in IN_ANOTHER_PROCESS
+    return of_another or (name in QUICK and check.name not in QUICK[name])
 
 
 @pytest.fixture(scope="module")

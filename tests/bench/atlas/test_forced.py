@@ -57,6 +57,7 @@ def test_a_pulse_falls_to_half_at_its_bandwidth() -> None:
     assert np.interp(2.0, ratios, sizes) / sizes[0] == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.slow
 def test_its_methods_can_be_made_and_the_command_writes_it(tmp_path, capsys) -> None:
     assert {task.label for task in atlas_blocks(SAMPLED, test="forced")} == set(atlas_methods("forced"))
     given = [f"store={tmp_path / 'store'}", f"out={tmp_path / 'out'}", "test=forced", "part=points", "points=2"]

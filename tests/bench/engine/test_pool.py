@@ -86,7 +86,8 @@ run_tasks([Deed(f"{i:02d}", "slow") for i in range(60)], Path(sys.argv[2]), Limi
 """
 
 
-@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kills", [2, 10])
 def test_a_driver_that_is_killed_loses_nothing_and_repeats_only_what_was_under_way(tmp_path: Path, kills: int) -> None:
     command = [sys.executable, "-c", DRIVER, str(HERE), str(tmp_path)]
     for n in range(kills):

@@ -271,9 +271,8 @@ def test_ones_own_cell_is_not_replaced_by_a_submitted_one_but_replaces_it(
     assert not any(stored.submitted for stored in into)
 
 
-@pytest.mark.parametrize(("method", "status", "words"), [
-    ("enumerate", 1, "they differ"), pytest.param("ls", 0, "they agree", marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "status", "words"), [("enumerate", 1, "they differ"), ("ls", 0, "they agree")])
 def test_a_method_that_knows_public_data_is_found_on_fresh_ones(
     method: str, status: int, words: str, python: Python, tmp_path: Path
 ) -> None:

@@ -320,6 +320,7 @@ def test_of_cells_that_differ_in_settings_the_usual_one_is_shown_and_odd_noise_l
     assert {cell.snr_db for cell in Gallery(store).main} == {20.0, 10.0}
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_says_why(store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of one method, all but failures, two masses and a family; of failed fits, the failures alone."""
     fill(store, ["pinn"])

@@ -192,9 +192,8 @@ def test_where_nothing_moves_the_status_says_so() -> None:
     assert set(status[1500:]) == {"at_rest"}
 
 
-@pytest.mark.parametrize(
-    "name", ["ekf", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ukf", "square_root", "imm"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ekf", "ukf", "square_root", "imm"])
 def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubles_the_stiffness(name) -> None:
     values, frequency = blown(3, 2.0)
     values = values + 9.81  # an accelerometer shows its weight
