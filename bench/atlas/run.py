@@ -24,6 +24,7 @@ from bench.atlas.statistics import PointBound, Statistics, columns, score_fit, s
 from bench.contract.estimate import Estimate, Status
 from bench.contract.method import Identifier
 from bench.contract.problem import Problem
+from bench.entrants.registry import GROUP as METHODS
 from bench.entrants.registry import make_method
 from bench.errors import InputError
 from bench.information.fisher import compute_bound
@@ -33,6 +34,7 @@ from bench.scenario.scenario import METHOD
 from bench.store.cell import scenario_description
 from bench.store.results import read_result, write_result
 from bench.store.version import described_version
+from bench.systems import GROUP as SYSTEMS
 
 LIMIT_S = 60.0
 """Time limit of a fit (s)."""
@@ -55,15 +57,22 @@ class PointBlock:
         """Digest of points, method with settings, versions, seed and replicates."""
         points = [point.numbers() for point in self.points]
         parts = [points, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
-        described = scenario_description(self.points[0].scenario())
-        version = described_version({"method": self.method, "settings": self.settings, **described}).as_json()
-        text = json.dumps([version, *parts], sort_keys=True)
+        told = [scenario_description(point.scenario()) for point in self.points]
+        versions = [
+            described_version({"method": self.method, "settings": self.settings, **one}).as_json() for one in told
+        ]
+        text = json.dumps([versions, *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
     @property
     def kind(self) -> tuple[str, str]:
         """The label of the method and the kind of test."""
         return self.label, type(self.points[0]).__name__
+
+    @property
+    def used(self) -> set[tuple[str, str]]:
+        """The method and the system."""
+        return {(METHODS, self.method), (SYSTEMS, self.points[0].scenario().system)}
 
     @property
     def quantities(self) -> tuple[str, ...]:

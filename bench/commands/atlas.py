@@ -75,6 +75,8 @@ def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: 
     out, slices = work.out, [s for s in atlas_slices(test) if s.name in blocks]
     frames = [(s, atlas_frame(blocks[s.name], work.store)) for s in slices]
     stored = [(s, frame) for s, frame in frames if not frame.empty]
+    for s, _ in stored:
+        work.write_versions(f"atlas_{s.name}", blocks[s.name])
     paths = [write_compressed(frame, out / f"atlas_{s.name}.csv.gz") for s, frame in stored]
     if SAMPLED in blocks:
         frame = atlas_frame(blocks[SAMPLED], work.store)
@@ -82,6 +84,7 @@ def _write(test: str, blocks: dict[str, list[PointBlock]], work: Work, command: 
             raise InputError("store", work.store, "no finished blocks; leave fit=false out to compute them")
         page = next(page for page in PAGES if page.kind is TESTS[test])
         paths += [*write_atlas(frame, page, out, command)]
+        work.write_versions(page.name, blocks[SAMPLED])
     if TESTS[test] is FreeDecay:
         paths += [path for pair in stored for path in save(draw_atlas(*pair), out / "figures")]
     print(*paths, sep="\n")

@@ -58,6 +58,7 @@ def measured(
     for file, content in track_table(panels, COMMAND).items():
         write(out / file, content)
         print(out / file)
+    work.write_versions("table11", [task for of_set in fits.values() for task in of_set])
     return 0
 
 

@@ -54,6 +54,7 @@ def modal(
         folder = tex if name.endswith(".tex") else out
         write(folder / name, text, folder)
         print(folder / name)
+    work.write_versions("table12", [task for tasks in fits.values() for task in tasks])
     return 0
 
 

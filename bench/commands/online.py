@@ -78,6 +78,7 @@ def online(
     work = Work(store, out or (OWN if system else Path("results")), Limits(workers or usable_cores()), fit, dry_run)
     if work.complete(in_order(trackings), "run"):
         _write(trackings, refused, store, work.out)
+        work.write_versions("table10", in_order(trackings))
     return 0
 
 

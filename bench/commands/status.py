@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 from bench.commands.declaration import Others
@@ -21,6 +22,7 @@ from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored_cell import CellHead
+from bench.store.table_versions import changed_tables, read_versions
 from bench.store.version import described_version
 from bench.systems import registered_systems
 
@@ -70,6 +72,7 @@ def store_page(store: Store) -> str:
     ]  # fmt: skip
     if store.archive is not None:
         lines.append(f"published archive: {store.archive.folder} ({len(cells) - computed} cells)")
+        lines += tables_lines(store.archive.folder.parent)
     for state in (CellState.STALE.value, CellState.FAILED.value, FOREIGN, CellState.DAMAGED.value):
         reasons = Counter(why for _, cell_state, why in cells if cell_state == state)
         for why, n in reasons.most_common(MOST_REASONS):
@@ -77,6 +80,20 @@ def store_page(store: Store) -> str:
             named = f" ({', '.join(labels)})" if labels else ""
             lines.append(wrapped(f"{state}: {n} x {shortened(why)}{named}", "    ", "  "))
     return "\n".join(lines)
+
+
+def tables_lines(folder: Path) -> list[str]:
+    """Return lines about tables that are not made of cells: how many there are, and which are stale and why."""
+    tables, stale = {line.table for line in read_versions(folder)}, list(changed_tables(folder))
+    if not tables:
+        return []
+    count = len({line.table for line in stale})
+    lines = [f"tracks and atlas: {len(tables)} table(s), {count or 'none'} stale"]
+    for name, version, today in sorted({(line.name, line.version, line.today) for line in stale}):
+        named = ", ".join(sorted({line.table for line in stale if (line.name, line.version) == (name, version)}))
+        why = f"stale: {name} version {version}, today {today or 'not installed'} ({named})"
+        lines.append(wrapped(why, "    ", "  "))
+    return lines
 
 
 def status(

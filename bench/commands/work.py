@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Protocol
 
 from bench.commands.log import LOG
 from bench.config.fields import MOST_WORKERS
 from bench.engine.pool import Limits, StoredTask, print_line, run_tasks
 from bench.engine.progress import progress_bar
-from bench.reporting.whole_file import check_folder
+from bench.reporting.whole_file import check_folder, write
 from bench.scenario.declaration import Within
+from bench.store.table_versions import FILE, with_table
 
 Workers = Annotated[int | None, Within(ge=1, le=MOST_WORKERS), "worker processes [one per core]"]
 Fit = Annotated[bool, "false: compute nothing, write the stored results"]
 DryRun = Annotated[bool, "only count the tasks to do"]
+
+
+class VersionedTask(StoredTask, Protocol):
+    """A task that names the registered classes that it uses."""
+
+    @property
+    def used(self) -> set[tuple[str, str]]:
+        """Groups and names of entry points."""
 
 
 @dataclass(frozen=True)
@@ -61,3 +70,7 @@ class Work:
                 if error := errors.get(task.key):
                     print_line(f"{' '.join(task.kind)}: {error}")
         return True
+
+    def write_versions(self, table: str, tasks: Iterable[VersionedTask]) -> None:
+        """Write the versions of the methods and systems of a table, next to it."""
+        write(self.out / FILE, with_table(self.out, table, {one for task in tasks for one in task.used}), self.out)

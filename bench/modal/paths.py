@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from bench.entrants.modal import load_modal, make_modal
+from bench.entrants.modal import GROUP, load_modal, make_modal
 from bench.modal.scenario import ModalScenario
 from bench.store.results import read_result, write_result
 
@@ -42,6 +42,11 @@ class TrackFit:
     def kind(self) -> tuple[str, str]:
         """The method and the scenario."""
         return self.method, self.scenario.label
+
+    @property
+    def used(self) -> set[tuple[str, str]]:
+        """The method."""
+        return {(GROUP, self.method)}
 
     def read(self, folder: Path) -> dict[str, Any] | None:
         """Return the stored fit; None if there is none."""

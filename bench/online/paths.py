@@ -13,13 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from bench.entrants.online import GROUP as TRACKERS
 from bench.entrants.online import make_online
+from bench.entrants.registry import GROUP as METHODS
 from bench.entrants.registry import load_method
 from bench.isolation.machine import compiled_single_threaded
 from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
 from bench.store.results import read_result, write_result
 from bench.store.version import bound_version
+from bench.systems import GROUP as SYSTEMS
 
 LIMIT_S = 86400.0
 """Time limit of a path (s); a slow batch method on moving windows takes hours."""
@@ -69,6 +72,14 @@ class OnlinePath:
     def kind(self) -> tuple[str, str]:
         """The labels of method and scenario."""
         return self.tracking.label or self.tracking.method, self.tracking.scenario.label
+
+    @property
+    def used(self) -> set[tuple[str, str]]:
+        """The tracker, or the batch method in its windows, and the system."""
+        t = self.tracking
+        batch = getattr(make_online(t.method, t.settings), "batch", None)
+        method = (TRACKERS, t.method) if batch is None else (METHODS, batch)
+        return {method, (SYSTEMS, t.scenario.system)}
 
     def stored(self, folder: Path) -> bool:
         """Return whether a complete path is stored."""

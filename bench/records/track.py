@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bench.config.schema import Job
-from bench.entrants.registry import load_method
+from bench.entrants.registry import GROUP, load_method
 from bench.errors import InputError
 from bench.records.identification import identify_all
 from bench.records.intervals import StatedInterval
@@ -81,6 +81,11 @@ class MeasuredFit:
     def kind(self) -> tuple[str, str]:
         """The method and the sibling."""
         return self.job.label, f"{self.name} {self.request.system}, {self.sibling}"
+
+    @property
+    def used(self) -> set[tuple[str, str]]:
+        """The method."""
+        return {(GROUP, self.job.config.method["name"])}
 
     @property
     def limit_s(self) -> float:

@@ -38,6 +38,7 @@ from bench.reporting.pictures.png import caption_of
 from bench.reporting.tables.leaderboard import parts
 from bench.store.store import Store
 from bench.store.stored_cell import unmarked
+from bench.store.table_versions import changed_tables, read_versions
 
 NAV = {
     "Home": "index.md", "Which method?": "which_method.md", "Can I trust this?": "trust.md",
@@ -276,11 +277,13 @@ def pictures(folder: Path) -> list[dict[str, Any]]:
 
 
 def trust_values(site: Site) -> dict[str, Any]:
-    """Return the values of "Can I trust this?": commits, stale and missing cells, and failed fits."""
+    """Return the values of "Can I trust this?": commits, what is stale or missing, and failed fits."""
     cells, shown = origin.cells_of(site.reading.stored), [result for panel in site.panels for result in panel.results]
     return {
         "cells": cells, "hidden": site.reading.hidden, "experiments": origin.experiments(cells),
         "commits": origin.commits_here(cells), "failures": origin.failed_fits(shown),
+        "tables": len({line.table for line in read_versions(site.results)}),
+        "changed": list(changed_tables(site.results)),
         "groups": {
             "Reasons for stale cells": origin.counted(cells, "changed"), "Commits": origin.counted(cells, "commit"),
         },
