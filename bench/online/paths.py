@@ -40,11 +40,11 @@ class Tracking:
     label: str = ""
 
     @cached_property
-    def versions(self) -> list[int]:
+    def versions(self) -> list[Any]:
         """The versions of the method, of the batch method that it repeats (if any), of system and scoring."""
         method = make_online(self.method, self.settings)
         batch = getattr(method, "batch", None)
-        repeated = [load_method(batch).version] if isinstance(batch, str) else []
+        repeated = [load_method(batch).version, dict(load_method(batch).parts)] if isinstance(batch, str) else []
         return [method.version, *repeated, *bound_version(self.scenario.system)]
 
     def paths(self) -> list[OnlinePath]:
