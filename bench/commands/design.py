@@ -36,10 +36,23 @@ def wanted(text: str) -> tuple[str, float]:
     return quantity, percentage(error)
 
 
-def uncertain(text: str) -> Uncertain:
-    """Read a positive number with or without a standard deviation: ``2`` or ``2:10%``."""
+def rate(text: str) -> Uncertain:
+    """Read a frequency (Hz) with or without a standard deviation: ``2``, ``2Hz`` or ``2:10%``."""
     value, colon, deviation = text.partition(":")
-    return value_of(Size, value, ""), percentage(deviation) if colon else 0.0
+    return value_of(Size, value.removesuffix("Hz").rstrip(), ""), percentage(deviation) if colon else 0.0
+
+
+def ratio(text: str) -> float:
+    """Read a damping ratio: ``0.02`` or ``2%``."""
+    if text.endswith("%"):
+        return percentage(text)
+    return value_of(Annotated[float, Within(gt=0, le=100)], text, "")  # type: ignore[no-any-return]
+
+
+def uncertain_ratio(text: str) -> Uncertain:
+    """Read a damping ratio with or without a standard deviation: ``0.02`` or ``2%:50%``."""
+    value, colon, deviation = text.partition(":")
+    return ratio(value), percentage(deviation) if colon else 0.0
 
 
 def length(text: str) -> float:
@@ -63,8 +76,8 @@ def methods() -> Sequence[str]:
 Want = Annotated[
     tuple[str, float], Parsed(wanted), f"<quantity>:<error>%, a standard deviation, of {', '.join(QUANTITIES)}"
 ]
-Frequency = Annotated[Uncertain, Parsed(uncertain), "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
-Damping = Annotated[Uncertain, Parsed(uncertain), "damping ratio, 0.02 or 0.02:50% with its uncertainty"]
+Frequency = Annotated[Uncertain, Parsed(rate), "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
+Damping = Annotated[Uncertain, Parsed(uncertain_ratio), "damping ratio, 0.02, 2% or 2%:50% with its uncertainty"]
 Noise = Annotated[float, Parsed(length), "standard deviation of a sample, as 0.5mm"]
 Amplitude = Annotated[float, Parsed(length), "initial displacement, as 1cm"]
 Duration = Annotated[Size, "duration (s)"]
@@ -177,7 +190,7 @@ def longer(
 def expected(
     samples: Annotated[int, Within(ge=4, le=100_000), "number of samples of the displacement, evenly spread"],
     cycles: Annotated[float, Within(gt=0, le=1e6), "undamped periods in the record"],
-    damping: Annotated[float, Within(gt=0, le=100), "damping ratio"],
+    damping: Annotated[float, Parsed(ratio), "damping ratio, 0.02 or 2%"],
     snr: Annotated[float, Within(gt=-100, le=300), "mean square of the clean samples over the noise's variance (dB)"],
     phase: Annotated[float, "initial phase (degrees): 0 released from rest, 90 after an impact"] = 0.0,
     initial_state: Annotated[Literal["unknown", "known"], "whether methods are given the initial state"] = "unknown",

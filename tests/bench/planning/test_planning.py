@@ -115,6 +115,17 @@ def test_a_mistype_is_one_line(field: str, said: str, capsys: pytest.CaptureFixt
     assert len(error) == 1
 
 
+def test_units_of_frequency_and_damping_may_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for frequency, damping in (("2", "0.02"), ("2Hz", "2%"), ("2 Hz:0.1%", "2%:0.1%")):
+        words = ["want=c_over_m:5%", f"frequency={frequency}", f"damping={damping}", "noise=0.5mm"]
+        assert main(["design", *words, "amplitude=1cm", "samples=100", "duration=5"]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1] != ""
+    assert main(["design", "samples=50", "cycles=5", "damping=-2%", "snr=20"]) == 2
+    assert "damping=-2%" in capsys.readouterr().err
+
+
 def test_a_damping_that_is_found_to_be_nothing_does_not_spoil_the_stiffness() -> None:
     """Nine samples of a lightly damped motion often fit best without damping."""
     found = simulate_decays(
