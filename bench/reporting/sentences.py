@@ -311,6 +311,9 @@ UNCERTAINTY = {
     "deep ensemble": "ensemble", "Monte-Carlo dropout": "dropout",
 }  # fmt: skip
 
+PLAIN_TRAINING = "pinn_family optimizer=lm"
+"""Label of the training with all settings at their defaults."""
+
 
 def pinn_family(r: Published, f: Facts) -> None:
     """Trainings side by side: weightings and intervals at 20 dB, initial state known; accuracy in all cases."""
@@ -328,7 +331,7 @@ def pinn_family(r: Published, f: Facts) -> None:
     fits["error"] = np.hypot(*(fits[name] / fits.identity.map(bounds[name]) for name in (K, C)))
     errors = fits.pivot_table("error", ["snr_db", "initial_state", "replicate"], "label", "first")
     errors = errors.filter(regex="^(pinn_family|rival_)")
-    pairs = [errors[[name, "pinn_family"]].dropna() for name in errors.columns.drop("pinn_family")]
+    pairs = [errors[[name, PLAIN_TRAINING]].dropna() for name in errors.columns.drop(PLAIN_TRAINING)]
     pairs = [pair for pair in pairs if len(pair) >= 20 and pair.diff(axis=1).iloc[:, 1].any()]
     p_better = np.array([wilcoxon(*pair.to_numpy().T, alternative="less").pvalue for pair in pairs])
     f.say(".2f", weighting_paper=paper, weighting_ours=noise)
