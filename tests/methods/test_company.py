@@ -30,6 +30,8 @@ METHODS = {
     "output_error": SingleShooting(),
     "shooting": Shooting(),
 }
+ALIKE = ("ls_spline", "rls", "shooting")
+"""What is quick enough for the quick tests stands for these."""
 SEARCHES = ("output_error", "shooting")
 """Their fits take long: fewer problems."""
 
@@ -77,7 +79,7 @@ def numbers(estimate: Estimate) -> list[np.ndarray]:
     return [*computed, *responses, *estimate.traces.values()]
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ALIKE)) for name in METHODS])
 def test_an_answer_is_the_same_alone_and_in_company(name: str) -> None:
     method: Identifier = METHODS[name]
     problems = mixed()[2:8:2] + configured("system=duffing") if name in SEARCHES else mixed()

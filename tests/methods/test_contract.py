@@ -21,8 +21,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "pinn_adam": {"name": "pinn", "optimizer": "adam_lbfgs", "slack": 0.5, "adam_steps": 60, "lbfgs_steps": 60},
 }
 NAMES = sorted({*registered(), *VARIANTS})
-WITHOUT_FIT = ("card", "imports", "pickling")
-OF_ONE_FIT = (*WITHOUT_FIT, "answer", "dead channel", "dead channel, unknown initial state", "time")
+WITHOUT_FIT = ("card", "imports")
+OF_ONE_FIT = (*WITHOUT_FIT, "pickling", "answer", "dead channel", "dead channel, unknown initial state", "time")
 QUICK = {"nuts": WITHOUT_FIT, "pinn_adam": OF_ONE_FIT}
 """Of these the other checks are slow: one compiles anew for each layout, the other descends."""
 IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")

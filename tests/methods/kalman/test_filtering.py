@@ -325,6 +325,7 @@ def test_a_value_without_noise_leaves_no_negative_variance() -> None:
     assert np.all(np.linalg.eigvalsh(computed) > -1e-17)
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("system", ["sdof", "duffing"])
 def test_nodes_with_several_samples_give_the_same_answer(

@@ -62,6 +62,7 @@ def test_little_noise_gives_the_answer_of_the_likelihood_and_its_standard_errors
         assert mode.share == pytest.approx(other.share, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REALISATIONS)
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_intervals_hold_at_white_and_at_coloured_noise(name: str, colour: float) -> None:
