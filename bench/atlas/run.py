@@ -57,10 +57,9 @@ class PointBlock:
         """Digest of points, method with settings, versions, seed and replicates."""
         points = [point.numbers() for point in self.points]
         parts = [points, self.method, self.settings, self.replicates, self.seed, columns(self.quantities), LIMIT_S]
-        told = [scenario_description(point.scenario()) for point in self.points]
-        versions = [
-            described_version({"method": self.method, "settings": self.settings, **one}).as_json() for one in told
-        ]
+        method = {"method": self.method, "settings": self.settings}
+        scenarios = [scenario_description(point.scenario()) for point in self.points]
+        versions = [described_version({**method, **scenario}).as_json() for scenario in scenarios]
         text = json.dumps([versions, *parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 

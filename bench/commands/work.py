@@ -73,4 +73,4 @@ class Work:
 
     def write_versions(self, table: str, tasks: Iterable[VersionedTask]) -> None:
         """Write the versions of the methods and systems of a table, next to it."""
-        write(self.out / FILE, with_table(self.out, table, {one for task in tasks for one in task.used}), self.out)
+        write(self.out / FILE, with_table(self.out, table, {entry for task in tasks for entry in task.used}), self.out)

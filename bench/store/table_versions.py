@@ -55,7 +55,7 @@ def read_versions(folder: Path) -> list[TableVersion]:
 def with_table(folder: Path, table: str, used: Iterable[tuple[str, str]]) -> str:
     """Return the text of the file with today's versions of a table, which is computed with ``used``: group, name."""
     kept = [line for line in read_versions(folder) if line.table != table]
-    lines = [*kept, *(TableVersion(table, *one, version_text(*one)) for one in set(used))]
+    lines = [*kept, *(TableVersion(table, *entry, version_text(*entry)) for entry in set(used))]
     content = io.StringIO()
     csv.writer(content, lineterminator="\n").writerows([HEADING.split(","), *sorted(lines)])
     return content.getvalue()
