@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -36,10 +36,9 @@ def wanted(text: str) -> tuple[str, float]:
     return quantity, percentage(error)
 
 
-def rate(text: str) -> Uncertain:
-    """Read a frequency (Hz) with or without a standard deviation: ``2``, ``2Hz`` or ``2:10%``."""
-    value, colon, deviation = text.partition(":")
-    return value_of(Size, value.removesuffix("Hz").rstrip(), ""), percentage(deviation) if colon else 0.0
+def hertz(text: str) -> float:
+    """Read a frequency (Hz): ``2`` or ``2Hz``."""
+    return value_of(Size, text.removesuffix("Hz").rstrip(), "")  # type: ignore[no-any-return]
 
 
 def ratio(text: str) -> float:
@@ -49,10 +48,14 @@ def ratio(text: str) -> float:
     return value_of(Annotated[float, Within(gt=0, le=100)], text, "")  # type: ignore[no-any-return]
 
 
-def uncertain_ratio(text: str) -> Uncertain:
-    """Read a damping ratio with or without a standard deviation: ``0.02`` or ``2%:50%``."""
-    value, colon, deviation = text.partition(":")
-    return ratio(value), percentage(deviation) if colon else 0.0
+def uncertain(read: Callable[[str], float]) -> Callable[[str], Uncertain]:
+    """Return a reader of a value with or without a standard deviation: ``2`` or ``2:10%``."""
+
+    def read_both(text: str) -> Uncertain:
+        value, colon, deviation = text.partition(":")
+        return read(value), percentage(deviation) if colon else 0.0
+
+    return read_both
 
 
 def length(text: str) -> float:
@@ -76,8 +79,8 @@ def methods() -> Sequence[str]:
 Want = Annotated[
     tuple[str, float], Parsed(wanted), f"<quantity>:<error>%, a standard deviation, of {', '.join(QUANTITIES)}"
 ]
-Frequency = Annotated[Uncertain, Parsed(rate), "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
-Damping = Annotated[Uncertain, Parsed(uncertain_ratio), "damping ratio, 0.02, 2% or 2%:50% with its uncertainty"]
+Frequency = Annotated[Uncertain, Parsed(uncertain(hertz)), "natural frequency (Hz), 2 or 2:10% with its uncertainty"]
+Damping = Annotated[Uncertain, Parsed(uncertain(ratio)), "damping ratio, 0.02, 2% or 2%:50% with its uncertainty"]
 Noise = Annotated[float, Parsed(length), "standard deviation of a sample, as 0.5mm"]
 Amplitude = Annotated[float, Parsed(length), "initial displacement, as 1cm"]
 Duration = Annotated[Size, "duration (s)"]

@@ -76,9 +76,10 @@ def online(
     scenarios = _scenarios(scenario, system, stated, varying)
     trackings, refused = _trackings(scenarios, method, replicates, seed)
     work = Work(store, out or (OWN if system else Path("results")), Limits(workers or usable_cores()), fit, dry_run)
-    if work.complete(in_order(trackings), "run"):
+    paths = in_order(trackings)
+    if work.complete(paths, "run"):
         _write(trackings, refused, store, work.out)
-        work.write_versions("table10", in_order(trackings))
+        work.write_versions("table10", paths)
     return 0
 
 

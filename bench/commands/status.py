@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +22,7 @@ from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored_cell import CellHead
-from bench.store.table_versions import changed_tables, read_versions
+from bench.store.table_versions import read_versions
 from bench.store.version import described_version
 from bench.systems import registered_systems
 
@@ -84,15 +84,16 @@ def store_page(store: Store) -> str:
 
 def tables_lines(folder: Path) -> list[str]:
     """Return lines about tables that are not made of cells: how many there are, and which are stale and why."""
-    tables, stale = {line.table for line in read_versions(folder)}, list(changed_tables(folder))
-    if not tables:
+    versions, tables_of = read_versions(folder), defaultdict[str, set[str]](set)
+    for line in versions:
+        if line.changed:
+            tables_of[line.changed].add(line.table)
+    if not versions:
         return []
-    count = len({line.table for line in stale})
-    lines = [f"tracks and atlas: {len(tables)} table(s), {count or 'none'} stale"]
-    for name, version, today in sorted({(line.name, line.version, line.today) for line in stale}):
-        named = ", ".join(sorted({line.table for line in stale if (line.name, line.version) == (name, version)}))
-        why = f"stale: {name} version {version}, today {today or 'not installed'} ({named})"
-        lines.append(wrapped(why, "    ", "  "))
+    count = len(set().union(*tables_of.values()))
+    lines = [f"tracks and atlas: {len({line.table for line in versions})} table(s), {count or 'none'} stale"]
+    for why, tables in sorted(tables_of.items()):
+        lines.append(wrapped(f"stale: {why} ({', '.join(sorted(tables))})", "    ", "  "))
     return lines
 
 

@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from bench import scoring
+from bench.contract.online import OnlineIdentifier
 from bench.entrants.online import GROUP as TRACKERS
 from bench.entrants.online import make_online
 from bench.entrants.registry import GROUP as METHODS
-from bench.entrants.registry import load_method
 from bench.isolation.machine import compiled_single_threaded
 from bench.online.follow import Followed, follow
 from bench.online.scenario import OnlineScenario
 from bench.store.results import read_result, write_result
-from bench.store.version import bound_version
+from bench.store.table_versions import version_text
 from bench.systems import GROUP as SYSTEMS
 
 LIMIT_S = 86400.0
@@ -40,12 +41,20 @@ class Tracking:
     label: str = ""
 
     @cached_property
+    def identifier(self) -> OnlineIdentifier:
+        """The method with its settings."""
+        return make_online(self.method, self.settings)
+
+    @cached_property
+    def used(self) -> set[tuple[str, str]]:
+        """The tracker, or the batch method in its windows, and the system: groups and names of entry points."""
+        batch = getattr(self.identifier, "batch", None)
+        return {(TRACKERS, self.method) if batch is None else (METHODS, batch), (SYSTEMS, self.scenario.system)}
+
+    @cached_property
     def versions(self) -> list[Any]:
-        """The versions of the method, of the batch method that it repeats (if any), of system and scoring."""
-        method = make_online(self.method, self.settings)
-        batch = getattr(method, "batch", None)
-        repeated = [load_method(batch).version, dict(load_method(batch).parts)] if isinstance(batch, str) else []
-        return [method.version, *repeated, *bound_version(self.scenario.system)]
+        """The versions of the method, of all that is used, and of the scoring."""
+        return [self.identifier.version, *(version_text(*entry) for entry in sorted(self.used)), scoring.VERSION]
 
     def paths(self) -> list[OnlinePath]:
         """Return the path of each replicate."""
@@ -75,11 +84,8 @@ class OnlinePath:
 
     @property
     def used(self) -> set[tuple[str, str]]:
-        """The tracker, or the batch method in its windows, and the system."""
-        t = self.tracking
-        batch = getattr(make_online(t.method, t.settings), "batch", None)
-        method = (TRACKERS, t.method) if batch is None else (METHODS, batch)
-        return {method, (SYSTEMS, t.scenario.system)}
+        """What its tracking uses."""
+        return self.tracking.used
 
     def stored(self, folder: Path) -> bool:
         """Return whether a complete path is stored."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bench.config.schema import Job
-from bench.entrants.registry import GROUP, load_method
+from bench.entrants.registry import GROUP
 from bench.errors import InputError
 from bench.records.identification import identify_all
 from bench.records.intervals import StatedInterval
@@ -30,6 +30,7 @@ from bench.records.request import Request, request_of
 from bench.records.sets import MeasuredSet
 from bench.records.verdict import Trust
 from bench.store.results import read_result, write_result
+from bench.store.table_versions import version_text
 from bench.systems.sums import Sum
 
 ROWS = 1
@@ -69,11 +70,10 @@ class MeasuredFit:
         """Digest of all inputs of the fit except its time limit."""
         settings = {name: str(value) for name, value in self.job.settings().items()}
         method = self.job.config.method["name"]
-        entrant = load_method(method)
         parts = [
             ROWS, [field.name for field in fields(StatedInterval)], self.name, self.measured_set.definition(),
-            self.request.system, self.sibling, self.recording.sha256, method, entrant.version,
-            dict(entrant.parts), settings, self.job.config.seed,
+            self.request.system, self.sibling, self.recording.sha256, method, version_text(GROUP, method), settings,
+            self.job.config.seed,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +16,6 @@ from bench.entry_points import entry_points_of
 from bench.files import read_regular
 
 FILE = "versions.csv"
-HEADING = "table,group,name,version"
 
 
 class TableVersion(NamedTuple):
@@ -28,9 +27,10 @@ class TableVersion(NamedTuple):
     version: str
 
     @property
-    def today(self) -> str:
-        """The version of the class as it is installed; empty if it is not."""
-        return version_text(self.group, self.name)
+    def changed(self) -> str:
+        """The difference from today's version in one line; empty if there is none."""
+        today = version_text(self.group, self.name)
+        return f"{self.name} version {self.version}, today {today or 'not installed'}" * (today != self.version)
 
 
 def version_text(group: str, name: str) -> str:
@@ -57,10 +57,5 @@ def with_table(folder: Path, table: str, used: Iterable[tuple[str, str]]) -> str
     kept = [line for line in read_versions(folder) if line.table != table]
     lines = [*kept, *(TableVersion(table, *entry, version_text(*entry)) for entry in set(used))]
     content = io.StringIO()
-    csv.writer(content, lineterminator="\n").writerows([HEADING.split(","), *sorted(lines)])
+    csv.writer(content, lineterminator="\n").writerows([TableVersion._fields, *sorted(lines)])
     return content.getvalue()
-
-
-def changed_tables(folder: Path) -> Iterator[TableVersion]:
-    """Yield the lines of a folder's file whose version is not that of today."""
-    return (line for line in read_versions(folder) if line.version != line.today)

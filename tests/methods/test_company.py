@@ -31,7 +31,7 @@ METHODS = {
     "shooting": Shooting(),
 }
 ALIKE = ("ls_spline", "rls", "shooting")
-"""What is quick enough for the quick tests stands for these."""
+"""Methods whose tests are slow, since others with the same code are tested quickly."""
 SEARCHES = ("output_error", "shooting")
 """Their fits take long: fewer problems."""
 

@@ -24,7 +24,7 @@ NAMES = sorted({*registered(), *VARIANTS})
 WITHOUT_FIT = ("card", "imports")
 OF_ONE_FIT = (*WITHOUT_FIT, "pickling", "answer", "dead channel", "dead channel, unknown initial state", "time")
 QUICK = {"nuts": WITHOUT_FIT, "pinn_adam": OF_ONE_FIT}
-"""Of these the other checks are slow: one compiles anew for each layout, the other descends."""
+"""Quick checks of methods whose other checks are slow: one compiles for each layout, the other descends."""
 IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")
 """Methods for which the start of another process is worth its time in the quick tests."""
 

@@ -10,24 +10,28 @@ from bench.commands.main import main
 from bench.commands.status import tables_lines
 from bench.entrants.online import make_online
 from bench.entrants.registry import load_method
-from bench.store.table_versions import FILE, changed_tables, read_versions, with_table
+from bench.store.table_versions import FILE, TableVersion, read_versions, with_table
 
 LS, SDOF = ("bench.methods", "ls"), ("bench.systems", "sdof")
+
+
+def stale(folder: Path) -> list[TableVersion]:
+    return [line for line in read_versions(folder) if line.changed]
 
 
 def test_a_table_is_stale_once_a_version_or_a_part_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for table in ("table10", "table11", "table10"):  # written twice: the lines of a table are replaced
         (tmp_path / FILE).write_text(with_table(tmp_path, table, {LS, SDOF, ("bench.methods", "gone")}))
     assert [line.table for line in read_versions(tmp_path)] == ["table10"] * 3 + ["table11"] * 3
-    assert not list(changed_tables(tmp_path))
+    assert not stale(tmp_path)
     before = load_method("ls").version
     monkeypatch.setattr(load_method("ls"), "version", before + 1)
-    assert [(line.table, line.version, line.today) for line in changed_tables(tmp_path)] == [
-        (table, str(before), str(before + 1)) for table in ("table10", "table11")
+    assert [(line.table, line.changed) for line in stale(tmp_path)] == [
+        (table, f"ls version {before}, today {before + 1}") for table in ("table10", "table11")
     ]
     monkeypatch.setattr(load_method("ls"), "version", before)
     monkeypatch.setattr(load_method("ls"), "parts", {"forces": 2})
-    assert {line.today for line in changed_tables(tmp_path)} == {f"{before}; forces 2"}
+    assert {line.changed for line in stale(tmp_path)} == {f"ls version {before}, today {before}; forces 2"}
 
 
 def test_the_command_of_a_track_writes_them_and_status_says_what_is_stale(
