@@ -31,7 +31,7 @@ from bench.scoring.combination import combine_with_prior
 from bench.scoring.row import Row
 from bench.scoring.score import score
 from bench.store.archive import Archive
-from bench.store.version import cell_version
+from bench.store.version import described_version
 
 REPOSITORY = Path(__file__).parents[1]
 RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(time.time_ns()))
@@ -99,7 +99,7 @@ def published_cells() -> Iterator[PublishedCell]:
     archive = Archive(REPOSITORY / "results" / "archive")
     for identity in archive.identities():
         cell = archive.load(identity)
-        today = cell_version(cell.cell["method"], cell.cell["data"]["system"])
+        today = described_version(cell.cell)
         comparable = today.changed_since(cell.version) in ("", OTHER_BASINS)
         yield PublishedCell(identity, cell.cell, cell.rows, comparable)
 
