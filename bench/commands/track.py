@@ -48,7 +48,7 @@ def track(
     settings: Annotated[Sequence[str], Others(("method",)), "method.<setting>="],
     system: Annotated[str, OneOf(systems), "system of conf/system, for its equations alone"] = "sdof",
     method: Annotated[str | None, OneOf(trackers), "online method, or window_<batch method> (method.length=150 "
-                      "method.every=10) [the first of results/online.md]"] = None,
+                      "method.every=10) [ekf]"] = None,
     sensors: Annotated[tuple[str, ...], "displacement:0,acceleration:1 [displacement of every DOF]"] = (),
     forced: Annotated[tuple[str, ...], "DOFs whose force is a column, e.g. 0 [none]"] = (),
     ambient: Annotated[tuple[str, ...], "DOFs under an unmeasured force [none]"] = (),

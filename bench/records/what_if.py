@@ -1,8 +1,9 @@
 """Errors expected from a longer, denser or less noisy record.
 
 The covariance of a fit to the changed record follows from its derivatives at the present estimate (Fisher information,
-R. A. Fisher, Proc. Camb. Phil. Soc. 22:700, 1925; with coloured noise as in ``linearised_fit``). The spectrum of the
-noise is assumed to be unchanged.
+R. A. Fisher, Proc. Camb. Phil. Soc. 22:700, 1925; with coloured noise as in ``linearised_fit``). Of a denser
+record, coloured noise has the same autocovariance, interpolated between lags; white noise has the same variance per
+sample.
 """
 
 from __future__ import annotations

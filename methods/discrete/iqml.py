@@ -1,13 +1,13 @@
 """Iterated quadratic maximum likelihood (IQML) on the difference equation of a free decay.
 
 White noise e of the samples appears in ``y_j - a₁ y_(j-1) - a₂ y_(j-2)`` as ``A e``, with the banded matrix A of rows
-``(-a₂, -a₁, 1)``. The likelihood of a, with amplitudes eliminated, is that of ``Y a = A y`` of covariance ``σ² A Aᵀ``,
-which is quadratic in a for a fixed matrix. Weighted least squares and an update of the matrix are iterated until
-convergence (Y. Bresler, A. Macovski, IEEE Trans. Acoustics, Speech and Signal Processing 34:1081, 1986; the iteration
-of K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10:461, 1965, for a free decay). The first step with
-``A Aᵀ = I`` is ``ar``, whose bias the weight removes. ``A Aᵀ`` has five diagonals, so the cost of a step is
-proportional to the number of samples. An offset is a constant among the unknowns. Since the weight is fixed in each
-minimisation, the result is not exactly the maximum of the likelihood.
+``(-a₂, -a₁, 1)``. With the amplitudes eliminated, minus twice the log-likelihood of a is ``(A y)ᵀ (A Aᵀ)⁻¹ A y / σ²``
+but for a constant, which is quadratic in a for a fixed matrix ``A Aᵀ``. Weighted least squares and an update of the
+matrix are iterated until convergence (Y. Bresler, A. Macovski, IEEE Trans. Acoustics, Speech and Signal Processing
+34:1081, 1986; the iteration of K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10:461, 1965, for a free
+decay). The first step with ``A Aᵀ = I`` is ``ar``, whose bias the weight removes. ``A Aᵀ`` has five diagonals, so the
+cost of a step is proportional to the number of samples. An offset is a constant among the unknowns. Since the weight is
+fixed in each minimisation, the result is not exactly the maximum of the likelihood.
 
 The covariance is the Cramér-Rao bound at the estimate, with amplitudes and offset eliminated:
 ``σ² (X̂ᵀ (A Aᵀ)⁻¹ X̂)⁻¹`` for a, with the columns X̂ of the response (to first order in ``A x = 0``) and σ from the

@@ -49,7 +49,7 @@ Now = tuple[float, float, float]
 
 
 class DecayRecord:
-    """The record of a problem, rounded to ten digits, and the initial guess from the best wave of the scan.
+    """The record of a problem, rounded to ten decimals, and the initial guess from the best wave of the scan.
 
     ``times`` (n,) from -1 to 1, ``values`` (n,); ``known_start``: (x0, v0 / omega) or None. ``logs``: initial log(k/m)
     and log(c/m); ``units``: log(omega²) and log(omega), subtracted in the equation; ``speed``: rate over omega.

@@ -5,8 +5,8 @@ samples several maxima of the likelihood may be equally high. A method that sear
 probable basin below half the sampling rate, unless a basin above it is twenty times as probable. The output-error
 likelihood is maximised in the other basins as well, which gives all basins their probabilities
 (:mod:`methods.starts.evidence`). The method's estimate is listed first, whatever its probability; other basins with a
-probability above :data:`LEAST_WEIGHT` are alternatives. Aliases more than three standard deviations above the frequency
-that the prior expects are not considered; draws of a sampler may have them.
+probability above :data:`LEAST_WEIGHT` are alternatives. Aliases more than three standard deviations from the frequency
+that the prior expects, or much less probable by the prior, are not considered; draws of a sampler may have them.
 """
 
 from __future__ import annotations

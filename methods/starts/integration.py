@@ -1,7 +1,7 @@
 """Responses of nonlinear systems by classical Runge-Kutta steps, as accurate as the noise requires.
 
 Each step of order four has a phase error of ``(w h)^5 / 120`` (``w`` the highest angular frequency, ``h`` the step):
-with ``w h = 0.15`` this is four parts per million, far below the differences between initial guesses.
+with ``w h = 0.15`` this is four parts per million of the phase, far below the differences between initial guesses.
 :func:`radians_a_step` gives the step that a final estimate needs.
 """
 

@@ -1,4 +1,4 @@
-"""Rounding of a problem to ten digits, for methods that amplify rounding errors of their data."""
+"""Rounding of a problem to ten decimals, for methods that amplify rounding errors of their data."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from bench import InitialState, Problem, Record
 
 DIGITS = 10
-"""Digits that are kept of every number in natural units."""
+"""Decimals that are kept in natural units."""
 
 
 def rounded(problem: Problem) -> Problem:
-    """Round every number of a problem (in natural units) to ten digits.
+    """Round times, samples, forces, initial states and nominal values of a problem in natural units to ten decimals.
 
     Thousands of steps of Adam and L-BFGS amplify the last bit of the data to a hundredth of a standard error, and a
     gradient-based sampler amplifies it to other draws. After rounding, a record gives the same bits in any units, and
-    hence the same estimate.
+    hence the same estimate, except where a value lies on the boundary between two decimals.
     """
 
     def same(values: np.ndarray) -> np.ndarray:

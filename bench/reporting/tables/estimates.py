@@ -220,10 +220,11 @@ CALIBRATION = TableForm(
 root mean square (RMS) 1 if the posterior is calibrated. An RMS of 2 means intervals half as wide as the errors require,
 bias included (overconfident); an RMS below 1, too wide intervals (underconfident). The verdict rests on three tests
 (mean of z, mean square of z, uniformity of the levels) at 5 %, adjusted over all lines of this table (Benjamini and
-Hochberg): one in twenty of the rejections is expected to be false, and if all methods were calibrated, there would be
-none with 95 % probability. The verdict "calibrated" takes at least {FEWEST} replicates, any statistic at least
-{COUNTED}. Band: the share of the record (1,000 points per replicate) where the 95 % band of the method contains the
-true displacement. A dash: the method states no uncertainty, or there is no verdict.""",
+Hochberg): at most one in twenty of the rejections is expected to be false, and if all methods were calibrated, there
+would be none with at least 95 % probability, provided that the tests are independent. The verdict "calibrated" takes
+at least {FEWEST} replicates, any statistic at least {COUNTED}. Band: the share of the record (1,000 points per
+replicate) where the 95 % band of the method contains the true displacement. A dash: the method states no uncertainty,
+or there is no verdict.""",
     columns=(
         "method", "initial_state", "snr_db", "quantity", "n", "coverage_50", "coverage_80", "coverage_95", "low_95",
         "high_95", "mean_z", "rms_z", "uniform_p", "verdict", "band_95",
