@@ -53,8 +53,6 @@ ROUNDING_PCT = 6e-3
 """Of a ratio that is stored with five digits (%)."""
 UNSUPPORTED_SHARE = 0.1
 """Of the drawn rows, how many may be those of a method that does not take the problem."""
-OTHER_BASINS = "method version 1, today 2"
-"""The change by which searching methods name other basins: a row that does is left out, all others are as before."""
 STALE_SHARE = 0.3
 """Of the cells, how many may wait for the next release to be computed anew, so that nothing compares them."""
 STOPPED = frozenset({Status.TIMEOUT, Status.KILLED, Status.OOM, Status.MISSING_DEPENDENCY})
@@ -70,10 +68,6 @@ SPREADS = 5.0
 WITHOUT_SEARCH = frozenset({"prior", "ls", "rls", "sindy"})
 """Methods whose answer, however wrong, is one linear solution: all of their rows repeat."""
 UNREPEATABLE: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {  # by method, the cells of which it is
-    # of version 1, whose splines rounding decided
-    "ls": lambda cell: _irregular(cell),
-    "rls": lambda cell: _irregular(cell),
-    "sindy": lambda cell: _irregular(cell) or cell["settings"].get("form") == "weak",
     "npe": lambda cell: True,  # trained anew on each machine, and training makes rounding larger
     "nuts": lambda cell: True,  # its chains part by rounding
     "pinn_family": lambda cell: cell["settings"].get("sampling") == "adaptive",  # chooses points by rounded residuals
@@ -85,13 +79,12 @@ MOST_LINES = 6
 
 @dataclass(frozen=True)
 class PublishedCell:
-    """A cell of the archive: its stored description and rows, and whether today's code claims to compute the same."""
+    """A cell of the archive: its stored description and rows, and whether the versions of today computed it."""
 
     identity: str
     description: Mapping[str, Any]
     rows: Sequence[Row]
-    comparable: bool
-    """Computed by the versions of today, or by one that differs in rows alone that are left out."""
+    current: bool
 
 
 def published_cells() -> Iterator[PublishedCell]:
@@ -99,9 +92,8 @@ def published_cells() -> Iterator[PublishedCell]:
     archive = Archive(REPOSITORY / "results" / "archive")
     for identity in archive.identities():
         cell = archive.load(identity)
-        today = described_version(cell.cell)
-        comparable = today.changed_since(cell.version) in ("", OTHER_BASINS)
-        yield PublishedCell(identity, cell.cell, cell.rows, comparable)
+        current = not described_version(cell.cell).changed_since(cell.version)
+        yield PublishedCell(identity, cell.cell, cell.rows, current)
 
 
 @cache
@@ -122,7 +114,7 @@ def draw_rows(method: str, n: int, longest_s: float, draw: int) -> list[tuple[Pu
     unrepeatable = UNREPEATABLE.get(method, lambda cell: False)
     by_system: dict[str, list[PublishedCell]] = {}
     for cell in cells_by_method().get(method, []):
-        if cell.comparable and not unrepeatable(cell.description):
+        if cell.current and not unrepeatable(cell.description):
             by_system.setdefault(cell.description["data"]["system"], []).append(cell)
     systems = sorted(by_system)
     rng.shuffle(systems)
@@ -141,10 +133,6 @@ def draw_rows(method: str, n: int, longest_s: float, draw: int) -> list[tuple[Pu
         if len(drawn) == n:
             break
     return drawn
-
-
-def _irregular(cell: Mapping[str, Any]) -> bool:
-    return (cell["data"].get("disturbance") or {}).get("kind") == "irregular"
 
 
 def _decided_by_rounding(method: str, row: Row) -> bool:
@@ -202,8 +190,6 @@ def differences(cell: PublishedCell, row: Row) -> list[str]:
     by what rounding alone does to it, and a row whose status hangs on rounding says nothing.
     """
     status, scores = recompute(cell.description, row.replicate)
-    if "other_basins_pct" in scores:
-        return []
     wrong = _compared(cell, row, status, scores, {})
     if not wrong:
         return []
@@ -285,7 +271,7 @@ def test_many_rows_drawn_at_random_agree(method: str) -> None:
 
 def test_most_published_cells_can_be_compared(record_property: Callable[[str, object], None]) -> None:
     cells = [cell for group in cells_by_method().values() for cell in group]
-    stale = sum(not cell.comparable for cell in cells)
+    stale = sum(not cell.current for cell in cells)
     note = f"published rows drawn with PUBLISHED_SEED={SEED}; {stale} of {len(cells)} cells are stale and left out"
     record_property("note", note)
     assert stale < STALE_SHARE * len(cells)
