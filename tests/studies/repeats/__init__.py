@@ -1,1 +1,0 @@
-"""Intervals of a repeat, scored on groups of repeats: measured ones and simulated ones."""
