@@ -1,1 +1,0 @@
-"""The Silverbox, a measured electronic Duffing oscillator: ``python -m tests.studies.silverbox``."""
