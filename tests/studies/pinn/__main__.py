@@ -21,10 +21,7 @@ from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.pinn import pictures
 from tests.studies.pinn.common import Part
 
-PARTS = (
-    "rivals", "memory", "accuracy", "systems", "initialisations", "starting_values", "loss", "steps", "reach",
-    "scaling",
-)  # fmt: skip
+PARTS = ("rivals", "accuracy", "systems", "initialisations", "starting_values", "steps", "scaling")
 MACHINE = (
     "with `peers=` and `peer_python=` for the rivals' times. The rivals' part is timed by the clock on one core, the "
     "others in processor seconds; compare times within one part only."
@@ -64,21 +61,17 @@ def pinn(
 
 def parts(replicates: int, peers: Path | None, peer_python: Path | None, seeds: int) -> dict[str, Callable[[], Part]]:
     """Return what computes each part."""
-    from tests.studies.pinn import reach, rivals, robustness, scaling
+    from tests.studies.pinn import rivals, robustness, scaling
 
     adam = dict(expand(["method=pinn_adam"], multirun=False)[0].cell().settings)
-    few = min(5, replicates)
     return {
         "rivals": lambda: rivals.rivals(peers, peer_python, seeds, adam),
-        "memory": lambda: robustness.memory(adam),
         "accuracy": lambda: robustness.accuracy(replicates),
         "systems": lambda: robustness.systems(max(1, replicates // 2)),
         "initialisations": lambda: robustness.initialisations(50),
         "starting_values": robustness.starting_values,
-        "loss": lambda: robustness.loss(adam),
         "steps": lambda: robustness.steps(adam),
-        "reach": lambda: reach.reach(few),
-        "scaling": lambda: scaling.scaling(few),
+        "scaling": lambda: scaling.scaling(min(5, replicates)),
     }
 
 

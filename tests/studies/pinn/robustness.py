@@ -1,9 +1,7 @@
-"""Does it reach the floor, and the same minimum from everywhere? Accuracy, initialisations, starts, memory, loss."""
+"""Accuracy of the PINN, and whether different weights, starting values and budgets lead to the same minimum."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from itertools import product
 
@@ -107,58 +105,6 @@ def _k_over_m(method: PhysicsInformed, task: Task) -> float:
     best = task.best
     logs = dict(zip(task.problem.system.names, best.logs, strict=True)) if best else {"k": np.nan, "m": 0.0}
     return float(np.exp(logs["k"] - logs["m"]))
-
-
-MEMORY = """
-import resource, numpy as np, torch
-from bench.isolation.machine import single_threaded
-single_threaded()
-from bench import Channel, InitialState, Prior, Problem, Record
-from bench.systems import SDOF
-from methods.pinn.collocation import Collocation
-from methods.pinn import PINN, engine
-times = np.linspace(0.0, 10.0, 25)
-values = np.exp(-0.2 * times) * np.cos(2.8 * times) + 0.04 * np.random.default_rng(0).standard_normal(25)
-start = InitialState(np.ones(1), np.zeros(1))
-prior = Prior(dict(m=1.0, c=1.0, k=6.0), dict(m=0.02, c=1.0, k=0.5))
-problem = Problem(SDOF(), (Record((Channel(times, values),), (), start),), prior)
-torch.linalg.cholesky(torch.eye(8, dtype=torch.float64))
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-estimate = {method}(**{settings!r}).identify(problem, np.random.default_rng(0))
-assert estimate.message
-print(before / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-"""
-
-
-def memory(adam: dict[str, object]) -> Part:
-    """Peak memory that a fit adds to a process that has loaded everything, each in a fresh one."""
-    rows = []
-    cases: list[tuple[str, str, dict[str, object]]]
-    cases = [("pinn", "PINN", {}), ("pinn_adam", "PINN", adam), ("collocation", "Collocation", {})]
-    for label, method, settings in cases:
-        code = MEMORY.format(method=method, settings=settings)
-        output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        before, after = map(float, output.split())
-        rows.append([label, f"{before:.0f}", f"{after - before:.0f}"])
-    columns = ["method", "process before (MB)", "added by a fit (MB)"]
-    return Part("memory", "Memory", "Peak resident memory, one fit at 20 dB in a fresh process.", columns, rows)
-
-
-def loss(adam: dict[str, object]) -> Part:
-    """The way to the minimum by both optimisers, on one data set."""
-    rows, data = [], {}
-    problem, _ = scenario(system="sdof", snr=20).replicates(SEED, 1)[0]
-    for label, settings in (("pinn", {}), ("pinn_adam", adam)):
-        estimate = make_method("pinn", settings).identify(problem, np.random.default_rng(0))
-        data[label] = {name: np.asarray(values).tolist() for name, values in estimate.traces.items()}
-        evaluations, total = data[label]["evaluations"][-1], data[label]["loss"]
-        rows.append([label, f"{evaluations:.0f}", f"{total[0]:.3g}", f"{total[-1]:.3g}", f"{total[0] / total[-1]:.3g}"])
-    columns = ["method", "evaluations", "first", "last", "drop"]
-    text = (
-        "The loss that is minimised, minus the log posterior at the final weights, along both trainings, and the mean "
-        "squares of its terms in units of the record (its duration and root mean square)."
-    )
-    return Part("loss", "The way to the minimum", text, columns, rows, data)
 
 
 BUDGETS = (300, 1000, 3000, 10_000)

@@ -32,14 +32,14 @@ def horizon(cycles: int) -> Scenario:
     return replace(cell, parameters=parameters, samples=max(25, PER_CYCLE * cycles), label=f"{cycles} cycles")
 
 
-def chain(n: int, samples: int = MASS_SAMPLES) -> Scenario:
+def chain(n: int) -> Scenario:
     """A chain of n masses, every displacement measured, the first released from 1 m."""
     cell = scenario(system="chain2", snr=30)
     parameters = {f"{kind}{i}": value for kind, value in (("m", 1.0), ("c", 0.2), ("k", 12.0)) for i in range(1, n + 1)}
     parameters = {name: value * (1.0 - 0.05 * (int(name[1:]) - 1)) for name, value in parameters.items()}
     initial = ((1.0, *[0.0] * (n - 1)), (0.0,) * n)
-    label = f"{n} masses"
-    return replace(cell, parameters=parameters, options={"n": n}, initial=initial, samples=samples, label=label)
+    label, options = f"{n} masses", {"n": n}
+    return replace(cell, parameters=parameters, options=options, initial=initial, samples=MASS_SAMPLES, label=label)
 
 
 @dataclass(frozen=True)
