@@ -1,1 +1,1 @@
-"""Online methods where the truth is simple: nothing changes, a fault, a long record, a live run."""
+"""Online methods where the truth is simple: nothing changes, a fault, a long record."""

@@ -1,4 +1,4 @@
-"""Filters and windows where nothing changes, behind a fault, on a long record, and on a live stream."""
+"""Filters and windows where nothing changes, behind a fault, and on a long record."""
 
 from __future__ import annotations
 
@@ -15,22 +15,19 @@ from bench.reporting.whole_file import write
 from tests.studies.common import RESULTS, Count, Out, publish, study
 from tests.studies.online.constant import constant
 from tests.studies.online.faults import faults
-from tests.studies.online.live import live
 from tests.studies.online.long import long_record
 
-PARTS = ("constant", "faults", "long", "live")
+PARTS = ("constant", "faults", "long")
 TITLE = """# Online methods where the truth is simple
 
-What filters and windows are worth where nothing changes, behind a fault, on a long record, and on a live stream.
-Changes: [Table 10](table10.md)."""
-REGENERATE = "Regenerate: `python -m tests.studies.online part=constant,faults,long,live` (from a clone)"
+Filters and windows where nothing changes, behind a fault, and on a long record. Changes: [Table 10](table10.md)."""
+REGENERATE = "Regenerate: `python -m tests.studies.online` (from a clone)"
 
 
 def online(
-    part: Annotated[tuple[str, ...], OneOf(PARTS), "parts to make anew"] = ("constant", "faults", "long"),
+    part: Annotated[tuple[str, ...], OneOf(PARTS), "parts to compute"] = PARTS,
     records: Annotated[Count, "records of the part constant"] = 1000,
     replicates: Annotated[Count, "records of the part faults"] = 16,
-    seconds: Annotated[Count, "duration of the part live"] = 60,
     store: Annotated[Path, "folder of finished parts, which stand in the page, and of records"] = Path(
         "outputs/online_study"
     ),
@@ -41,7 +38,6 @@ def online(
     constant: errors at the end of records in which nothing changes, over the bound, and false alarms.
     faults: the error behind a fault.
     long: 100,000 samples, the memory that they take and the time of a sample.
-    live: a live run with its page in headless Chromium; needs the extras twin and browser.
     """
     single_threaded()
     compiled_single_threaded()
@@ -49,7 +45,6 @@ def online(
         "constant": lambda: constant(records, store / "records", os.cpu_count() or 1),
         "faults": lambda: faults(replicates),
         "long": long_record,
-        "live": lambda: live(seconds, store),
     }
     store.mkdir(parents=True, exist_ok=True)
     for name in part:
