@@ -1,4 +1,4 @@
-"""The benchmark of engines: its children and their limits, its floors and sentences, and the other engines."""
+"""The benchmark of engines: its children and their limits, its sentences, and the other engines."""
 
 from __future__ import annotations
 
@@ -14,18 +14,16 @@ import pytest
 from bench.config.experiment import expand
 from bench.entrants.registry import make_method
 from bench.scenario.truth import closed_form
-from tests.studies.engines import children, floors, page, peers, results, rivals
+from tests.studies.engines import children, page, peers, results, rivals
 from tests.studies.engines.__main__ import main
 from tests.studies.engines.children import ROOT, Outcome, answered
-from tests.studies.engines.floors import Rates
 from tests.studies.engines.picture import picture, stored_growths
 from tests.studies.engines.results import Growth, Result
 from tests.studies.engines.row import METHOD_STREAM
-from tests.studies.engines.rows import CURVES, SEED, Row, rows
+from tests.studies.engines.rows import CURVES, SEED, Row
 
 SDOF = Row("ls", "least squares", ("system=sdof",), "ls", {}, 2, goal_s=60.0, rounds=1, repeats=2)
 LIMIT = "from tests.studies.engines.row import limit_memory"
-UNIT = Rates(functions_s=1e-8, flops=1e9)
 
 
 def answer(values: Mapping[str, float], errors: Mapping[str, float], status: str = "ok") -> dict[str, Any]:
@@ -117,22 +115,6 @@ def test_an_exponent_is_of_the_upper_half() -> None:
     assert math.isnan(results.exponent([2], [1.0]))
 
 
-# ------------------------------------------------------------------------------------------------ floors
-
-
-def test_floors_by_hand() -> None:
-    """25 samples, 4 responses; 200 records and one, 17 rows of 9; 2 masses: 2·n values and 6² products."""
-    every = rows()
-    assert floors.floor(every["ml"], 4.0, UNIT) == pytest.approx(4 * 25 * 1e-8)
-    settings = {"pencil": 1.0 / 3.0, "bootstrap": 200}
-    assert floors.pencil_flops(25, settings) == pytest.approx(2 * 201 * 17 * 81)
-    times = len({*np.linspace(0, 10, 25), *np.linspace(0, 10, 1000), *(10 + np.linspace(0, 10, 1001)[1:])})
-    assert floors.floor(every["bound"], 1.0, UNIT) == pytest.approx(times * 1e-8)
-    two = replace(every["chain10"], fields={})
-    assert floors.floor(two, 5.0, UNIT) == pytest.approx(5 * 2 * two.scenario.samples * 36 / 1e9)
-    assert math.isnan(floors.floor(every["duffing"], 5.0, UNIT))
-
-
 # ------------------------------------------------------------------------------------------------ other engines
 
 TIMES = np.linspace(0.0, 10.0, 25)
@@ -152,15 +134,14 @@ def test_an_engine_finds_the_parameters_of_a_closed_form(name: str) -> None:
 
 
 def test_the_page_counts(tmp_path: Path) -> None:
-    good = Result(replace(SDOF, goal_s=1.0), outcome(2.05), outcome(2.0, seconds=0.04), 0.002)
+    good = Result(replace(SDOF, goal_s=1.0), outcome(2.05), outcome(2.0, seconds=0.04))
     bad = Result(replace(SDOF, title="another", goal_s=1.0), Outcome(failure="not in 120 s"), None)
     growth = Growth(CURVES[0], (1, 3, 10), (1.0, 3.0, 10.0))
-    study = page.Study([good, bad], [growth], [peers.Peer("shooting", "ours", "its own", 0.1)], UNIT, 120.0)
+    study = page.Study([good, bad], [growth], [peers.Peer("shooting", "ours", "its own", 0.1)], 120.0)
     text = page.page(study)
     assert "1 of 2 goals are held. The earlier code takes 4 to 4 times as long" in text
     twice = page.said_of_rows([good, replace(good, before=outcome(2.05, seconds=0.005))])
     assert "0.5 to 4 times as long, 2.25 in the median of 2; slower now by more than a tenth: least" in twice
-    assert "| 5 × " in text  # over the floor
     assert "exponent 1.00" in text
     data = page.tidy(study)
     assert list(data[data.part == "rows"].seconds.dropna()) == [0.01, 0.04]

@@ -1,1 +1,1 @@
-"""Cost of the engines of the methods beside goals, floors, an earlier checkout, and other people's engines."""
+"""Cost of the engines of the methods beside goals, an earlier checkout, and other people's engines."""

@@ -1,9 +1,8 @@
-"""Cost of a fit beside goals, floors, an earlier checkout and other engines."""
+"""Cost of a fit beside goals, an earlier checkout and other engines."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -12,9 +11,8 @@ import pandas as pd
 
 from bench.commands.declaration import OneOf
 from bench.errors import InputError
-from bench.isolation.machine import single_threaded
 from tests.studies.common import RESULTS, Count, Out, publish, study, tracked
-from tests.studies.engines import floors, peers, results
+from tests.studies.engines import peers, results
 from tests.studies.engines.page import Study, page, tidy
 from tests.studies.engines.picture import picture, stored_growths
 from tests.studies.engines.rows import CURVES
@@ -34,12 +32,11 @@ def engines(
     out: Out = RESULTS,
     fit: Annotated[bool, "false: the picture alone, of the numbers in <out>/engines.csv"] = True,
 ) -> int:
-    """Measure what a fit costs, beside goals, floors, an earlier checkout and other engines: engines.md and .csv.
+    """Measure what a fit costs, beside goals, an earlier checkout and other engines: engines.md and .csv.
 
     Every row is measured in fresh processes with limits of time and memory. The picture of growth is
     figures/engines_scaling.png.
     """
-    single_threaded()  # this process measures the rates of the floors
     if before and not (before / "bench" / "config" / "experiment.py").is_file():
         raise InputError("before", before, "the folder of a checkout of this repository")
     if rival_python and not rival_python.is_file():
@@ -63,13 +60,10 @@ def engines(
 
 def measured(rows: list[str], before: Path | None, scaling: bool, rival_python: str, limit_s: float) -> Study:
     """Measure rows, the curves of growth, and other engines where an interpreter is given."""
-    machine, lines = floors.rates(), []
-    for name in tracked(rows, "row"):
-        result = results.measure(ROWS[name], limit_s, before)
-        lines.append(replace(result, floor_s=floors.floor(result.row, result.now.evaluations, machine)))
+    lines = [results.measure(ROWS[name], limit_s, before) for name in tracked(rows, "row")]
     growths = [results.grow(curve, limit_s) for curve in tracked(CURVES if scaling else (), "curve")]
     others = peers.compare(limit_s, rival_python) if rival_python else []
-    return Study(lines, growths, others, machine, limit_s)
+    return Study(lines, growths, others, limit_s)
 
 
 main = partial(study, engines, "tests.studies.engines")

@@ -16,7 +16,6 @@ import pandas as pd
 from bench.reporting import labels
 from bench.reporting.rounding import number
 from bench.reporting.tables.render import markdown_table
-from tests.studies.engines.floors import FORMULAS, Rates
 from tests.studies.engines.peers import Peer
 from tests.studies.engines.picture import caption
 from tests.studies.engines.results import LARGE, Growth, Result, same_answers
@@ -28,11 +27,9 @@ these, in the same run; `rows=<a,b>` for some rows only).
 Processor seconds per fit without imports, one thread; each row in separate processes, of this code and of the earlier
 in turn, the best of several runs on the same data. Initial state known, nominal prior, 20 dB unless stated otherwise;
 chains are those of [chains](chains.md). *Together*: data sets fitted in one call. Limits: {limit:g} s of processor time
-a run, and 8 GB of address space. *Floor*: what the evaluations that the method counts would take, were there nothing
-but their unavoidable arithmetic, at this machine's rates. *Largest difference*: of the logarithm of any parameter (or
-group) between both codes, over its standard error; of a bound, of its own logarithm. *Memory*: the most that the
-process held, all its imports included. Measured on {cores} cores ({machine}), Python {python}, numpy {numpy}: exp, cos
-and sin of a number take {functions:.1f} ns, products of matrices run at {gigaflops:.0f} GFLOP/s."""
+a run, and 8 GB of address space. *Largest difference*: of the logarithm of any parameter (or group) between both codes,
+over its standard error; of a bound, of its own logarithm. *Memory*: the most that the process held, all its imports
+included. Measured on {cores} cores ({machine}), Python {python}, numpy {numpy}."""
 RIVALS = """One mass, 20 dB, the data of the first row. The others fit damping and stiffness, with known mass and
 initial state, by plain residuals; *scan*: from the initial guess of this project's search, so that only the engines
 differ, and without the time of that search; *nominal*: from the prior's nominal values. Ours takes the
@@ -63,7 +60,6 @@ class Study:
     results: Sequence[Result]
     growths: Sequence[Growth]
     peers: Sequence[Peer]
-    rates: Rates
     limit_s: float
 
 
@@ -72,17 +68,15 @@ def line(result: Result) -> list[str]:
     row, now = result.row, result.now
     goal = milliseconds(row.goal_s) + (f", {row.goal_mb:g} MB" if not math.isnan(row.goal_mb) else "")
     held = {True: "yes", False: "no", None: "-"}[result.held]
-    over = now.best / result.floor_s
     return [
         row.title, f"{row.together}", seconds_text(now), goal, held, seconds_text(result.before),
-        result.ratio_text, same_answers(result),
-        milliseconds(result.floor_s), "-" if math.isnan(over) else f"{over:.3g} ×", number(now.peak_mb),
+        result.ratio_text, same_answers(result), number(now.peak_mb),
     ]  # fmt: skip
 
 
 COLUMNS = (
     "what", "together", "time (ms)", "goal (ms)", "held", "before (ms)", "before / now", "largest difference",
-    "floor (ms)", "time / floor", "memory (MB)",
+    "memory (MB)",
 )  # fmt: skip
 
 
@@ -98,18 +92,6 @@ def said_of_rows(results: Sequence[Result]) -> str:
         f"{sentence} The earlier code takes {min(ratios):.3g} to {max(ratios):.3g} times as long, {median(ratios):.3g} "
         f"in the median of {len(ratios)}; slower now by more than a tenth: {slower}."
     )
-
-
-def said_of_floors(results: Sequence[Result]) -> str:
-    """The formula of each kind of floor, and why rows have none."""
-    kinds = dict.fromkeys(result.row.floor for result in results if result.row.floor in FORMULAS)
-    lines = []
-    for kind in kinds:
-        titles = ", ".join(result.row.title for result in results if result.row.floor == kind)
-        lines.append(f"- {titles}: {FORMULAS[kind]}.")
-    for why in dict.fromkeys(result.row.why for result in results if result.row.why):
-        lines.append(f"- {', '.join(r.row.title for r in results if r.row.why == why)}: no floor, since {why}.")
-    return "\n".join(["Floors:", "", *lines])
 
 
 def said_of_growth(growths: Sequence[Growth]) -> str:
@@ -145,12 +127,12 @@ def page(study: Study) -> str:
     """The whole page."""
     text = TEXT.format(
         limit=study.limit_s, cores=os.cpu_count(), machine=platform.machine(), python=platform.python_version(),
-        numpy=np.__version__, functions=1e9 * study.rates.functions_s, gigaflops=study.rates.flops / 1e9,
+        numpy=np.__version__,
     )  # fmt: skip
     parts = ["# What the engines cost", text]
     if study.results:
         table = markdown_table([line(result) for result in study.results], COLUMNS)
-        parts += [said_of_rows(study.results), table, said_of_floors(study.results)]
+        parts += [said_of_rows(study.results), table]
     if study.growths:
         image = "![Time against size](figures/engines_scaling.png)"
         parts += ["## Growth", image, caption(study.growths), said_of_growth(study.growths)]
@@ -173,8 +155,7 @@ def tidy(study: Study) -> pd.DataFrame:
                     "part": "rows", "name": row.name, "code": code, "size": row.together, "seconds": outcome.best,
                     "first_s": next(iter(outcome.seconds), math.nan), "failure": outcome.failure,
                     "without_estimate": outcome.failed, "evaluations": outcome.evaluations,
-                    "goal_s": row.goal_s, "floor_s": result.floor_s if code == "now" else math.nan,
-                    "peak_mb": outcome.peak_mb,
+                    "goal_s": row.goal_s, "peak_mb": outcome.peak_mb,
                 })  # fmt: skip
     for growth in study.growths:
         name = f"{growth.curve.method} {growth.curve.axis}"

@@ -23,7 +23,6 @@ class Result:
     row: Row
     now: Outcome
     before: Outcome | None
-    floor_s: float = math.nan
     limit_s: float = math.nan
 
     @property

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from bench.config.experiment import expand
-from bench.scenario.scenario import Scenario
 from tests.studies import chains
 from tests.studies.engines.children import MEMORY_MB
 
 SEED = 77
 """A seed that nothing was tuned on and no table uses."""
-Floor = Literal["elementary", "pencil", "bound", "normal", "none"]
 
 
 @dataclass(frozen=True)
@@ -23,8 +19,7 @@ class Row:
 
     ``fields`` replace those of the scenario of ``overrides``. ``goal_s`` (a fit) and ``goal_mb`` (the whole process)
     are the goals; nan where there is none. ``rounds``: processes in turn, each with up to ``repeats`` runs within
-    ``budget_s``; the best run of all counts. ``why``: why a row has no floor. ``warm``: whether the process has done
-    something alike before.
+    ``budget_s``; the best run of all counts. ``warm``: whether the process has done something alike before.
     """
 
     name: str
@@ -35,8 +30,6 @@ class Row:
     together: int = 1
     goal_s: float = float("nan")
     goal_mb: float = float("nan")
-    floor: Floor = "none"
-    why: str = ""
     rounds: int = 2
     repeats: int = 4
     budget_s: float = 4.0
@@ -51,11 +44,6 @@ class Row:
             "memory_mb": MEMORY_MB, "modules": [],
         }  # fmt: skip
 
-    @cached_property
-    def scenario(self) -> Scenario:
-        """The scenario, by this checkout's code."""
-        return replace(expand(["method=prior", *self.overrides], multirun=False)[0].scenario, **self.fields)
-
 
 def chain_fields(n: int) -> dict[str, Any]:
     """Return the fields that make two masses the chain of n masses of :mod:`tests.studies.chains`."""
@@ -64,9 +52,6 @@ def chain_fields(n: int) -> dict[str, Any]:
     return {name: getattr(cell, name) for name in names}
 
 
-STEPPED = "how finely a motion without a closed form must be stepped is a matter of the accuracy asked for"
-SPLINE = "a spline's coefficients take banded algebra, to which no one rate belongs"
-COMPILED = "the compilation outweighs the arithmetic"
 LONG = ("system=sdof", "system.samples=100000")
 CHAIN = ("system=chain2", "snr=30")
 
@@ -77,30 +62,30 @@ def rows() -> dict[str, Row]:
     one_long: dict[str, Any] = {"rounds": 1, "repeats": 3, "budget_s": 10.0}
     long = {**one_long, "goal_s": 2.0, "goal_mb": 1000.0}
     every = [
-        Row("ml", "maximum likelihood (shooting), one mass", sdof, "shooting", {}, 100, 0.5e-3, floor="elementary"),
-        Row("pencil", "matrix pencil, one mass", sdof, "matrix_pencil", {}, 100, 0.15e-3, floor="pencil"),
-        Row("output_error", "output error, one mass", sdof, "output_error", {}, 100, 1e-3, floor="elementary"),
-        Row("mcmc", "MCMC, one mass", sdof, "mcmc", {}, 20, 30e-3, floor="elementary"),
-        Row("bound", "bound of a new linear scenario", sdof, goal_s=10e-3, floor="bound", repeats=20),
+        Row("ml", "maximum likelihood (shooting), one mass", sdof, "shooting", {}, 100, 0.5e-3),
+        Row("pencil", "matrix pencil, one mass", sdof, "matrix_pencil", {}, 100, 0.15e-3),
+        Row("output_error", "output error, one mass", sdof, "output_error", {}, 100, 1e-3),
+        Row("mcmc", "MCMC, one mass", sdof, "mcmc", {}, 20, 30e-3),
+        Row("bound", "bound of a new linear scenario", sdof, goal_s=10e-3, repeats=20),
         Row(
             "first_bound", "first bound of a nonlinear scenario in a process, imports apart", ("system=duffing",),
-            goal_s=1.0, why=COMPILED, rounds=3, repeats=1, warm=False,
+            goal_s=1.0, rounds=3, repeats=1, warm=False,
         ),
         Row(
             "chain10", "ten masses, 30 parameters (shooting)", CHAIN, "shooting", chain_fields(10), 1, 3.0,
-            floor="normal", rounds=1, repeats=3, budget_s=10.0,
+            rounds=1, repeats=3, budget_s=10.0,
         ),
         Row(
             "chain20", "twenty masses, 60 parameters (shooting)", CHAIN, "shooting", chain_fields(20), 1, 30.0,
-            floor="normal", rounds=1, repeats=2, budget_s=20.0,
+            rounds=1, repeats=2, budget_s=20.0,
         ),
-        Row("long", "one mass, 100 000 samples (shooting)", LONG, "shooting", floor="elementary", **long),
-        Row("long_spline", "one mass, 100 000 samples (collocation)", LONG, "collocation", why=SPLINE, **long),
+        Row("long", "one mass, 100 000 samples (shooting)", LONG, "shooting", **long),
+        Row("long_spline", "one mass, 100 000 samples (collocation)", LONG, "collocation", **long),
         *(
-            Row(name, f"{name} (shooting)", (f"system={name}",), "shooting", {}, 20, 10e-3, why=STEPPED, rounds=1)
+            Row(name, f"{name} (shooting)", (f"system={name}",), "shooting", {}, 20, 10e-3, rounds=1)
             for name in ("duffing", "pendulum", "coulomb")
         ),
-        Row("bouc_wen", "Bouc-Wen (MCMC)", ("system=bouc_wen",), "mcmc", {}, 1, 2.0, why=STEPPED, **one_long),
+        Row("bouc_wen", "Bouc-Wen (MCMC)", ("system=bouc_wen",), "mcmc", {}, 1, 2.0, **one_long),
     ]  # fmt: skip
     return {row.name: row for row in every}
 
@@ -116,7 +101,7 @@ class Curve:
 
     def row(self, size: int) -> Row:
         """The measurement at a size."""
-        shape: dict[str, Any] = {"rounds": 1, "repeats": 3, "budget_s": 2.0, "floor": "none"}
+        shape: dict[str, Any] = {"rounds": 1, "repeats": 3, "budget_s": 2.0}
         if self.axis == "together":
             return Row("", "", ("system=sdof",), self.method, {}, size, **shape)
         if self.axis == "samples":
