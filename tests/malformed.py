@@ -16,6 +16,7 @@ SHORTHANDS = {
     "$CELL": "method=prior replicates=2",
     "$RECORD": "method=ls data=good.csv",
     "$DECAY": "want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm",
+    "$FORCE": "want=c_over_m:5% frequency=2 damping=0.03 noise=0.5mm force=optimal",
     "$TEST": "samples=50 cycles=5 damping=0.02 snr=20",
     "$EXPORT": "share action=export",
     "$MERGE": "share action=merge",
@@ -81,6 +82,7 @@ method=ls,rls                                     | method=ls,rls               
 -m experiment=open system=open_999999             | system=open_999999               | known
 # ---- scenarios
 $CELL system.parameters.m=1e-300                  | system.parameters.m=1e-300       | at least
+$CELL system.parameters.m=-1                      | system.parameters.m=-1           | greater than 0
 $CELL system.samples=1000000000000                | system.samples=1000000000000     | at most
 $CELL system.duration=true                        | system.duration=True             | number
 $CELL system.initial.displacement=[1,2]           | system.initial=[1.0, 2.0]        | one a DOF
@@ -96,12 +98,15 @@ $CELL system=pipe.yaml                            | system=pipe.yaml            
 $CELL system=huge.yaml                            | system=huge.yaml                 | at most
 $CELL system=random.yaml                          | system=random.yaml               | UTF-8
 $CELL system=list.yaml                            | system=list.yaml                 | conf/system
+$CELL system=nothing.yaml                         | system=nothing.yaml              | conf/system
+$CELL system=open.yaml                            | system=open.yaml                 | not plain YAML
+$CELL system=typo.yaml                            | system.samplez=3                 | did you mean samples
 $CELL system=bomb.yaml                            | system=bomb.yaml                 | alias
 $CELL system=deep.yaml                            | system=deep.yaml                 |
 $CELL system=tag.yaml                             | system=tag.yaml                  | YAML
 $CELL system=twice.yaml                           | system=twice.yaml                | duplicate
 $CELL system=half.yaml                            | system.parameters=               | needed
-$CELL system=base.yaml                            | system=base.yaml                 | defaults
+$CELL system=base.yaml                            | system=base.yaml                 | defaults contains nowhere
 $CELL system=secret.yaml                          | system=secret.yaml               | ${
 $CELL system=wrongprior.yaml                      | prior=zz                         | known
 # ---- Hydra's own fields
@@ -112,11 +117,39 @@ $CELL hydra.mode=MULTIRUN                         | hydra.mode=MULTIRUN         
 # ---- measured records
 $RECORD snr=20                                    | snr=20                           | simulated
 $RECORD prior=nominal                             | nominal=                         | nominal.m
+$RECORD prior=nominal nominal.m=1                 | nominal={'m': 1.0}               | nominal.k=
+$RECORD nominal.m=1                               | nominal.m=1                      | nominal values need prior=
+$RECORD initial_state=known                       | start=None                       | initial_state=known needs start=
+$RECORD initial_state=known start=[1]             | start=[1.0]                      | start=[displacement,velocity]
+$RECORD replicates=3                              | replicates=3                     | simulated
+$RECORD disturbance=bias                          | disturbance=bias                 | simulated
+$RECORD seed=1,2                                  | seed=1,2                         | use a single value
+$RECORD system=nonsense                           | system=nonsense                  | conf/system
+$RECORD system=sdof+coulomb system.samples=20     | system=sdof+coulomb              | omit system.<field>
+$RECORD system=auto fixed.l=1                     | fixed={'l': 1.0}                 | not supported with system=auto
+$RECORD fixed.m=0                                 | fixed.m=0.0                      | a positive mass
+$RECORD fixed.q=1                                 | fixed.q=1.0                      | parameters of these terms: c, k
+$RECORD fixed.k=9                                 | fixed={'k': 9.0}                 | only ratios to the mass
+$RECORD fixed.m=1 prior=nominal nominal.m=1 nominal.c=1 nominal.k=9 | fixed.m=1.0    | determined by the force
+$RECORD hold=step                                 | hold=step                        | zero_order
+$RECORD from=100                                  | from=100                         | runs from 0 to 5.9 s
+$RECORD band=1:4                                  | band=1:4                         | modes only
 $RECORD system=sdof+beam                          | system=sdof+beam                 |
 $RECORD columns=t                                 | columns=t                        | role:value
+$RECORD columns=x:0,x:1                           | columns=x:0,x:1                  | x occurs twice
 $RECORD force_gain=0                              | force_gain=0                     | no force
 $RECORD from=5 to=1                               | from=5                           | less than
 method=ls data=missing                            | data=missing                     | cannot be read
+method=ls data=missing picture=fit.png            | picture=fit.png                  | ends in .svg
+method=ls data=missing plot=always format=json    | plot=always                      | format=table
+method=oracle data=good.csv                       | method=oracle                    | true values
+data=good.csv modes=0                             | modes=0                          | auto or a number from 1 to 10
+data=good.csv modes=eleven                        | modes=eleven                     | auto or a number from 1 to 10
+data=good.csv modes=2 band=4:1                    | band=4:1                         | lower:upper in Hz
+data=good.csv modes=2 band=1:20                   | band=1:20                        | frequency of good.csv is 5 Hz
+data=good.csv modes=2 system=duffing              | system=duffing                   | modes=
+data=good.csv modes=2 method=pinn                 | method=pinn                      | takes modal methods
+data=good.csv modes=2 to=0.5                      | data=good.csv                    | at least 32 are needed for modes
 method=ls data=folder                             | data=folder                      |
 method=ls data=/dev/zero                          | data=/dev/zero                   |
 method=ls data=pipe                               | data=pipe                        |
@@ -132,9 +165,30 @@ method=ls data=bomb.zip                           | data=bomb.zip               
 # ---- verbs
 design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5mm amplitude=1rad | amplitude=1rad | length
 design want=mass:5% frequency=2 damping=0.02 noise=0.5mm | want=mass:5%                | k_over_m
+design want=c_over_m:5 frequency=2 damping=0.02 noise=0.5mm | want=c_over_m:5        | a percentage
+design want=c_over_m:5% frequency=-1 damping=0.02 noise=0.5mm | frequency=-1         | greater
+design want=c_over_m:5% frequency=2 damping=0.02:x% noise=0.5mm | damping=0.02:x%    | number
+design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5 | noise=0.5               | with its unit
+design want=c_over_m:5% frequency=2 damping=0.02 noise=0.5s | noise=0.5s             | with its unit
+design samples=50 cycles=5 damping=-2% snr=20     | damping=-2%                      | greater
+design $DECAY amplitude=ten                       | amplitude=ten                    | with its unit
+design $DECAY method=shoting verify=2             | method=shoting                   | did you mean shooting
+design $DECAY force=best                          | force=best                       | one of optimal
+design $FORCE samples=60 duration=4 mass=2        | energy=                          | needed
+design $FORCE samples=60 duration=4 energy=4      | mass=                            | needed
+design $FORCE samples=60 energy=4 mass=2          | duration=                        | needed
+design $FORCE duration=4 energy=4 mass=2          | samples=                         | needed
+design $FORCE samples=8 duration=4 energy=4 mass=2 | samples=8                       | at least 21
+design $FORCE samples=60 duration=0.1 energy=4 mass=2 | duration=0.1                 | at least 3 lines
+design $FORCE samples=60 duration=4 energy=4 mass=2 times=optimal | times=optimal    | not a field
+design $FORCE samples=60 duration=4 energy=4 mass=2 out=file/f.csv | out=file/f.csv  | cannot be written
 design $DECAY samples=20                          | duration=                        | describe the test
 design $TEST atlas=good.csv                       | atlas=good.csv                   | experiment=atlas
-identifiability measured=[9]                      | measured=                        |
+identifiability measured=[1]                      | measured=[1]                     | a list of DOFs
+identifiability measured=first                    | measured=first                   | such as [0,1]
+identifiability method=pinn                       | method=pinn                      | not a field
+identifiability system=sdfo                       | system=sdfo                      | did you mean sdof
+identifiability snr=10,20                         | snr=10,20                        | several values
 tables what=clams                                 | what=clams                       | did you mean claims
 run method=ls data=nowhere.csv                    | data=nowhere.csv                 | cannot be read
 identify method=ls data=nowhere.csv               | data=nowhere.csv                 | cannot be read
@@ -143,8 +197,15 @@ report store=store out=.                          | out=.                       
 reproduce cell=zz                                 | cell=zz                          | identity
 track forced=9                                    | forced=9                         |
 track follow=true                                 | follow=true                      | from=
+track method=efk                                  | method=efk                       | did you mean ekf
+track from=nowhere.csv                            | from=nowhere.csv                 | file or pipe not found
+track method=rls columns=t                        | columns=t                        | role:value
+track method=rls ambient=0                        | method=rls                       | requires a known force
+track method=rls limits=3                         | limits=3                         | lo:hi
+track method=rls method.factor=2                  | method.factor=2                  | less than or equal to 1
+track resume=true                                 | resume=true                      | with state=<file>
+track method=rls from=random forced=0 rate=20     | stream=                          | no line of the form t, x1, f1
 track state=state.json resume=true                | state=state.json                 | not a state file
-track from=random                                 | stream=                          | no line of the form
 -m experiment=measured set=nonsense               | set=nonsense                     | one of
 -m experiment=online system=sdof scenario=ramp,ramp | scenario=ramp                  | once
 -m experiment=online system=sdof system.varying.k=jump dry_run=true | system.varying.k.kind=jump |

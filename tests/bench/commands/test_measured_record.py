@@ -65,23 +65,6 @@ def test_a_record_without_a_fit_is_drawn(capsys: pytest.CaptureFixture[str]) -> 
     assert Path("flat.svg").is_file()
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        (["picture=fit.png"], "picture=fit.png: a file whose name ends in .svg"),
-        (["plot=always", "format=json"], "plot=always: use it with format=table"),
-    ],
-)
-def test_bad_fields_are_reported_before_the_work(
-    fields: list[str], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("bench.records.identification.identify_all", None)
-    assert main(["data=record.csv", "method=matrix_pencil", *fields]) == 2
-    out, err = capsys.readouterr()
-    assert (out, len(err.splitlines())) == ("", 1)
-    assert message in err
-
-
 def test_methods_without_an_estimate_are_grouped_by_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
     """ddnn cannot estimate an offset; a straight line through a record without motion is no decay."""
     out = printed(capsys, "method=matrix_pencil,ddnn")

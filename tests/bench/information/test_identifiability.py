@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import random
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -307,26 +306,3 @@ def test_the_command_prints_the_verdicts(capsys: pytest.CaptureFixture[str]) -> 
     assert words == {"m": BY_PRIOR, "c": WITH_PRIOR, "k/m": FROM_DATA}
     assert "m and k +0.97" in text  # 0.02 / sqrt(0.02² + 0.00496²), with the protocol's bound on k/m
     assert max(map(len, text.splitlines())) <= 100
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["method=pinn"], "method=pinn: not a field"),
-        (["snr"], "argument=snr"),
-        (["system=sdfo"], "system=sdfo"),
-        (["snr=nan"], "snr"),
-        (["snr=10,20"], "several values"),
-        (["profile=maybe"], "profile=maybe: input should be a valid boolean"),
-        (["measured=[1]"], "measured=[1]: a list of DOFs"),
-        (["measured=first"], "measured=first"),
-        (["out="], "out="),
-    ],
-)
-def test_bad_input_is_one_line(arguments: Sequence[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identifiability", *arguments]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("bench: ")
-    assert said in err
-    assert len(err.splitlines()) == 1

@@ -132,24 +132,3 @@ def test_the_command_compares_forces_and_writes_the_best_as_a_record(tmp_path, c
     np.savetxt(path, np.c_[times, force, motion], delimiter=",", header=f"{heading},x (m)", comments="")
     read = read_measured(request_of(read_overrides([f"data={path}", "method=output_error"]))).problem.records[0]
     np.testing.assert_allclose(read.forces[0].values, force)
-
-
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [(["force=best"], "force=best: one of optimal"), (["energy=0"], "greater than"),
-     (["samples=8"], "at least 21"), (["duration=0.1"], "duration"), (["amplitude=1cm"], "amplitude"),
-     (["times=optimal"], "times"), (["samples=501"], "500"), (["force=none"], "leave it out"),
-     (["out=/dev/null/force.csv"], "cannot be written")],
-)  # fmt: skip
-def test_a_mistype_is_one_line(fields: list[str], said: str, capsys) -> None:
-    keys = {field.partition("=")[0] for field in fields}
-    assert main(["design", *(one for one in GIVEN if one.partition("=")[0] not in keys), *fields]) == 2
-    error = capsys.readouterr().err.strip().splitlines()
-    assert len(error) == 1
-    assert said in error[0]
-
-
-@pytest.mark.parametrize("field", ["energy", "mass", "samples", "duration"])
-def test_a_field_that_is_not_given_is_named(field: str, capsys) -> None:
-    assert main(["design", *(one for one in GIVEN if not one.startswith(f"{field}="))]) == 2
-    assert f"{field}=" in capsys.readouterr().err

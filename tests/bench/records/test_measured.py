@@ -69,59 +69,6 @@ def refusal(arguments: list[str], capsys: Capture) -> str:
 # errors in one line
 
 
-@pytest.mark.parametrize(
-    ("more", "part"),
-    [
-        (["method=oracle"], "method=oracle: it needs the true values"),
-        (
-            ["method=ls", "prior=nominal"],
-            "bench: nominal={}: a prior on a measured record needs nominal values: nominal.m=",
-        ),
-        (["method=ls", "prior=nominal", "nominal.m=1"], "nominal.k="),
-        (["method=ls", "nominal.m=1"], "nominal.m=1: nominal values need prior="),
-        (["method=ls", "initial_state=known"], "start=None: initial_state=known needs start="),
-        (["method=ls", "initial_state=known", "start=[1]"], "start=[1.0]"),
-        (["method=ls", "snr=20"], "snr=20: for simulated data only"),
-        (["method=ls", "replicates=3"], "replicates=3: for simulated data only"),
-        (["method=ls", "disturbance=bias"], "disturbance=bias: for simulated data only"),
-        (["method=ls", "seed=1,2"], "seed=1,2: use a single value"),
-        (["method=ls", "columns=x"], "columns=x: use role:value"),
-        (["method=ls", "columns=x:0,x:1"], "x occurs twice"),
-        (["method=ls", "hold=step"], "hold=step"),
-        (["method=ls", "from=100"], "from=100"),
-        (["method=ls", "system=nonsense"], "system=nonsense"),
-        (["method=ls", "system=sdof+nonsense"], "system=sdof+nonsense"),
-    ],
-)
-def test_fields_that_do_not_apply_to_a_record_are_rejected(
-    more: list[str], part: str, tmp_path: Path, capsys: Capture
-) -> None:
-    assert part in refusal([*more, f"data={record(tmp_path)}"], capsys)
-
-
-@pytest.mark.parametrize(
-    ("more", "part"),
-    [
-        (["system=sdof+nonsense"], "nonsense is unknown; join by + some of: sdof, "),
-        (["system=sdof+coulomb+coulomb"], "coulomb is repeated"),
-        (["system=sdof+pendulum"], "these terms exclude each other"),
-        (["fixed.m=0"], "fixed.m=0.0: a positive mass"),
-        (["fixed.q=1"], "q"),
-        (["fixed.k=9"], "only ratios to the mass are identifiable; add a force or a prior"),
-        (
-            ["fixed.m=1", "prior=nominal", "nominal.m=1", "nominal.c=1", "nominal.k=9"],
-            "the mass is determined by the force or the prior",
-        ),
-        (["system=auto", "fixed.l=1"], "not supported with system=auto"),
-        (["system=sdof+coulomb", "system.samples=20"], "omit system.<field>"),
-    ],
-)
-def test_invalid_sums_and_known_values_are_rejected(
-    more: list[str], part: str, tmp_path: Path, capsys: Capture
-) -> None:
-    assert part in refusal(["method=ls", *more, f"data={record(tmp_path)}"], capsys)
-
-
 def test_too_many_samples_are_rejected_with_advice(tmp_path: Path, capsys: Capture) -> None:
     times = np.arange(100_001) / 1000
     path = written(tmp_path / "long.csv", "t [s],x [m]", times, np.cos(times))

@@ -155,27 +155,6 @@ def test_a_certificate_compares_modes_with_other_methods(capsys: pytest.CaptureF
     assert "cannot be combined with modes=" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        (["modes=0"], "modes=0: use auto or a number from 1 to 10"),
-        (["modes=eleven"], "modes=eleven: use auto or a number from 1 to 10"),
-        (["modes=2", "band=40:10"], "band=40:10: use lower:upper in Hz, such as 10:40"),
-        (["modes=2", "band=10:150"], "band=10:150: the highest frequency of one.csv is 100 Hz"),
-        (["modes=2", "system=duffing"], "system=duffing: cannot be combined with modes="),
-        (["modes=2", "method=pinn"], "method=pinn: modes= takes modal methods: "),
-        (["method=ls", "band=10:40"], "band=10:40: it applies to modes only; add modes=auto"),
-        (["modes=2", "to=0.1"], "21 samples; at least 32 are needed for modes"),
-    ],
-)
-def test_invalid_fields_are_rejected_in_one_line(
-    fields: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["data=one.csv", *fields]) == 2
-    assert message in (error := capsys.readouterr().err)
-    assert error.count("\n") == 1
-
-
 def test_a_single_channel_may_have_any_unit() -> None:
     write("sound.csv", wave(*FIRST, 3.0) + noise(0.02, 5), heads="mic [Pa]")
     (mode,) = bench.identify("sound.csv", modes="auto").modes

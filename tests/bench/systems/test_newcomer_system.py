@@ -142,29 +142,6 @@ def test_methods_that_cannot_take_it_say_why(method: str, folder: Path, capfd: p
     assert {"ls": "affine", "era": "linear"}[method] in said["message"]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (None, "file not found"),
-        ("", "conf/system"),
-        ("defaults: [nowhere]\nlabel: a", "nowhere"),
-        ("label: [", "not plain YAML"),
-        ("defaults: [sdof]\nsamplez: 3", "samplez"),
-        ("defaults: [sdof]\nparameters: {m: -1.0}", "greater than 0"),
-    ],
-)
-def test_a_wrong_file_is_one_line(
-    text: str | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "own.yaml"
-    if text is not None:
-        path.write_text(text, encoding="utf-8")
-    assert main(["method=ls", f"system={path}"]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
-
-
 def test_two_files_can_be_swept_over(tmp_path: Path) -> None:
     for n in (30, 50):
         (tmp_path / f"s{n}.yaml").write_text(f"defaults: [sdof]\nlabel: s{n}\nsamples: {n}\n", encoding="utf-8")

@@ -222,35 +222,6 @@ def test_a_line_of_ten_million_letters_is_left_out() -> None:
     assert json.loads(done.stdout.splitlines()[-1])["sample"] == len(rows)
 
 
-def test_a_stream_without_a_readable_line_is_refused() -> None:
-    done = run(["method=rls", "forced=0", "rate=20"], "one two\nthree\n")
-    assert done.returncode == 2
-    assert "no line of the form t, x1, f1; name other columns" in done.stderr.splitlines()[-1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["method=efk"], "did you mean ekf"),
-        (["from=nowhere.csv"], "file or pipe not found"),
-        (["method=rls", "rate=0"], "rate=0: input should be greater than or equal to"),
-        (["method=rls", "rate=nan"], "rate=nan: input should be a finite number"),
-        (["method=rls", "columns=t"], "use role:value"),
-        (["resume=true"], "with state=<file>"),
-        (["rate=fast", "method=rls"], "rate=fast: input should be a valid number"),
-        (["method=rls", "ambient=0"], "it requires a known force"),
-        (["limits=3", "method=rls"], "lo:hi"),
-        (["method=rls", "method.factor=2"], "method.factor"),
-    ],
-)
-def test_what_is_mistyped_is_said_in_a_line_with_status_2(arguments, said, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    assert main(["track", *arguments]) == 2
-    error = capsys.readouterr().err.strip()
-    assert said in error
-    assert "\n" not in error
-
-
 def test_the_state_is_numbers_and_comes_back_whole(tmp_path) -> None:
     value = {"a": np.array([[1.0, np.nan], [np.inf, -2.5]]), "b": [1, 2.5], "c": None, "d": "x"}
     again = {key: restored(one) for key, one in json.loads(json.dumps({k: plain(v) for k, v in value.items()})).items()}
