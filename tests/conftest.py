@@ -22,6 +22,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ["VIBRATION_BENCH_ARCHIVE"] = "none"  # a test says itself what is published
 
 import pytest  # noqa: E402
+from hypothesis import HealthCheck, settings  # noqa: E402
 
 from bench.engine import runner  # noqa: E402
 from bench.engine.plan import plan  # noqa: E402
@@ -38,6 +39,10 @@ from bench.store.store import BOUND_FORMAT, Store  # noqa: E402
 from bench.store.stored_cell import StoredCell  # noqa: E402
 from bench.store.version import cell_version  # noqa: E402
 
+FUZZ = settings(deadline=None, database=None, print_blob=False, suppress_health_check=list(HealthCheck))
+settings.register_profile("quick", FUZZ, max_examples=150, derandomize=True)
+settings.register_profile("long", FUZZ, max_examples=10_000)
+settings.load_profile("quick")  # another one by --hypothesis-profile
 REPOSITORY = Path(__file__).parents[1]
 ONE_WORKER, TWO_WORKERS = Limits(1, 60.0, 2000.0), Limits(2, 60.0, 2000.0)
 

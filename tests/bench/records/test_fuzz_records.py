@@ -1,4 +1,4 @@
-"""A few seconds of the fuzzer of records; ``python -m tests.fuzz`` runs for minutes."""
+"""The fuzzer of records: a second; minutes with ``--hypothesis-profile=long``."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 from fuzz.records import AS_SEEDS, OPTIONS, RECORDS, SEEDS, check_record
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 
 from bench.records.reading import ReadOptions, files, read_recording
 
 
-@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=RECORDS, options=OPTIONS)
 def test_a_record_is_read_or_rejected_in_one_line(data: bytes, options: ReadOptions, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:  # separate processes would take minutes
