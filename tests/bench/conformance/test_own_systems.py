@@ -25,14 +25,25 @@ from bench.systems import (
     registered_systems,
 )
 
-OPTIONS: Mapping[str, dict[str, Any]] = {"sum": {"terms": ("viscous", "spring", "cubic")}, "chain": {"n": 3}}
+SUMS: Mapping[str, dict[str, Any]] = {
+    "cubic": {"terms": ("viscous", "spring", "cubic")},
+    "all damping": {"terms": ("viscous", "spring", "coulomb", "quadratic"), "smoothing_velocity": 0.3},
+    "softening": {"terms": ("viscous", "spring", "softening")},
+    "pendulum of a known length": {"terms": ("pendulum", "viscous", "coulomb"), "fixed": (("l", 0.7),)},
+    "driven axis": {"terms": ("viscous", "coulomb", "bias"), "bias_sign": -1},
+}
+SPECIMENS: Mapping[str, tuple[str, dict[str, Any]]] = {
+    **{name: (name, {"n": 3} if name == "chain" else {}) for name in registered_systems() if name != "sum"},
+    **{f"sum, {label}": ("sum", options) for label, options in SUMS.items()},
+}
+"""Systems by label: registered name and options."""
 checks = pytest.mark.parametrize("check", SYSTEM_CHECKS, ids=lambda check: check.name)
 
 
-@pytest.mark.parametrize("name", registered_systems())
+@pytest.mark.parametrize("label", SPECIMENS)
 @checks
-def test_every_system_of_ours_keeps_the_contract(name: str, check: Check) -> None:
-    options = OPTIONS.get(name, {})
+def test_every_system_of_ours_keeps_the_contract(label: str, check: Check) -> None:
+    name, options = SPECIMENS[label]
     check.run(Specimen(name, options, make_system(name, options)))
 
 

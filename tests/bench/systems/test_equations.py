@@ -1,4 +1,4 @@
-"""The further systems: equations by hand in every library, dimensions, and the groups that exact algebra finds."""
+"""The systems: equations by hand in every library, dimensions, and the groups that exact algebra finds."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ from bench.information.fisher import compute_bound
 from bench.information.structural import structure
 from bench.scenario.scenario import Scenario
 from bench.systems import (
+    SDOF,
     BoucWen,
+    Chain,
     Coulomb,
     Dimension,
+    Duffing,
     Matrices,
     Pendulum,
     QuadraticDamping,
@@ -42,6 +45,9 @@ from bench.systems import (
 
 BAR = Matrices(mass=[[1, 1], [1, 2], [2, 2]], damping=[[1, 1], [2, 2]], stiffness=[[1, 1], [1, 2, -1], [2, 2]])
 SYSTEMS: dict[str, System] = {
+    "sdof": SDOF(),
+    "duffing": Duffing(),
+    "chain": Chain(3),
     "quadratic_damping": QuadraticDamping(),
     "coulomb": Coulomb(0.3),
     "van_der_pol": VanDerPol(),
@@ -57,6 +63,13 @@ every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 def by_hand(name: str, p: dict[str, float], x: Any, v: Any, a: Any, f: Any, z: Any) -> tuple[list[float], list[float]]:
     """Equations of motion and rates of hidden states from the textbooks, in plain numbers."""
+    if name == "chain":
+        damping, stiffness = (
+            np.array([[p[f"{s}1"] + p[f"{s}2"], -p[f"{s}2"], 0], [-p[f"{s}2"], p[f"{s}2"] + p[f"{s}3"], -p[f"{s}3"]],
+                      [0, -p[f"{s}3"], p[f"{s}3"]]])
+            for s in "ck"
+        )  # fmt: skip
+        return list(np.diag([p["m1"], p["m2"], p["m3"]]) @ a + damping @ v + stiffness @ x - f), []
     if name == "rayleigh_chain":
         mass = np.diag([p["m1"], p["m2"]])
         stiffness = np.array([[p["k1"] + p["k2"], -p["k2"]], [-p["k2"], p["k2"]]])
@@ -68,6 +81,8 @@ def by_hand(name: str, p: dict[str, float], x: Any, v: Any, a: Any, f: Any, z: A
         return list(mass @ a + np.diag([p["c11"], p["c22"]]) @ v + stiffness @ x - f), []
     y, u = float(x[0]), float(v[0])
     inertia = p["m"] * a[0] - f[0]
+    if name in ("sdof", "duffing"):
+        return [inertia + p["c"] * u + p["k"] * y + p.get("k3", 0.0) * y**3], []
     if name == "quadratic_damping":
         return [inertia + p["c"] * u + math.copysign(p["c2"] * u**2, u) + p["k"] * y], []
     if name == "coulomb":
