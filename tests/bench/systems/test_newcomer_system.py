@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 from bench import systems
 from bench.commands.main import main
 from bench.config.experiment import expand
-from bench.information.fisher import information
 from bench.scenario.scenario import Scenario
 from bench.store.version import cell_version
 from bench.systems import load_system, make_system
@@ -116,13 +115,6 @@ def test_its_data_are_those_of_its_equation(folder: Path) -> None:
         assert residual == pytest.approx(force, rel=2e-4)
 
 
-def test_its_groups_are_what_the_data_tell(folder: Path) -> None:
-    """Multiplying m, c, k and k2 by one constant changes nothing, and d is a length: the one lost direction."""
-    lost = information(scenario()).null_space
-    assert lost.shape == (1, 5)
-    assert np.allclose(np.abs(lost[0]), [0.5, 0.5, 0.5, 0.5, 0.0], atol=1e-5)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_methods_run_on_it(method: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The page's command; the fit is within five times the Cramér-Rao bound of the displacement."""
@@ -132,14 +124,6 @@ def test_methods_run_on_it(method: str, folder: Path, capfd: pytest.CaptureFixtu
     said = json.loads(capfd.readouterr().out.strip().splitlines()[-1])
     assert (said["system"], said["status"]) == ("gap", "ok"), said
     assert said["metrics"]["rmse"]["excess"] < 5.0
-
-
-@pytest.mark.parametrize("method", ["ls", "era"])
-def test_methods_that_cannot_take_it_say_why(method: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main([f"method={method}", *RUN]) == 0
-    said = json.loads(capfd.readouterr().out.strip().splitlines()[-1])
-    assert said["status"] == "unsupported"
-    assert {"ls": "affine", "era": "linear"}[method] in said["message"]
 
 
 def test_two_files_can_be_swept_over(tmp_path: Path) -> None:
