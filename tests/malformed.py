@@ -181,7 +181,7 @@ design $FORCE duration=4 energy=4 mass=2          | samples=                    
 design $FORCE samples=8 duration=4 energy=4 mass=2 | samples=8                       | at least 21
 design $FORCE samples=60 duration=0.1 energy=4 mass=2 | duration=0.1                 | at least 3 lines
 design $FORCE samples=60 duration=4 energy=4 mass=2 times=optimal | times=optimal    | not a field
-design $FORCE samples=60 duration=4 energy=4 mass=2 out=file/f.csv | out=file/f.csv  | cannot be written
+design $FORCE samples=60 duration=4 energy=4 mass=2 out=file/f.csv | out=file/f.csv  | another folder
 design $DECAY samples=20                          | duration=                        | describe the test
 design $TEST atlas=good.csv                       | atlas=good.csv                   | experiment=atlas
 identifiability measured=[1]                      | measured=[1]                     | a list of DOFs

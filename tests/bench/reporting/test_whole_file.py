@@ -22,11 +22,3 @@ def test_a_failed_write_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest
         write(path, "after")
     assert [one.name for one in tmp_path.iterdir()] == ["certificate.html"]
     assert path.read_text(encoding="utf-8") == "before"
-
-
-def test_where_a_parent_is_a_file_the_user_hears_what_they_named(tmp_path: Path) -> None:
-    file = tmp_path / "record.csv"
-    file.write_text("t,x\n", encoding="utf-8")
-    folder = file / "below"
-    with pytest.raises(InputError, match=r"out=.*below.*another folder"):
-        write(folder / "certificate.html", "text", folder)

@@ -22,7 +22,6 @@ from methods.trajectory.output_error import SingleShooting, cold_start
 
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 TRUE = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
-START = InitialState(np.array([0.8]), np.array([0.5]))
 
 
 def fit(problem: Problem, **settings: object) -> Estimate:
