@@ -22,8 +22,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 NAMES = sorted({*registered(), *VARIANTS})
 WITHOUT_FIT = ("card", "imports")
-OF_ONE_FIT = (*WITHOUT_FIT, "pickling", "answer", "dead channel", "dead channel, unknown initial state", "time")
-QUICK = {"nuts": WITHOUT_FIT, "pinn_adam": OF_ONE_FIT}
+QUICK = {"nuts": WITHOUT_FIT, "pinn_adam": (*WITHOUT_FIT, "answer")}
 """Quick checks of methods whose other checks are slow: one compiles for each layout, the other descends."""
 IN_ANOTHER_PROCESS = ("ekf", "ls", "shooting")
 """Methods for which the start of another process is worth its time in the quick tests."""

@@ -153,7 +153,9 @@ def _sensed(measures: str) -> tuple[Problem, dict[str, float]]:
 
 
 @pytest.mark.parametrize("measures", ["velocity", "acceleration"])
-@pytest.mark.parametrize("settings", [{}, {"uncertainty": "bootstrap", "members": 8}])
+@pytest.mark.parametrize(
+    "settings", [{}, pytest.param({"uncertainty": "bootstrap", "members": 8}, marks=pytest.mark.slow)]
+)
 def test_sensors_of_velocity_and_acceleration_serve_under_a_force(measures: str, settings: dict[str, object]) -> None:
     """1 % noise on 25 samples: each parameter to a few per cent, and the intervals of that size, not of the edge's."""
     problem, p = _sensed(measures)

@@ -22,7 +22,13 @@ def record(snr: int) -> tuple[Problem, Truth]:
 
 
 @pytest.mark.parametrize(
-    ("name", "tolerance"), [("shooting", 0.01), ("output_error", 0.01), ("ekf", 0.01), ("collocation", 0.3)]
+    ("name", "tolerance"),
+    [
+        ("shooting", 0.01),
+        pytest.param("output_error", 0.01, marks=pytest.mark.slow),
+        ("ekf", 0.01),
+        ("collocation", 0.3),
+    ],
 )
 def test_a_hidden_state_is_followed(name: str, tolerance: float) -> None:
     """At 60 dB the bound is a tenth of a per cent or two; the spline has no kinks where the truth has, at v = 0."""
@@ -58,7 +64,7 @@ class Follower(System):
         return [0.5 * v[0]]
 
 
-@pytest.mark.parametrize("name", ["shooting", "output_error", "collocation"])
+@pytest.mark.parametrize("name", ["shooting", pytest.param("output_error", marks=pytest.mark.slow), "collocation"])
 def test_a_broken_exponent_has_slopes_at_rest(name: str) -> None:
     """z starts at zero, where ``|z|^1.5`` and ``z |z|^0.5`` have no slope by the rules of their parts."""
     lacking = missing_package(name)

@@ -148,7 +148,7 @@ def test_viscous_damping_is_selected_and_friction_has_a_limit(colour: float) -> 
     assert 0 < comparison.chosen.zero["mu"] < (0.3 if colour else 0.15) * FRICTION
 
 
-@pytest.mark.parametrize("db", [20.0, 40.0])
+@pytest.mark.parametrize("db", [20.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_a_hardening_spring_is_chosen(db: float) -> None:
     comparison = compared(measured(duffing(), db, 3))
     assert comparison.chosen.name == "Duffing"

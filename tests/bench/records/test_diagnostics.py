@@ -114,7 +114,7 @@ def test_strong_white_noise_is_reported_but_not_rejected() -> None:
 
 
 @pytest.mark.parametrize("samples", [50, 100, 300, 1000])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_noise_is_no_vibration(samples: int, seed: int) -> None:
     finding = judge(np.linspace(0.0, 10.0, samples), np.random.default_rng(seed).standard_normal(samples))
     assert finding.trust is Trust.NO
@@ -201,7 +201,7 @@ def test_too_few_cycles_are_counted(cycles: float, verdicts: tuple[Trust, ...]) 
     assert "cycles" in reasons(finding)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_wrong_sign_of_the_force_is_reported_and_force_gain_corrects_it(seed: int) -> None:
     force, x = forced(T, 5 + seed)
     wrong = judge(T, noisy(x, 30.0, seed), -force)

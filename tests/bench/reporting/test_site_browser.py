@@ -175,7 +175,7 @@ def test_the_keyboard_reaches_content_and_sorts(browser: Browser, site: Path) ->
     assert values == sorted(values)
 
 
-@pytest.mark.parametrize("width", [390, 800, 1440])
+@pytest.mark.parametrize("width", [390, pytest.param(800, marks=pytest.mark.slow), 1440])
 def test_no_page_is_wider_than_the_screen(width: int, browser: Browser, site: Path) -> None:
     show(browser, width)
     for page in PAGES:

@@ -24,7 +24,7 @@ from bench.systems import load_system, make_system
 
 PAGE = Path(__file__).parents[3] / "docs" / "gallery" / "add_system.md"
 FILES = ("gap_spring.py", "pyproject.toml", "gap.yaml")
-METHODS = ("shooting", "collocation", "ekf")
+METHODS = ("ekf", *(pytest.param(name, marks=pytest.mark.slow) for name in ("shooting", "collocation")))
 """Some of those that take any smooth system."""
 
 

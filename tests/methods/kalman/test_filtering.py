@@ -61,6 +61,8 @@ class Slipping(SDOF):
 PLANT = {"m": 1.3, "c": 0.6, "k": 9.0}  # a plant that is in no table
 NOMINAL = PriorSpec("nominal", {"mass": 0.02, "damping": 1.0, "stiffness": 0.5, "other": 0.5})
 BOTH = pytest.mark.parametrize("method", [EKF(), UKF()], ids=["ekf", "ukf"])
+UKF_SLOW = pytest.mark.parametrize("method", [EKF(), pytest.param(UKF(), marks=pytest.mark.slow)], ids=["ekf", "ukf"])
+"""For long tests of code that both have."""
 
 
 def scenario(snr: float, **changes: object) -> Scenario:
@@ -349,7 +351,7 @@ def test_nodes_with_several_samples_give_the_same_answer(
     np.testing.assert_allclose(np.sqrt(np.diag(long.distribution.covariance)), sd, rtol=0.01)
 
 
-@BOTH
+@UKF_SLOW
 def test_a_motion_that_dies_at_once_is_not_preferred_to_the_one_that_the_data_show(method: Identifier) -> None:
     """At 0 dB, of two ends that explain the data the more probable one is kept; both methods had the other."""
     made = Scenario("sdof", {"m": 1.0, "c": 0.6, "k": 50.0}, ((0.5,), (0.0,)), 0.0, duration=8.0, samples=29,

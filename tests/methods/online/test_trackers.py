@@ -148,7 +148,7 @@ def test_a_step_that_raises_costs_its_sample_alone(constant) -> None:
 
 
 @pytest.mark.parametrize("name", ["change_points", "glr"])
-@pytest.mark.parametrize("place", [250, 253, 257])
+@pytest.mark.parametrize("place", [250, pytest.param(253, marks=pytest.mark.slow), 257])
 def test_a_jump_is_not_taken_for_a_change_by_a_hypothesis_that_was_just_born(place, name, constant) -> None:
     _, stream, bound = constant
     tracker, sigma = make_online(name).start(stream.layout), stream.truth.sigma[0]

@@ -22,7 +22,7 @@ from methods.pinn_family.sampling import SAMPLINGS as SAMPLERS  # noqa: E402
 
 TRUE = {"m": 1.7, "c": 0.9, "k": 14.0}
 PRIOR = Prior({"m": 1.68, "c": 1.5, "k": 9.0}, {"m": 0.02, "c": 1.0, "k": 0.5})
-QUICK_WEIGHTINGS = ("paper", "causal", "relobralo")
+QUICK_WEIGHTINGS, QUICK_OPTIMIZERS = ("paper", "causal"), ("adam", "lbfgs", "natural_gradient")
 
 
 def problem(noise: float = 0.05, known: bool = True, seed: int = 0) -> Problem:
@@ -120,7 +120,9 @@ def test_other_functions_of_time_end_at_the_same_parameters(architecture: Any) -
     assert computed == pytest.approx(least, abs=0.2 * sd)
 
 
-@pytest.mark.parametrize("optimizer", OPTIMIZERS)
+@pytest.mark.parametrize(
+    "optimizer", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK_OPTIMIZERS)) for name in OPTIMIZERS]
+)
 def test_a_small_budget_gives_an_answer_that_says_so(optimizer: Any) -> None:
     estimate = PINNFamily(optimizer=optimizer, budget=12.0).identify(problem(), np.random.default_rng(0))
     assert estimate.status in (Status.OK, Status.DIVERGED)

@@ -182,7 +182,7 @@ def test_a_duffing_oscillator() -> None:
 
 
 @pytest.mark.parametrize("initial_state", ["known", "unknown"])
-@pytest.mark.parametrize("prior", [NOMINAL, None])
+@pytest.mark.parametrize("prior", [NOMINAL, pytest.param(None, marks=pytest.mark.slow)])
 def test_five_samples_give_an_answer_or_a_sentence(initial_state: str, prior: PriorSpec | None) -> None:
     for problem, _ in scenario(10.0, initial_state=initial_state, samples=5, prior=prior).replicates(0, 4):
         estimate = fit(problem).checked()
