@@ -123,7 +123,7 @@ def without_spikes(values: np.ndarray) -> np.ndarray:
     return values
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=128)
 def _beginning(layout: Layout, shape: tuple[int, int], values: bytes, forces: bytes) -> Beginning:
     given = np.frombuffer(forces).reshape(shape[0], len(layout.forced))
     return _searched(Head(layout, np.frombuffer(values).reshape(shape), given))
