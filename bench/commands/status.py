@@ -22,7 +22,7 @@ from bench.reporting.terminal_tables import cell_table
 from bench.store.cell import Cell, stored_as_cell
 from bench.store.store import Store
 from bench.store.stored_cell import CellHead
-from bench.store.table_versions import read_versions
+from bench.store.table_versions import read_versions, tables_without_versions
 from bench.store.version import described_version
 from bench.systems import registered_systems
 
@@ -94,6 +94,8 @@ def tables_lines(folder: Path) -> list[str]:
     lines = [f"tracks and atlas: {len({line.table for line in versions})} table(s), {count or 'none'} stale"]
     for why, tables in sorted(tables_of.items()):
         lines.append(wrapped(f"stale: {why} ({', '.join(sorted(tables))})", "    ", "  "))
+    if unstated := tables_without_versions(folder):
+        lines.append(wrapped(f"computed before tables stated versions: {', '.join(unstated)}", "    ", "  "))
     return lines
 
 

@@ -16,6 +16,8 @@ from bench.entry_points import entry_points_of
 from bench.files import read_regular
 
 FILE = "versions.csv"
+TABLES = ("table10.csv", "table11.csv", "table12.csv", "atlas*.csv.gz")
+"""Files of these tables in a folder of results."""
 
 
 class TableVersion(NamedTuple):
@@ -50,6 +52,12 @@ def read_versions(folder: Path) -> list[TableVersion]:
     except OSError:
         return []
     return [TableVersion(*line) for line in csv.reader(text.splitlines()[1:]) if len(line) == len(TableVersion._fields)]
+
+
+def tables_without_versions(folder: Path) -> list[str]:
+    """Return the names of a folder's tables without a line in its file: they were computed before there was one."""
+    tables = {path.name.partition(".")[0] for pattern in TABLES for path in folder.glob(pattern)}
+    return sorted(tables - {line.table for line in read_versions(folder)})
 
 
 def with_table(folder: Path, table: str, used: Iterable[tuple[str, str]]) -> str:

@@ -38,7 +38,7 @@ from bench.reporting.pictures.png import caption_of
 from bench.reporting.tables.leaderboard import parts
 from bench.store.store import Store
 from bench.store.stored_cell import unmarked
-from bench.store.table_versions import read_versions
+from bench.store.table_versions import read_versions, tables_without_versions
 
 NAV = {
     "Home": "index.md", "Which method?": "which_method.md", "Can I trust this?": "trust.md",
@@ -282,7 +282,7 @@ def trust_values(site: Site) -> dict[str, Any]:
     return {
         "cells": cells, "hidden": site.reading.hidden, "experiments": origin.experiments(cells),
         "commits": origin.commits_here(cells), "failures": origin.failed_fits(shown),
-        "versions": read_versions(site.results),
+        "versions": read_versions(site.results), "unstated": tables_without_versions(site.results),
         "groups": {
             "Reasons for stale cells": origin.counted(cells, "changed"), "Commits": origin.counted(cells, "commit"),
         },

@@ -48,3 +48,6 @@ def test_the_command_of_a_track_writes_them_and_status_says_what_is_stale(
     assert reason.startswith("  stale: ls version ")
     assert "today 9" in reason
     assert "(table10)" in reason
+    for name in ("table11.csv", "atlas_forced.csv.gz", "atlas.md"):
+        (tmp_path / name).touch()
+    assert tables_lines(tmp_path)[-1] == "  computed before tables stated versions: atlas_forced, table11"
