@@ -227,8 +227,10 @@ class FilterTracker(Tracker):
         values, forces, _ = self._latest(length)
         if np.sum(np.isfinite(values)) < length // 2 or not np.nanmax(np.abs(values)) > 0:
             return "no sensor shows any motion"
-        values = without_spikes(values)
-        best = beginning(Head(self.bank.layout, values, np.nan_to_num(forces)))
+        values, forces = without_spikes(values), np.nan_to_num(forces)
+        if self.layout.scale_known and not np.any(forces):
+            return "the known force is zero over the last samples, which then do not determine the mass"
+        best = beginning(Head(self.bank.layout, values, forces))
         variances = np.diag(best.covariance)
         if not (np.all(np.isfinite(best.mean)) and np.all(variances[self.model.logs] > 0)):
             return "no parameters explain the last samples"

@@ -192,6 +192,18 @@ def test_where_nothing_moves_the_status_says_so() -> None:
     assert set(status[1500:]) == {"at_rest"}
 
 
+def test_a_known_force_that_is_zero_so_far_is_awaited() -> None:
+    made = scenario(forces=(HeldForce("impulses", amplitude=20.0, period=20.0),), samples=700)
+    tracker, decay = make_online("ekf").start(made.stream(0, 0).layout), list(made.stream(0, 0).samples())[1:]
+    outputs = [tracker.update(sample) for sample in decay]  # the first blow is cut off, the second one is at 20 s
+    assert all(output.status.value == "warming_up" for output in outputs[:230])
+    assert "force is zero" in outputs[200].message
+    assert outputs[-1].status.value == "ok"
+    mass = next(q for q in tracker.layout.quantities if q.name == "m")
+    low, high = outputs[-1].marginal(mass).interval(0.9999)
+    assert low < SDOF["m"] < high < 2 * low
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf", "ukf", "square_root", "imm"])
 def test_free_motion_is_found_within_a_second_and_again_behind_a_blow_that_doubles_the_stiffness(name) -> None:
