@@ -443,7 +443,8 @@ def online(r: Published, f: Facts) -> None:
         step_n=whole.replicates, step_methods=len(excess), delay=delay.drop("bound").min(), delay_bound=delay["bound"]
     )
     f.hold(
-        change_points_are_nearest_in_both=excess.idxmin() == "change_points",
+        change_points_are_nearest=excess.max(axis=1).idxmin() == "change_points",
+        multiple_models_are_as_near=abs(excess.k_over_m["imm"] / excess.k_over_m["change_points"] - 1) < 0.05,
         an_unknown_force_delays_all_of_them=delay.drop("bound") > delay["bound"],
     )
 
