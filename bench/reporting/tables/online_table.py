@@ -105,7 +105,7 @@ def false_alarms(lines: Iterable[Line]) -> Rows:
     curves = {key: members[0]["curve"] for key, members in groups.items()}
     titles = [title for title, scenario in curves if scenario == CONSTANT and (title, STEP) in curves]
     points = [
-        (title, f"{width:g} sd", f"{constant[0]:.2g} / {_samples(step[1])}")
+        (title, f"{width:g} sd", f"{constant[0]:.2g} / {_samples(step[1])}".replace("nan", MISSING))
         for title in titles
         for width, constant, step in zip(LEVELS, curves[title, CONSTANT], curves[title, STEP], strict=True)
     ]
