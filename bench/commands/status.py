@@ -94,7 +94,7 @@ def tables_lines(folder: Path) -> list[str]:
     lines = [f"tracks and atlas: {len({line.table for line in versions})} table(s), {count or 'none'} stale"]
     for why, tables in sorted(tables_of.items()):
         lines.append(wrapped(f"stale: {why} ({', '.join(sorted(tables))})", "    ", "  "))
-    if unstated := tables_without_versions(folder):
+    if unstated := tables_without_versions(folder, versions):
         lines.append(wrapped(f"computed before tables stated versions: {', '.join(unstated)}", "    ", "  "))
     return lines
 

@@ -84,7 +84,7 @@ class OnlinePath:
 
     @property
     def used(self) -> set[tuple[str, str]]:
-        """What its tracking uses."""
+        """The entry points that its tracking uses."""
         return self.tracking.used
 
     def stored(self, folder: Path) -> bool:

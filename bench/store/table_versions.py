@@ -54,10 +54,10 @@ def read_versions(folder: Path) -> list[TableVersion]:
     return [TableVersion(*line) for line in csv.reader(text.splitlines()[1:]) if len(line) == len(TableVersion._fields)]
 
 
-def tables_without_versions(folder: Path) -> list[str]:
-    """Return the names of a folder's tables without a line in its file: they were computed before there was one."""
+def tables_without_versions(folder: Path, versions: Iterable[TableVersion]) -> list[str]:
+    """Return the names of a folder's tables without a line among ``versions``: they were computed before the file."""
     tables = {path.name.partition(".")[0] for pattern in TABLES for path in folder.glob(pattern)}
-    return sorted(tables - {line.table for line in read_versions(folder)})
+    return sorted(tables - {line.table for line in versions})
 
 
 def with_table(folder: Path, table: str, used: Iterable[tuple[str, str]]) -> str:

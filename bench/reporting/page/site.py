@@ -279,10 +279,11 @@ def pictures(folder: Path) -> list[dict[str, Any]]:
 def trust_values(site: Site) -> dict[str, Any]:
     """Return the values of "Can I trust this?": commits, what is stale or missing, and failed fits."""
     cells, shown = origin.cells_of(site.reading.stored), [result for panel in site.panels for result in panel.results]
+    versions = read_versions(site.results)
     return {
         "cells": cells, "hidden": site.reading.hidden, "experiments": origin.experiments(cells),
         "commits": origin.commits_here(cells), "failures": origin.failed_fits(shown),
-        "versions": read_versions(site.results), "unstated": tables_without_versions(site.results),
+        "versions": versions, "unstated": tables_without_versions(site.results, versions),
         "groups": {
             "Reasons for stale cells": origin.counted(cells, "changed"), "Commits": origin.counted(cells, "commit"),
         },

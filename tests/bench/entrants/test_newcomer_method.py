@@ -15,7 +15,7 @@ PAGE = REPOSITORY / "docs" / "gallery" / "new_method.md"
 
 
 def test_it_keeps_the_contract(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What a reader copies passes the checks of anybody's method."""
+    """The copied code passes the checks of any method."""
     found = re.search(r"```python title=\"zero_crossings.py\"\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert found
     (tmp_path / "zero_crossings.py").write_text(found.group(1), encoding="utf-8")

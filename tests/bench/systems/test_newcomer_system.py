@@ -84,7 +84,7 @@ def test_it_is_at_most_thirty_lines(folder: Path) -> None:
 
 
 def test_it_keeps_the_contract(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What a reader copies passes the checks of anybody's system."""
+    """The copied code passes the checks of any system."""
     assert main(["check", f"package={folder}"]) == 0, capsys.readouterr().out
 
 

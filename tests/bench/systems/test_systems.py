@@ -1,4 +1,4 @@
-"""What is derived from the residual of a system is right."""
+"""Mass matrix, acceleration and regression columns follow from the residual of a system."""
 
 from __future__ import annotations
 
