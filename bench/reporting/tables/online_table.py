@@ -86,6 +86,10 @@ def _samples(delay: float) -> str:
     return MISSING if math.isnan(delay) else "never" if math.isinf(delay) else f"{delay:.0f}"
 
 
+def _alarms(count: float) -> str:
+    return MISSING if math.isnan(count) else f"{count:.2g}"
+
+
 SHOWN = Panel(
     each(
         measured,
@@ -105,7 +109,7 @@ def false_alarms(lines: Iterable[Line]) -> Rows:
     curves = {key: members[0]["curve"] for key, members in groups.items()}
     titles = [title for title, scenario in curves if scenario == CONSTANT and (title, STEP) in curves]
     points = [
-        (title, f"{width:g} sd", f"{constant[0]:.2g} / {_samples(step[1])}".replace("nan", MISSING))
+        (title, f"{width:g} sd", f"{_alarms(constant[0])} / {_samples(step[1])}")
         for title in titles
         for width, constant, step in zip(LEVELS, curves[title, CONSTANT], curves[title, STEP], strict=True)
     ]
