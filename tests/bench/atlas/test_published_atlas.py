@@ -10,15 +10,15 @@ import random
 import time
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from bench.atlas.model import MAX_SD
 from bench.atlas.run import fit_point
+from bench.atlas.statistics import columns
 from bench.config.atlas import SAMPLED, atlas_blocks
 from bench.entrants.registry import make_method
-from bench.reporting.atlas import NEAR, RARE
+from bench.reporting.atlas import near
 
 PUBLISHED = Path(__file__).parents[3] / "results" / "atlas.csv.gz"
 SEED = os.environ.get("ATLAS_SEED", str(time.time_ns()))
@@ -38,13 +38,8 @@ def test_drawn_points_are_on_the_published_side_of_the_limit(method: str) -> Non
     differing = []
     for place in random.Random(f"{SEED} {method}").sample(sorted(determined), DRAWN):
         block, point = points[place]
-        again = fit_point(block, make_method(block.method, block.settings), point)
-        _, core, _, _, outliers, *_ = again.values[0]
-        line = published.loc[place]
-        if _near(core, outliers) != _near(line.k_over_m_core, line.k_over_m_gross):
-            differing.append(f"{place}: {line.k_over_m_core}, {line.k_over_m_gross}; now {core:.4g}, {outliers:.4g}")
+        statistics = fit_point(block, make_method(block.method, block.settings), point)
+        again = pd.DataFrame([statistics.row()], [place], columns(point.QUANTITIES)).round(3)
+        if near(again)[place] != near(published.loc[[place]])[place]:
+            differing.append(f"{place}: {again.iloc[0].to_dict()}; published {published.loc[place].to_dict()}")
     assert len(differing) <= MOST_DIFFERENT, f"ATLAS_SEED={SEED}: {differing}"
-
-
-def _near(core: float, outliers: float) -> bool:
-    return bool(np.round(core, 3) <= NEAR and outliers <= RARE)
