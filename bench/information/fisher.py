@@ -223,7 +223,7 @@ def _mean_share(of_replicates: Sequence[Information], quantity: Quantity, varian
 
 def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the information with a unit diagonal, and the scale it was divided by on both sides."""
-    scale = np.sqrt(np.diag(information))
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0))  # rounding can make an entry negative
     scale = np.where(scale > 0, scale, 1.0)
     return information / np.outer(scale, scale), scale
 
