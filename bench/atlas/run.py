@@ -1,7 +1,7 @@
 """The blocks of the atlas: fits of a method at several points, computed in one process and stored as statistics.
 
-The atlas has a million fits. To save the second process of a sweep, problem and truth are in the same process here; the
-method is still given the problem only. A fit fails if it raises an exception or takes longer than :data:`LIMIT_S`.
+To save the second process of a sweep, problem and truth are in the same process here; the method is still given the
+problem only. A fit fails if it raises an exception or takes longer than :data:`LIMIT_S`.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def test_the_equations_are_those_of_a_chain() -> None:
     assert np.allclose(duffing_rates(0.0, np.array([2.0, 1.0]), np.array([2.0, 1.0, 3.0, 0.5])), [1.0, -5.5])
 
 
-@pytest.mark.parametrize("system", ["duffing", "chain2"])
+@pytest.mark.parametrize("system", ["duffing", pytest.param("chain2", marks=pytest.mark.slow)])
 def test_it_finds_the_ratios_from_near_by(system: str) -> None:
     """Almost without noise, from handbook values: every ratio to the first mass to a thousandth."""
     cell = scenario(system, 100)

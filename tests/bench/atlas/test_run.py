@@ -51,11 +51,12 @@ def test_near_the_bound_a_good_method_has_an_error_of_about_one() -> None:
     assert found.values[2, 2] == pytest.approx(1.0, abs=0.35)
 
 
-def test_every_method_of_the_atlas_can_be_made_and_a_million_fits_are_planned() -> None:
+def test_every_method_of_the_atlas_can_be_made_and_every_part_is_planned() -> None:
     tasks = atlas_blocks(SAMPLED)
     assert {task.label for task in tasks} == set(atlas_methods())
-    every = [task for part in part_names() for task in atlas_blocks(part)]
-    assert sum(block.size for block in every) >= 1_000_000
+    for part in part_names():
+        fits = [block.size for block in atlas_blocks(part) if block.label == "output_error"]
+        assert sum(fits) >= 400 * 50, part
     assert atlas_content()["points"] * len(atlas_methods()) > len(tasks)
 
 

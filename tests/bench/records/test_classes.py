@@ -166,6 +166,7 @@ def test_a_pendulum_of_large_swings_is_chosen_by_its_angle(db: float) -> None:
     assert dict(system.fixed) == {"l": 1.0}
 
 
+@pytest.mark.slow
 def test_friction_joins_a_pendulum() -> None:
     assert chosen(measured(pendulum(FRICTION), 40.0, 0, "rad")) == ("viscous", "pendulum", "coulomb")
 

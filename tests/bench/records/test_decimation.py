@@ -68,6 +68,7 @@ def test_the_estimate_is_as_accurate_as_that_of_all_samples() -> None:
     assert thin.white_high - thin.white_low > 3.0 * (few.white_high - few.white_low)
 
 
+@pytest.mark.slow
 def test_motion_and_force_pass_the_same_filter() -> None:
     """Mass, stiffness and damping are unchanged, although much of the force is removed."""
     force = np.repeat(np.random.default_rng(5).standard_normal(TIMES.size // 40), 40)

@@ -244,6 +244,7 @@ def test_a_steady_state_response_to_a_sine_does_not_determine_mass_damping_and_s
     assert not finding.intervals
 
 
+@pytest.mark.slow
 def test_the_transient_response_to_a_sine_determines_them() -> None:
     force, x = sine_response(transient=True)
     times = np.linspace(0.0, 30.0, 900)
@@ -271,6 +272,7 @@ def test_the_colour_of_rounding_errors_is_ignored() -> None:
     assert "white" not in reasons(judge(T, np.round(free(T), 7)))
 
 
+@pytest.mark.slow
 def test_a_vibration_and_its_alias_are_reported() -> None:
     finding = judge(T, fewer_than_two_a_cycle())
     apparent, alias = finding.modes

@@ -237,6 +237,7 @@ def test_a_square_wave_and_a_rest_are_not_clipped() -> None:
     assert not np.any(at_limit(np.round(1.0 - np.exp(-times / 50), 2)))
 
 
+@pytest.mark.slow
 def test_a_clipped_force_sensor_is_rejected_but_not_a_bounded_force() -> None:
     """In the first case the force that acted differs from the recorded one."""
     times = np.arange(0.0, 30 * PERIOD, PERIOD / 30)

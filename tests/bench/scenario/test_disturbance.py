@@ -73,7 +73,7 @@ def noise(scenario: Scenario, n: int) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "scenario",
-    [BASE, FORCED, pytest.param(DUFFING, marks=pytest.mark.slow), pytest.param(CHAIN, marks=pytest.mark.slow)],
+    [BASE, *(pytest.param(scenario, marks=pytest.mark.slow) for scenario in (FORCED, DUFFING, CHAIN))],
     ids=["one mass", "forced", "Duffing", "two masses"],
 )
 def test_another_integrator_changes_nothing_beyond_its_tolerance(scenario: Scenario) -> None:
@@ -115,6 +115,7 @@ def test_irregular_times_are_uniform_and_told_as_they_are() -> None:
     np.testing.assert_allclose(half, 0.5 * (told + np.linspace(0.0, 10.0, 25)), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_autoregressive_and_of_the_stated_variance() -> None:
     n = 2000
     z = noise(disturbed("coloured"), n)

@@ -168,7 +168,9 @@ def test_a_cubic_force_by_duhamels_integral() -> None:
     )
 
 
-@pytest.mark.parametrize("hold", ["zero_order", "linear", "cubic"])
+@pytest.mark.parametrize(
+    "hold", ["linear", *(pytest.param(hold, marks=pytest.mark.slow) for hold in ("zero_order", "cubic"))]
+)
 def test_with_a_force_of_any_hold_the_bound_on_the_samples_is_a_projections(hold: str) -> None:
     """``sigma √(p / N)``: m, c, k and, in the second case, k3, all told by the force."""
     for system, p in (("sdof", P), ("duffing", {**P, "k3": 3.0})):

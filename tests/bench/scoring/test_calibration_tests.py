@@ -53,6 +53,7 @@ def test_always_far_off_on_one_side_is_too_sure_however_little_it_scatters(end: 
     assert found.verdict == f"overconfident, {side}"
 
 
+@pytest.mark.slow
 def test_a_table_of_calibrated_lines_has_no_finding_in_nineteen_cases_of_twenty() -> None:
     """Forty tables of twenty lines: at 5 % a table, two are expected, and eight would be one chance in a thousand.
 

@@ -213,6 +213,7 @@ def read_all(folder: Path) -> None:
     archive.bounds()
 
 
+@pytest.mark.slow
 def test_every_flipped_bit_is_noticed(archive: Archive) -> None:
     files = [archive.folder / name for name in contents(archive)]
     assert len(files) == 8

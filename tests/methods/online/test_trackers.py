@@ -56,6 +56,7 @@ def test_a_filter_ends_within_four_bounds_of_the_truth_and_says_about_the_bound(
         assert path.sds[-1, i] < 8 * sd
 
 
+@pytest.mark.slow
 def test_the_three_rules_agree_where_the_motion_is_nearly_linear_in_what_is_not_known(constant) -> None:
     _, stream, bound = constant
     ends = [follow(make_online(name), stream).means[-1] for name in ("ekf", "ukf", "square_root")]
@@ -192,6 +193,7 @@ def test_where_nothing_moves_the_status_says_so() -> None:
     assert set(status[1500:]) == {"at_rest"}
 
 
+@pytest.mark.slow
 def test_a_known_force_that_is_zero_so_far_is_awaited() -> None:
     made = scenario(forces=(HeldForce("impulses", amplitude=20.0, period=20.0),), samples=700)
     tracker, decay = make_online("ekf").start(made.stream(0, 0).layout), list(made.stream(0, 0).samples())[1:]

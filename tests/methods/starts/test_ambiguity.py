@@ -173,7 +173,7 @@ def chain_sampled_rarely(seed: int) -> tuple[Problem, np.ndarray]:
     return problem, np.sqrt(np.sort(np.linalg.eigvals(inverse @ stiffness).real)) / (2 * np.pi)
 
 
-@pytest.mark.parametrize("method", ["shooting", "ekf"])
+@pytest.mark.parametrize("method", ["shooting", pytest.param("ekf", marks=pytest.mark.slow)])
 def test_several_modes_beyond_the_band_are_found_or_the_answer_names_them(method: str) -> None:
     """Of 4 repeats at 32 dB the frequencies of the answer or of an alternative are the true ones."""
     for seed in range(4):
