@@ -119,7 +119,7 @@ def compared(rivals: tuple[AuditFinding, ...]) -> str:
         return f"{where}: {larger}; noise does not explain them"
     draws = "one draw does" if row.draws == 1 else f"{row.draws} draws do"
     tie = f"{draws} not determine which is more accurate, {within}"
-    sentence = tie if len(near) > 1 else f"the error of {within} is typical of an efficient estimator"
+    sentence = tie if len(near) > 1 else f"the error of {within} is not larger than those of an efficient estimator"
     return f"{where}: {sentence}{f'; the errors of {outside} are larger' if outside else ''}"
 
 

@@ -44,10 +44,11 @@ SAME = math.log(1.02)
 """Largest difference of losses that counts as a tie, even if it is significant."""
 UNINFORMATIVE = 100.0
 """Bound (%) from which on a quantity counts as not identifiable from data and prior."""
-FIRST_TIER = f"""**Bold**: the first tier of this scenario, the methods tied with the best. Methods are ranked by the
-mean logarithm of error over bound, limited to the range from 1 to {CAP:g}; failed fits and outlier fits (error beyond
+FIRST_TIER = f"""**Bold**: the first tier of this column and scenario, the methods tied with the best by the mean
+logarithm of error over bound, limited to the range from 1 to {CAP:g}; failed fits and outlier fits (error beyond
 {OUTLIER_FACTOR:g} times the bound) count as {CAP:g}. The worst method is removed as long as it differs from the best by
-more than 2 %, and by more than equal methods would in 95 % of resamples of the same replicates."""
+more than 2 %, and by more than equal methods would in 95 % of resamples of the same replicates; one with fewer
+replicates is compared with the best on these alone."""
 """Meaning of bold in a table of scenarios with several replicates."""
 Fits = Mapping[str, Sequence[np.ndarray]]
 """Log error over bound of the fits in each scenario (n,), from -log CAP, by method; empty if the method was not run

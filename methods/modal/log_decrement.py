@@ -10,7 +10,7 @@ Swings below ``smallest`` times the largest sample are ignored as noise. A swing
 on one side, so that sign changes by noise about zero are no crossings. Swings after a missing one (a gap of more than
 1.5 times the median half period) are ignored too.
 
-With few samples the method is biased even without noise: at five samples per cycle the top of a parabola is up to 4 %
+With few samples the method is biased even without noise: at 5.3 samples per cycle the top of a parabola is up to 4 %
 low. A sensor's offset is the level about which successive extremes alternate and decay: three of them, ``e₁, e₂, e₃``,
 form a geometric sequence about ``(e₁e₃ - e₂²)/(e₁ + e₃ - 2e₂)`` (Aitken's formula), averaged over all triples and
 iterated from the mean of the samples. Times may be uneven.

@@ -76,7 +76,7 @@ class OnlineEKF(FilterIdentifier):
     card: ClassVar[OnlineCard] = OnlineCard(
         "extended Kalman filters with random walks of several rates, weighted by likelihood",
         "C. B. Yun, M. Shinozuka, J. Structural Mechanics 8:187, 1980; Blom and Bar-Shalom 1988",
-        "rates: a factor of five apart; the probability of a change is learned from the stream",
+        "rates: factors of five and seven apart; the probability of a change is learned from the stream",
         "EKF",
         10,
     )

@@ -7,7 +7,7 @@ freedom.
 ``derivative="finite"`` uses central differences over three samples: the baseline of the paper. It is biased even
 without noise: for a pole ``s`` and step ``h`` the second difference of ``e^{st}`` is ``2 (cosh(sh) - 1)/h²`` times it,
 not ``s²``, and the central difference ``sinh(sh)/h`` times it, not ``s``. So k/m is low by about ``ω²h²/12``: some 11 %
-at five samples per cycle. Noise makes the columns random (errors in variables).
+at 5.3 samples per cycle. Noise makes the columns random (errors in variables).
 
 ``derivative="spline"`` differentiates a smoothing spline (degree 5 or 7). Smoothing damps displacement, velocity and
 acceleration of the regression equally, which causes little bias. The smoothing weight is chosen by the simulated

@@ -14,7 +14,7 @@ whose coefficient is 1/m. The method ``sindy`` adds a spline, a choice of terms 
 equation of motion.
 
 The displacement is differentiated twice by central differences, so even without noise k/m is estimated as
-``(sin(ωh)/(ωh))²`` times its value at a sampling step ``h``: 38 % low at the five samples per cycle of the paper's
+``(sin(ωh)/(ωh))²`` times its value at a sampling step ``h``: 38 % low at the 5.3 samples per cycle of the paper's
 Table 3.
 """
 

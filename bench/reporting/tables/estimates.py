@@ -280,10 +280,11 @@ MISSPECIFIED = TableForm(
 nominal values are off by three standard deviations. Errors refer to the parameters that system and model share: the
 stiffness at small amplitude, the viscous part of the damping, the first mode. Each entry: the median error in percent.
 {EXCESS} The bound is that of the right model with white noise. Bias: the mean of estimate over true value, minus one,
-in percent. {COVERAGE} A coverage below 95 % is an error that the method does not announce. Warned: the share of the
-fits that failed or came with a warning. Residuals: the share of the successful fits whose residuals differ
-significantly from white noise (Ljung-Box test at 5 % of the response to the estimated k/m and c/m; the panel in which
-nothing is wrong shows the false alarms). {ORACLE} It has the same wrong model. {DASH}""",
+in percent. {COVERAGE} A coverage with all of its interval below 95 % is an error that the method does not announce.
+Warned: the share of the fits that failed or came with a warning. Residuals: the share of the successful fits whose
+residuals differ significantly from white noise (Ljung-Box test at 5 % of the response to the estimated k/m and c/m; the
+panel in which nothing is wrong shows the false alarms). {ORACLE} It has the same wrong model. A dash: the method states
+no interval, or its messages are no warnings.""",
     columns=(
         "wrong", "system", "initial_state", "snr_db", "method", "quantity", "median_error_pct", "bias_pct", "excess",
         "coverage_95", "low_95", "high_95", "said", "coloured", "n_ok", "n",
@@ -383,8 +384,8 @@ the bound of its own sample times, which are known. The initial state is unknown
 otherwise. A star: the error differs from that on undisturbed data with the same initial state by more than 1 %, beyond
 a 95 % interval (paired bootstrap: both cells have the same base noise). Failed fits are left out; where there are any,
 the successful fits stand in brackets. *oracle*: maximum a posteriori started at the true values, under the same wrong
-assumptions; its excess is not due to the search. No method knows of the disturbance. Ratios with their intervals are in
-the CSV.""",
+assumptions; its excess is not due to the search. No method knows of any other disturbance. Ratios with their intervals
+are in the CSV.""",
     columns=(
         "disturbance", "size", "system", "initial_state", "snr_db", "method", "metric", "excess", "excess_undisturbed",
         "ratio", "ratio_low", "ratio_high", "coverage_95", "coverage_95_undisturbed", "n_ok", "n_ok_undisturbed", "n",
@@ -480,11 +481,11 @@ OPEN = TableForm(
     legend=f"""One replicate per scenario. The scenarios are drawn at random from the ranges of
 `conf/experiment/{{name}}.yaml` (sizes uniformly in the logarithm, the rest uniformly), with the name of the release
 ({{release}}) as seed. No setting was chosen on them. Each error is divided by the Cramér-Rao bound of its scenario.
-**Median**: over the scenarios, a failed fit counting as infinite; about 0.67 for normal errors at the bound. **RMS**:
-over the successful fits; 1 is the smallest that an unbiased method can reach, and a few outliers dominate it.
-**Outliers**: the share of scenarios with an outlier fit (an error beyond five times the bound, or a failed fit), with
-its 95 % interval (Wilson). {COVERAGE} A quantity is left out of scenarios whose bound exceeds its value: there it is
-not identifiable. The bound is that of the sample times of the replicate. It is of first order and ignores aliases; the
+**Median**: over the scenarios, a failed or refused fit counting as infinite; about 0.67 for normal errors at the bound.
+**RMS**: over the successful fits; 1 is the smallest that an unbiased method can reach, and a few outliers dominate it.
+**Outliers**: the share of scenarios with an error beyond five times the bound or a failed or refused fit, with its 95 %
+interval (Wilson). {COVERAGE} A quantity is left out of scenarios whose bound exceeds its value: there it is not
+identifiable. The bound is that of the sample times of the replicate. It is of first order and ignores aliases; the
 errors of *oracle*, which starts at the true values, show how close it is. With fewer than two samples per cycle at
 equal time steps, the data alone do not determine the frequency. Time: median processor time of a successful fit; ok:
 successful fits, of the scenarios of the panel.""",

@@ -26,9 +26,9 @@ NEAR = 1.1
 CSV = (
     "section", "base", "row", "method", "settings", "snr_db", "initial_state", "quantity", "value", "n_ok", "n",
 )  # fmt: skip
-LEGEND = """Each row is one way to train the network on the same data. It differs from a base in one setting.
-{bases} The base is the first row of each section. A row may occur in two sections.
-Slow rows have fewer data sets; the row below the base gives the base on these data sets alone.
+LEGEND = """Each row is one way to train the network on the same data, reference rows and other packages apart.
+In a section with a base, its first row, the others differ from it in one setting. {bases} A row may occur in two
+sections. Slow rows have fewer data sets; the row below the base gives the base on these data sets alone.
 
 **Accuracy.** n: successful fits, of all, at each noise level if they differ. k/m, c/m, x (displacement): root mean
 square error of the successful fits over the Cramér-Rao bound; 1 is the smallest that an unbiased method can reach.
@@ -304,7 +304,7 @@ def _combinations(family: Family) -> list[str | Rows]:
         f"Errors of k/m and c/m over the bound on the first {n} data sets ({PLACE[0]:g} dB, initial state {PLACE[1]}), "
         "and processor seconds of a whole fit."
     )
-    heading = f"## All combinations of {', '.join(map(_words, settings))}"
+    heading = f"## Combinations of {', '.join(map(_words, settings))}"
     return [heading, explanation, Panel(entry, row, order=order).rows(shown)] if shown else []
 
 

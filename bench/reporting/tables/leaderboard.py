@@ -19,16 +19,17 @@ COLUMNS = (
 )  # fmt: skip
 PARTS = ("below Nyquist", "beyond Nyquist")
 LEGEND = """The methods on the [open split](open.md): scenarios drawn at random, on which no setting was tuned, with one
-data set each. **Error over bound**: root mean square, over the identifiable quantities, of error over Cramér-Rao bound,
-limited to the range from 1 (a smaller error is chance) to {cap:g}; shown is the geometric mean over the scenarios, with
-its 95 % bootstrap interval. Normal errors at the bound give about {on_bound:.2f} (two quantities). **Outlier fits**: an
-error beyond {gross:g} times the bound, a failed fit, or a refusal of data that the method claims to serve; they count
-as {cap:g}. **Tier**: methods that do not differ significantly. The first tier is a model confidence set: the worst
-method is removed as long as it differs from the best by more than 2 %, and by more than equal methods would in 95 % of
-resamples of the scenarios; the second tier is the confidence set of the rest, and so on. Equally good methods share a
-tier with 95 % probability; within a tier their order means nothing. A method that does not serve every scenario has no
-tier; it is listed with the error of the first tier on the scenarios that it serves. Nyquist: two samples per natural
-period, on average. Time: median processor time of a successful fit."""
+data set each; those without an identifiable quantity are left out. **Error over bound**: root mean square, over the
+identifiable quantities, of error over Cramér-Rao bound, limited to the range from 1 (a smaller error is chance) to
+{cap:g}; shown is the geometric mean over the scenarios, with its 95 % bootstrap interval. Normal errors at the bound
+give about {on_bound:.2f} (two quantities). **Outlier fits**: an error beyond {gross:g} times the bound, a failed fit,
+or a refusal of data that the method claims to serve; they count as {cap:g}. **Tier**: methods that do not differ
+significantly. The first tier is a model confidence set: the worst method is removed as long as it differs from the best
+by more than 2 %, and by more than equal methods would in 95 % of resamples of the scenarios; the second tier is the
+confidence set of the rest, and so on. Equally good methods share a tier with 95 % probability; within a tier their
+order means nothing. A method that does not serve every scenario has no tier; it is listed with the error of the first
+tier on the scenarios that it serves. Nyquist: two samples per natural period, on average. Time: median processor time
+of a successful fit."""
 
 
 def parts(results: Sequence[Result]) -> dict[str, list[Result]]:

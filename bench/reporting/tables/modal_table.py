@@ -20,7 +20,7 @@ HEAD = """# Table 12. The modal track
 Natural frequencies and damping ratios of several modes, whose number no method is given. In brackets after a
 frequency: damping ratio, and amplitude or modal constant. Each replicate draws phases, shapes, noise, times and peaks
 of blows. **rms**: root mean square of the relative error over replicates and modes. **excess**: root mean square of
-error over Cramér-Rao bound (amplitudes, phases and constants unknown; the force known to be zero outside of a blow);
+error over Cramér-Rao bound (amplitudes, phases and constants unknown; the force of a blow known);
 one is the smallest that an unbiased method can reach. **cov.**: coverage of the 95 % intervals. All three are over the
 identified modes: within a half-power bandwidth of the true frequency, or within five times the bound. Over all
 replicates, **number right**: share with the right number of modes; **outliers**: true modes that were missed, or with
@@ -61,7 +61,7 @@ def in_words(scored: Sequence[Line]) -> str:
             limits.append(f"number of modes right in {line['right_pct']:.0f} %")
         behind = f", with {' and '.join(limits)}" if limits else ""
         summaries.append(f"{excess_text(larger_excess(of))} for {name} ({line['replicates']} records{behind})")
-    return f"Errors over the bound: {'; '.join(summaries)}." if summaries else ""
+    return f"Largest excess: {'; '.join(summaries)}." if summaries else ""
 
 
 def _last(lines: Sequence[Line]) -> dict[str, str]:

@@ -28,9 +28,10 @@ over the posterior Cramér-Rao bound along the path. The bound assumes that it i
 and by about how much; trackers have to estimate this, so where a parameter changes none can be expected to reach the
 bound. Methods with as many replicates are in the order of their largest excess. **available**: share of those samples
 with an estimate. **cov.**: coverage of the 95 % intervals. **after**: excess by samples since a step. **delay**: median
-number of samples from a step until the 95 % interval excludes the old value; in the bound's row, until the bound allows
-it. **µs**: median and 99 % quantile of the wall time per sample, with one process per core on the machine that made the
-table. Methods that do not apply to a scenario are listed below it."""
+number of samples from a step until the 95 % interval excludes the old value (never: in most replicates); in the bound's
+row, until the bound allows it. After and delay are of the first quantity. **µs**: median and 99 % quantile of the wall
+time per sample, with one process per core on the machine that made the table. Methods that do not apply to a scenario
+are listed below it."""
 CURVE = """With intervals wider or narrower than 95 %: false alarms in 1000 samples of the constant multisine record
 (times that the interval begins to exclude the true value) / median delay (samples) after the step under a multisine,
 by the half-width of the interval in standard deviations."""

@@ -174,8 +174,8 @@ SYSTEMS = TableForm(
     legend=f"""One panel per system. For each noise level: **error**, the pooled excess of the identifiable quantities
 (root mean square, over replicates and quantities, of error over Cramér-Rao bound); **RMSE**, the median displacement
 error (m); **95 %**, coverage, the share of the 95 % intervals of all parameters that contain the true value. {EXCESS}
-With a known force or a known added mass every parameter is identifiable, and there is no prior. In free vibration only
-ratios are identifiable, and the prior (a weighed mass) determines the scale. The row *bound* gives the bound, pooled in
+With a known force or a known added mass every parameter is identifiable, and there is no prior. In free vibration the
+scale is not identifiable, and the prior (weighed masses) determines it. The row *bound* gives the bound, pooled in
 percent, and that of the RMSE. {ORACLE} {FIRST_TIER} {DASH} Time: median processor time of a fit. Fits that failed or
 were refused are listed below each panel. All quantities and 95 % intervals are in the CSV.""",
     columns=COLUMNS, lines=system_lines, section=lambda line: line["section"],

@@ -36,13 +36,13 @@ offset are unknown. The true values are unknown as well, so the estimates from s
 other siblings, over that of the ideal interval, which is as wide as the siblings scatter; one is ideal, and intervals
 that are too narrow or too wide score more. **R**: standard deviation between siblings over the median stated standard
 error; one is right, more means too narrow intervals. **cov.**: number of siblings whose interval covers the mean of the
-others. **x/÷**: median factor by which the interval extends to either side. In brackets the same for the interval
-assuming white noise. An interval with one end only (a limit) has no score and is counted. **error**: median difference
-from published values, if there are any. **held-out**: the fit 100 (1 - |y - h| / |y - mean y|) of the last 40 %,
-predicted from a fit to the first 60 % (median). **verdicts**: estimates by trust / use with caution / do not trust; the
-last are rejected: they have no interval and no score. **white/certified**: the interval assuming white noise over that
-of a certified value. Parts of a decay have different amplitudes, so they differ by the error of the model more than
-repeats of the whole record would."""
+others. **x/÷**: median factor by which the interval extends to either side. In brackets the same for the interval of
+the record alone that assumes white noise. An interval with one end only (a limit) has no score and is counted.
+**error**: median difference from published values, if there are any. **held-out**: the fit 100 (1 - |y - h| / |y - mean
+y|) of the last 40 %, predicted from a fit to the first 60 % (median). **verdicts**: estimates by trust / use with
+caution / do not trust; the last are rejected: they have no interval and no score. **white/certified**: the interval
+assuming white noise over that of a certified value. Parts of a decay have different amplitudes, so they differ by the
+error of the model more than repeats of the whole record would."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,10 @@ def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator
         for name in MAIN
         for kind in KINDS
     ]
-    yield "Over all sets: median and worst score, covered, R, and x/÷, by the kind of interval."
+    yield (
+        "Over all sets: median and worst score, covered, R, and x/÷, by the kind of interval: for a repeat, for the "
+        "record alone, and for the record assuming white noise."
+    )
     kinds = Panel(
         lambda line: {
             line["kind"]: f"{number(line['score'])}, {number(line['worst'])}; {line['covered']}/{line['counted']}; "
@@ -148,7 +151,7 @@ def _summary(panels: Sequence[TrackPanel], agreements: pd.DataFrame) -> Iterator
     fits = pd.concat([panel.fits for panel in panels])
     silent, missing = (fits["status"] != "ok").sum(), sum((panel.rows["status"] == NOT_MADE).sum() for panel in panels)
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in _verdicts(fits).items())
-    lines = [f"{len(fits)} fits, {silent} of them failed; of the estimates {verdicts} (rejected)."]
+    lines = [f"{len(fits)} fits, {silent} of them failed or refused; of the estimates {verdicts} (rejected)."]
     lines += [f"{missing} fits are not made yet: the same command makes them."] if missing else []
     lines += [f"{panel.name}: {panel.absent}" for panel in panels if panel.absent]
     yield "\n".join(f"- {line}" for line in lines)

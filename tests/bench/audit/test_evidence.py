@@ -224,7 +224,8 @@ def test_where_a_number_falls(value: float, verdict: str) -> None:
         ),
         (
             (0.41, 0.8, 0.9),
-            "for c: the error of 'a and e' is typical of an efficient estimator; the errors of 'b' and 'd' are larger",
+            "for c: the error of 'a and e' is not larger than those of an efficient estimator; the errors of 'b' and "
+            "'d' are larger",
         ),
         (
             (0.7, 0.8, 0.9),

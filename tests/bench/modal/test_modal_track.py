@@ -132,7 +132,7 @@ def test_the_command_writes_the_table_and_resumes_from_stored_fits(tmp_path: Pat
     page = (tmp_path / "out" / "table12.md").read_text(encoding="utf-8")
     assert "Not applicable: Damped waves: it is made for free decays, not records of force and response." in page
     assert "| 1/1" in page
-    assert re.search(r"^Errors over the bound: [\d.]+ for Damped waves \(1 records\)\.$", page, re.MULTILINE)
+    assert re.search(r"^Largest excess: [\d.]+ for Damped waves \(1 records\)\.$", page, re.MULTILINE)
     assert (tmp_path / "out" / "table12.csv").read_text(encoding="utf-8").count("two_modes,") == 4
     assert "two modes" in (tmp_path / "tex" / "table12.tex").read_text(encoding="utf-8")
     capsys.readouterr()

@@ -122,7 +122,7 @@ def test_settings_combined_stand_in_a_table_of_their_own(place: Scenario) -> Non
     kinds = [(both, steady(0.5)), ({**both, "architecture": "sine"}, steady(1.0)), (third, None)]
     cells = [cell(place, rows, settings, FAMILY) for settings, rows in [(LM, drawn(np.full(5, 0.5), 3.5)), *kinds]]
     text = family_table(frame(*cells))[f"{FAMILY}.md"]
-    (table,) = panel(text, "All combinations of optimizer, weighting, architecture")
+    (table,) = panel(text, "Combinations of optimizer, weighting, architecture")
     assert table[0] == ["optimizer", "architecture", CHOICES["weighting"]["paper"].title]
     assert ["SOAP", CHOICES["architecture"]["sine"].title, "2.00, 1.00 (15 s)"] in table
     assert "several settings at once" not in text
